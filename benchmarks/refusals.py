@@ -21,12 +21,12 @@ from rich.table import Table
 from stances import OTHERS, Demand, other_robot, random_task
 
 import pupper_analysis as pa
-from pupper_analysis.stance.demands import differ, shrunk
 
 NEAR = 5e-3
 """A refused stance whose feet miss by less is within reach's edge (m)."""
 
-BEYOND = 1.02
+BEYOND = 0.02
+"""Of the way from a limit to what was asked."""
 REACHED = 1e-8
 """A stance to which a search comes as near is in reach (m); it ends at 1e-9 where it can."""
 
@@ -99,18 +99,16 @@ def check_limits(
     for name, limits in error.limits.items():
         tally.limits += 1
         end = replace(task, **limits)
-        typed = [as_printed(end, error.possible[name], limits, unit) for unit in ("deg", "rad")]
+        typed = [
+            as_printed(end, str(error.possible[name]), limits, unit) for unit in ("deg", "rad")
+        ]
         for asked in (end, *typed):
             try:
                 pa.solve_stand(robot, asked, explain=False)
             except pa.StanceUnreachableError:
                 tally.untrue.append(f"{robot.name}: {error.possible[name]}; {task!r}")
                 break
-        fields = list(limits)
-        nominal = shrunk(robot, end, fields, 0.0)
-        if not differ(robot, end, fields):
-            continue
-        beyond = between(nominal, end, fields, BEYOND)
+        beyond = between(end, task, list(limits), BEYOND)
         try:
             pa.solve_stand(robot, beyond, explain=False)
         except (pa.StanceUnreachableError, pa.ConfigurationError):

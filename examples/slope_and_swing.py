@@ -24,7 +24,7 @@ def main() -> None:
     try:
         pa.solve_stand(robot, pa.StandTask(height=0.16, roll=0.4))
     except pa.StanceUnreachableError as error:
-        print("out of reach; possible:", error.possible)
+        print("out of reach; possible:", " or ".join(map(str, error.possible.values())))
 
 
 if __name__ == "__main__":

@@ -128,15 +128,15 @@ class StanceUnreachableError(PupperAnalysisError):
     Attributes:
         shortfall: How far each foot that cannot be planted ends from its target, in metres.
         at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
-        possible: {demand: how far it can go}, for each demand that alone is in the way, in words;
-            if there is none, for each two that are together ("height and roll"), or each three ...
+        possible: {demand: how far it can go}, for each demand that alone may give; if there is
+            none, for the fewest that must together ("height and roll"). Diagnostics.
         limits: The same as values of the task's fields, such as {"roll": {"roll": 0.337}}:
             ``replace(task, **limits["roll"])`` is in reach.
-        nearest: A stand that is in reach, with all demands shrunk alike towards the nominal stand;
-            None if there is none, or it was not asked for.
+        nearest: The stand of the one of ``limits`` that gives least; None if there is none, or it
+            was not asked for.
         blocked: What is in the way where the feet could be planted: a part in the ground, parts
-            too near to each other, or a com too near to tipping, in words.
-        lacks: What the robot would need that it has not, in words; empty if nothing is known.
+            too near to each other, or a com too near to tipping. Diagnostics.
+        lacks: What the robot would need that it has not; None if nothing is known.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class StanceUnreachableError(PupperAnalysisError):
         nearest: Any = None,
         blocked: Iterable[Problem] = (),
         limits: Mapping[str, Mapping[str, Any]] | None = None,
-        lacks: Problem = "",
+        lacks: Problem | None = None,
     ) -> None:
         self.lacks = lacks
         self.limits = dict(limits or {})

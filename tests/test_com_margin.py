@@ -50,7 +50,7 @@ def test_a_refusal_names_the_margin_with_its_limit() -> None:
     task = pa.StandTask(offset=(0.05, 0.0), com_margin=0.04)
     error = refused(robot, task)
     assert error.shortfall == {}
-    assert error.blocked == ("the com is 31.3 mm inside the support polygon",)
+    assert [str(one) for one in error.blocked] == ["the com is 31.3 mm inside the support polygon"]
     assert "com inside by 40 mm" in str(error)
     assert set(error.limits) == {"offset", "com_margin"}
     for name, limit in error.limits.items():
@@ -68,7 +68,7 @@ def test_a_refusal_names_the_margin_with_its_limit() -> None:
 def test_no_margin_does_not_let_the_com_outside() -> None:
     """Beyond the polygon's edge less of the margin does not help, only less of the offset."""
     error = refused(load("v3"), pa.StandTask(offset=(0.11, 0.0), com_margin=0.01, height=0.12))
-    assert error.blocked == ("the com is 25.9 mm outside the support polygon",)
+    assert [str(one) for one in error.blocked] == ["the com is 25.9 mm outside the support polygon"]
     assert set(error.limits) == {"offset"}
 
 

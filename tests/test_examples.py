@@ -177,7 +177,7 @@ def test_slope_and_swing(shown: Shown) -> None:
     share = 100 * np.tan(np.radians(5)) / friction
     assert [int(used) for _, _, used in carried] == [round(share)] * 3
     assert number("the com is", text) >= 10
-    assert re.search(r"out of reach; possible: .*'roll': 'roll 19\.\d", text)
+    assert re.search(r"out of reach; possible: .*roll 19\.\d", text)
 
 
 def test_steady_state(shown: Shown) -> None:

@@ -25,7 +25,6 @@ from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.simulated import SAG, run_rows, simulated_table
 from pupper_analysis.report.documents.standing import stand_table
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.html.sentences import in_chinese
 from pupper_analysis.report.verdict import clause_text, clauses
 from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.simulation.push_trial import PushTrial
@@ -125,7 +124,7 @@ def refusal_document(
 def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Block]:
     """Yields what is in the way, what would be possible, and where feet and joints end."""
     if error.possible:
-        demands = joined([_demands(one) for one in error.possible], "or")
+        demands = joined([joined(map(word, fields), "and") for fields in error.limits.values()], "or")
         listed = (_possible(answer.state, one) for one in error.limits.values())
         lines = (text("possible-with-all-else"), *(_spaced(doc.Name("•"), one) for one in listed))
         yield doc.Lines(lines, title=text("in-the-way-demands", demands=demands))
@@ -141,21 +140,10 @@ def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Bl
         limits = doc.Name(_at_limits(answer, error.at_limit))
         yield doc.Lines((limits,), title=text("joints-at-a-limit"))
     if error.blocked:
-        yield doc.Lines(tuple(map(_problem, error.blocked)))
+        yield doc.Lines(tuple(map(doc.tell, error.blocked)))
     if error.nearest is not None:
         title = text("the-ghost-the-nearest-stance")
         yield doc.Lines((task_text(error.nearest.task),), title=title)
-
-
-def _demands(demands: str) -> doc.Text:
-    """Returns demands that a refusal joins with ``and``."""
-    return joined(map(word, demands.split(" and ")), "and")
-
-
-def _problem(problem: Problem) -> doc.Text:
-    if isinstance(problem, Diagnostic):
-        return doc.tell(problem)
-    return doc.Text(problem, lambda: in_chinese(problem) or problem)
 
 
 def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:

@@ -97,6 +97,22 @@ class Configuration:
             jacobian[:3] -= pin.skew(np.asarray(offset, dtype=float)) @ jacobian[3:]
         return jacobian
 
+    def point_jacobian(self, name: str, point: Array) -> Array:
+        """Returns the Jacobian (3, nv) of a point that moves with a frame, in world axes.
+
+        Args:
+            name: The frame.
+            point: (3,) where the point is, in the world (m).
+
+        Raises:
+            UnknownNameError: If the URDF has no such frame.
+        """
+        frame = self._frame(name)
+        jacobian = self._jacobian(frame)
+        offset = point - self._data.oMf[frame].translation
+        moved: Array = jacobian[:3] - pin.skew(offset) @ jacobian[3:]
+        return moved
+
     def _frame(self, name: str) -> int:
         number = self._structure.links.get(name)
         if number is None:

@@ -15,11 +15,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
 
 _SAMPLES = 32
 """Starts per limb, a power of two as Sobol's sequence likes it. For 800 random goals of v3's and
@@ -27,6 +29,9 @@ original's legs, 32 find all branches but one that 256 do."""
 
 _ITERATIONS = 14
 """Of Levenberg and Marquardt's method: it converges in 6 to 10 where a foot is in reach."""
+
+_FEW = 5
+"""Of them where a branch is followed: what is not nearly there then is out of reach."""
 
 _SAME = 0.05
 """Joint positions that are no further from each other belong to one branch (rad, or m)."""
@@ -88,12 +93,7 @@ def limbs(robot: Robot) -> tuple[Limb, ...]:
 
 
 def branches(
-    robot: Robot,
-    qpos: Array,
-    targets: Mapping[str, Array],
-    lower: Array,
-    upper: Array,
-    starts: Array | None = None,
+    robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[Limb, tuple[Branch, ...]]:
     """Finds each limb's branches, for a base that stays where it is.
 
@@ -106,7 +106,6 @@ def branches(
         targets: {foot: (3,) where its centre shall be (m)}.
         lower: (nu,) joint limits (rad).
         upper: (nu,) likewise.
-        starts: (k, nu) joint positions to start from; by default evenly spread ones.
 
     Returns:
         {limb: its branches}, those that miss least first; a whole turn of a joint without limits
@@ -118,32 +117,81 @@ def branches(
     """
     for name, least, most in zip(robot.joint_names, lower, upper, strict=True):
         if least > most:
-            raise ModelError(
-                robot.description.urdf_source,
-                f"joint {name!r}: its lower limit {least:g} is above its upper one, {most:g}: no "
-                "angle is between; exchange them",
+            crossed = diagnose(
+                "joint-limits-crossed",
+                subject=("joint", name),
+                least=float(least),
+                most=float(most),
             )
+            raise ModelError(robot.description.urdf_source, crossed)
     low = np.where(np.isfinite(lower), lower, -math.pi)
     high = np.where(np.isfinite(upper), upper, math.pi)
-    if starts is None:
-        starts = np.random.default_rng(0).uniform(low, high, (_SAMPLES, robot.nu))
-    solver = _Solver(robot, qpos, targets, lower, upper)
-    positions, misses = solver.run(starts)
+    starts = np.random.default_rng(0).uniform(low, high, (_SAMPLES, robot.nu))
+    positions, misses = _Solver(robot, qpos, targets, lower, upper).run(starts, np.zeros(3))
     turning = robot.pin_convention.unbounded
     positions[:, turning] = _turned(positions[:, turning])
     positions = _unwound(robot, positions, lower, upper)
-    found = {}
-    for limb, missed in misses.items():
-        kept: list[Branch] = []
-        for index in np.argsort(missed, kind="stable"):
-            place, turns = positions[index, limb.joints], turning[limb.joints]
-            away = [place - branch.positions for branch in kept]
-            if all(np.abs(np.where(turns, _turned(a), a)).max() > _SAME for a in away):
-                kept.append(Branch(place, float(missed[index])))
-            if len(kept) == _MOST:
-                break
-        found[limb] = tuple(kept)
-    return found
+    return {
+        limb: _kept(positions[:, limb.joints], missed, turning[limb.joints])
+        for limb, missed in misses.items()
+    }
+
+
+def followed(
+    robot: Robot,
+    qpos: Array,
+    targets: Mapping[str, Array],
+    lower: Array,
+    upper: Array,
+    found: Mapping[Limb, tuple[Branch, ...]],
+    moves: Array,
+) -> dict[Limb, list[tuple[Branch, ...]]]:
+    """Follows the limbs' branches to other places of the base, all at once.
+
+    Args:
+        robot: The robot.
+        qpos: As in ``branches``.
+        targets: As there.
+        lower: As there.
+        upper: As there.
+        found: The branches with the base where ``qpos`` has it.
+        moves: (n, 3) by how much it is moved (m).
+
+    Returns:
+        {limb: its branches in each of the n places}.
+    """
+    count = max(map(len, found.values()))
+    starts = np.tile(qpos[robot.nq - robot.nu :], (count, 1))
+    for limb, ways in found.items():
+        for row in range(count):
+            starts[row, limb.joints] = ways[row % len(ways)].positions
+    solver = _Solver(robot, qpos, targets, lower, upper)
+    shifts = np.repeat(moves, count, axis=0)
+    positions, misses = solver.run(np.tile(starts, (len(moves), 1)), shifts, _FEW)
+    turning = robot.pin_convention.unbounded
+    return {
+        limb: [
+            _kept(joints, off, turning[limb.joints])
+            for joints, off in zip(
+                np.split(positions[:, limb.joints], len(moves)),
+                np.split(missed, len(moves)),
+                strict=True,
+            )
+        ]
+        for limb, missed in misses.items()
+    }
+
+
+def _kept(positions: Array, missed: Array, turns: BoolArray) -> tuple[Branch, ...]:
+    """Returns the branches among positions (k, n) of a limb whose feet miss by (k,) (m)."""
+    kept: list[Branch] = []
+    for index in np.argsort(missed, kind="stable"):
+        away = [positions[index] - branch.positions for branch in kept]
+        if all(np.abs(np.where(turns, _turned(a), a)).max() > _SAME for a in away):
+            kept.append(Branch(positions[index], float(missed[index])))
+        if len(kept) == _MOST:
+            break
+    return tuple(kept)
 
 
 def _unwound(robot: Robot, positions: Array, lower: Array, upper: Array) -> Array:
@@ -214,16 +262,25 @@ class _Solver:
                 )
             )
 
-    def run(self, starts: Array) -> tuple[Array, dict[Limb, Array]]:
-        """Returns joint positions (k, nu), and how far each limb's feet miss (k,) (m)."""
+    def run(
+        self, starts: Array, moves: Array, iterations: int = _ITERATIONS
+    ) -> tuple[Array, dict[Limb, Array]]:
+        """Returns joint positions (k, nu), and how far each limb's feet miss (k,) (m).
+
+        Args:
+            starts: (k, nu) where to start.
+            moves: (k, 3), or (3,), by how much the base is moved for each (m).
+            iterations: How many at most.
+        """
+        moves = np.broadcast_to(moves, (len(starts), 3))
         joints = np.clip(starts, self.lower, self.upper)
         moved = np.concatenate([group.joints.ravel() for group in self.groups])
         resting = np.setdiff1d(np.arange(self.robot.nu), moved)
         joints[:, resting] = self.rest[resting]
-        errors, jacobians = self._evaluate(joints)
+        errors, jacobians = self._evaluate(joints, moves)
         damping = [np.full((len(joints), len(group.limbs)), _DAMPING) for group in self.groups]
         active = np.arange(len(joints))
-        for _ in range(_ITERATIONS):
+        for _ in range(iterations):
             now = joints[active]
             tried = now.copy()
             for number, group in enumerate(self.groups):
@@ -240,7 +297,7 @@ class _Solver:
             active, tried = active[moving], tried[moving]
             if not len(active):
                 break
-            new_errors, new_jacobians = self._evaluate(tried)
+            new_errors, new_jacobians = self._evaluate(tried, moves[active])
             for number, group in enumerate(self.groups):
                 old, new = errors[number][active], new_errors[number]
                 better = (new**2).sum(axis=2) < (old**2).sum(axis=2)  # (k, l)
@@ -275,7 +332,7 @@ class _Solver:
         step: Array = -np.linalg.solve(normal, (gradient * free)[..., None])[..., 0]
         return step
 
-    def _evaluate(self, joints: Array) -> tuple[list[Array], list[Array]]:
+    def _evaluate(self, joints: Array, moves: Array) -> tuple[list[Array], list[Array]]:
         """Returns per group the errors (k, l, 3 f) and their Jacobians (k, l, 3 f, n)."""
         convention, model, data = self.robot.pin_convention, self.model, self.data
         frames = [int(frame) for group in self.groups for frame in group.frames.ravel()]
@@ -292,7 +349,9 @@ class _Solver:
             at = places[:, first : first + group.frames.size]
             at = at.reshape(len(joints), *group.frames.shape, 3)
             first += group.frames.size
-            errors.append((at - group.targets).reshape(*at.shape[:2], -1))
+            # Feet go with a base that is moved.
+            off = at + moves[:, None, None] - group.targets
+            errors.append(off.reshape(*at.shape[:2], -1))
             # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
             own = columns[:, :, group.joints][:, :, :, None]  # (k, 6, l, 1, n)
             x, y, z = (at[..., axis, None] for axis in range(3))  # (k, l, f, 1)

@@ -15,11 +15,13 @@ import placo
 from numpy.typing import NDArray
 
 from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import Shape, excluded
 from pupper_analysis.stance.parts import Direction, Part, part_of
+from pupper_analysis.stance.solids import Pair, Solids, nearest, transform
 from pupper_analysis.stance.wrappers import Wrapper
 
 Array = NDArray[np.float64]
@@ -68,6 +70,7 @@ class Shapes:
         self.engine = Wrapper(robot)
         self.tasks: dict[object, Any] = {}
         self.begun: tuple[tuple[object, ...], Array, float, float] | None = None
+        self._pairs: IntArray = np.zeros((0, 2), dtype=np.int64)
         self._paired = False
         self._parts = [*self._not_feet()]
 
@@ -77,8 +80,8 @@ class Shapes:
         return self.engine.placo
 
     @functools.cached_property
-    def _solids(self) -> _Solids:
-        return _Solids(self.robot)
+    def _solids(self) -> Solids:
+        return Solids(self.robot)
 
     def pair(self) -> None:
         """Makes PlaCo look at the distances between links, but not between neighbours.
@@ -109,6 +112,8 @@ class Shapes:
                 links = shapes[near.objA].link, shapes[near.objB].link
                 never |= {links, links[::-1]}
         self.engine.take_shapes(objects, pairs - never)
+        found = self.wrapper.collision_model.collisionPairs
+        self._pairs = np.array([(pair.first, pair.second) for pair in found]).reshape(-1, 2)
         self._paired = True
 
     def _move(self, qpos: Array) -> None:
@@ -117,13 +122,11 @@ class Shapes:
 
     def between_links(self, qpos: Array) -> Clearance | None:
         """Returns the least distance between links that are not neighbours, if there are such."""
-        self.pair()
-        self._move(qpos)
-        nearest = min(self.wrapper.distances(), key=lambda near: near.min_distance, default=None)
-        if nearest is None:
+        nearest = self._nearest_pairs(qpos, 1)
+        if not nearest:
             return None
-        links = self.shapes[nearest.objA].link, self.shapes[nearest.objB].link
-        return Clearance(float(nearest.min_distance), links)
+        one, other, near = nearest[0]
+        return Clearance(float(near.min_distance), (self.shapes[one].link, self.shapes[other].link))
 
     def above_ground(
         self,
@@ -206,23 +209,52 @@ class Shapes:
     def height_rates(
         self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
     ) -> Array:
-        """Returns how ``heights`` change (n, 2 + nu) with the base's x and y and the joints.
+        """Returns how ``heights`` change (n, nv) with the robot's motion.
 
         Zero for the feet. What is nearest moves as the part of the shape that is there.
         """
-        robot, solids = self.robot, self._solids
-        model, data = robot.pin_model, solids.data
-        pin.computeJointJacobians(model, data, robot.pin_convention.q(qpos))
-        rates = np.zeros((len(self.shapes), 2 + robot.nu))
-        for index, near, _ in self._above(qpos, ground, places, depths):
-            out, joint = -near.normal, solids.joints[index]
-            jacobian = pin.getJointJacobian(model, data, joint, pin.LOCAL_WORLD_ALIGNED)
-            jacobian = jacobian[:, robot.pin_convention.v_index]
-            x, y, z = (near.getNearestPoint1() - data.oMi[joint].translation).tolist()
-            a, b, c = out.tolist()
-            turning = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # (x, y, z) x out
-            rates[index] = [*out[:2], *(out @ jacobian[:3] + turning @ jacobian[3:])]
+        robot = self.robot
+        at = Configuration(robot, qpos)
+        rates = np.zeros((len(self.shapes), robot.nv))
+        if any(ground.heights.values()):
+            found = [
+                (index, near.getNearestPoint1(), -near.normal)
+                for index, near, _ in self._above(qpos, ground, places, depths)
+            ]
+        else:
+            normal = ground.normal()
+            self.kinematics.move(at.qpos)
+            link = self.kinematics.link
+            found = [
+                (n, part.lowest(link(part.link), normal), normal) for n, part, _ in self._parts
+            ]
+        for index, point, out in found:
+            rates[index] = out @ at.point_jacobian(self.shapes[index].link, point)
         return rates
+
+    def distances(self, qpos: Array, most: int) -> Array:
+        """Returns the least distances between links that are not neighbours, in order (m).
+
+        Args:
+            qpos: (nq,) the configuration.
+            most: How many at most.
+        """
+        return np.array([pair.distance for pair in self._nearest_pairs(qpos, most)])
+
+    def distance_rates(self, at: Configuration, most: int) -> Array:
+        """Returns how ``distances`` change (n, nv) with the robot's motion."""
+        found = self._nearest_pairs(at.qpos, most)
+        rates = np.zeros((len(found), self.robot.nv))
+        for row, (one, other, near) in zip(rates, found, strict=True):
+            ends = (one, near.getNearestPoint1(), -1), (other, near.getNearestPoint2(), 1)
+            for shape, point, sign in ends:
+                moved = at.point_jacobian(self.shapes[shape].link, point)
+                row += sign * (near.normal @ moved)
+        return rates
+
+    def _nearest_pairs(self, qpos: Array, most: int) -> list[Pair]:
+        self.pair()
+        return self._solids.nearest_pairs(qpos, self._pairs, most)
 
     def _above(
         self,
@@ -240,8 +272,8 @@ class Shapes:
             box = coal.Box(2 * half)
             obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
         for index, _, sunk in self._parts:
-            solid, where = self.shapes[index].solid, _transform(at[index])
-            near = [_nearest(solid, where, *obstacle) for obstacle in obstacles]
+            solid, where = self.shapes[index].solid, transform(at[index])
+            near = [nearest(solid, where, *obstacle) for obstacle in obstacles]
             depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
             if len(near) == 1:
                 yield index, near[0], depth
@@ -278,61 +310,9 @@ class Shapes:
         turn, place = self.kinematics.link(shape.link)
         centre = turn.T @ (np.array(self.kinematics.feet()[foot]) - place)
         ball, there = coal.Sphere(self.robot.foot_radius[foot]), coal.Transform3s(np.eye(3), centre)
-        near = _nearest(shape.solid, _transform(shape.place), ball, there)
+        near = nearest(shape.solid, transform(shape.place), ball, there)
         return bool(near.min_distance < 0)
-
-
-class _Solids:
-    """Shapes in coal, on the joints of Pinocchio's model of a robot.
-
-    Attributes:
-        joints: The number of each shape's joint.
-        data: Pinocchio's.
-    """
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot, self._model = robot, robot.pin_model
-        self.data = self._model.createData()
-        self.joints = [
-            int(self._model.getJointId(shape.joint)) if shape.joint else 1 for shape in robot.shapes
-        ]
-        self._geometry = pin.GeometryModel()
-        for shape in self.objects(self._model):
-            self._geometry.addGeometryObject(shape)
-        self._placed = pin.GeometryData(self._geometry)
-
-    def objects(self, model: pin.Model) -> list[pin.GeometryObject]:
-        """Returns the shapes on the joints and links of a model of the robot's structure."""
-        found = []
-        for shape, joint in zip(self._robot.shapes, self.joints, strict=True):
-            frame = model.getFrameId(shape.link, pin.FrameType.BODY)
-            place = model.frames[frame].placement * shape.place
-            name = f"geom {shape.geom}"
-            found.append(pin.GeometryObject(name, joint, frame, place, shape.solid))
-        return found
-
-    def placed(self, qpos: Array) -> pin.StdVec_SE3:
-        """Moves the shapes to a configuration, whose quaternion is normalised; returns where."""
-        q = self._robot.pin_convention.unit_q(qpos)
-        pin.updateGeometryPlacements(self._model, self.data, self._geometry, self._placed, q)
-        return self._placed.oMg
-
-
-def _transform(place: pin.SE3) -> coal.Transform3s:
-    return coal.Transform3s(place.rotation, place.translation)
 
 
 def _height(found: tuple[int, float]) -> float:
     return found[1]
-
-
-def _nearest(
-    one: coal.CollisionGeometry,
-    at: coal.Transform3s,
-    other: coal.CollisionGeometry,
-    there: coal.Transform3s,
-) -> coal.DistanceResult:
-    """Returns the distance, where it is, and the direction from one shape to the other."""
-    result = coal.DistanceResult()
-    coal.distance(one, at, other, there, coal.DistanceRequest(), result)
-    return result

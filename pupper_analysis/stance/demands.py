@@ -1,4 +1,4 @@
-"""What a task demands beyond the nominal stand, how it gives way, and how it is said."""
+"""What a task demands beyond the nominal stand, in numbers, and how these are said."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
+from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.footholds import feet_places, nominal_feet
 from pupper_analysis.stance.task import StandTask
@@ -18,6 +20,15 @@ DEMANDS = (
 )
 """The fields of a task that may put a stance out of reach."""
 
+MARGINS = ("com_margin", "joint_margin", "ground_clearance", "self_clearance")
+"""Those of which more is only harder, and less than nothing is not to be had."""
+
+_FAR = 3.0
+"""No place or height need be further from what was asked (stand heights): no leg reaches so far."""
+
+_LEAST = 1e-3
+"""Part of a height that is always left of it: none is zero or less."""
+
 _ANGLES = ("roll", "pitch", "yaw", "slope", "joint_margin")
 
 _FINE = 0.005
@@ -27,13 +38,10 @@ _DOUBTFUL = 50.0
 """Degrees are 57 radians, a centimetre is a hundredth of a metre: more is no slip of a finger."""
 
 _MOST_DIGITS = 12
-_LEAST_SHARE = 1e-9
-"""Of a swing foot's height, as a foot that is not lifted would carry; and of the com's margin, as
-with an offset none at all would let the com leave the support polygon."""
 
 
 @dataclass(frozen=True)
-class _Number:
+class Number:
     """One number of a demand.
 
     Attributes:
@@ -47,32 +55,32 @@ class _Number:
     nominal: float
 
 
-def _numbers(robot: Robot, task: StandTask, demand: str) -> Iterator[_Number]:
+def numbers_of(robot: Robot, task: StandTask, demand: str) -> Iterator[Number]:
     """Yields the numbers of a demand."""
     value = getattr(task, demand)
     if value is None or (demand == "com" and isinstance(value, str)):
         return
     if demand == "height":
-        yield _Number((demand,), value, robot.stand_height)
+        yield Number((demand,), value, robot.stand_height)
     elif demand == "ground":
-        yield _Number(("slope",), value.slope, 0.0)
+        yield Number(("slope",), value.slope, 0.0)
         for foot, height in value.heights.items():
-            yield _Number(("heights", foot), height, 0.0)
+            yield Number(("heights", foot), height, 0.0)
     elif demand in ("offset", "com"):
         centre = (0.0, 0.0) if demand == "offset" else _centre(robot, task)
         for axis, one, other in zip("xy", value, centre, strict=True):
-            yield _Number((demand, axis), one, float(other))
+            yield Number((demand, axis), one, float(other))
     elif demand in ("feet", "foot_offsets"):
         places = nominal_feet(robot)
         for foot, place in value.items():
             nominal = places[foot] if demand == "feet" else (0.0, 0.0)
             for axis, one, other in zip("xy", place, nominal, strict=True):
-                yield _Number((demand, foot, axis), one, float(other))
+                yield Number((demand, foot, axis), one, float(other))
     elif demand == "swing":
         for foot, height in value.items():
-            yield _Number((demand, foot), height, 0.0)
+            yield Number((demand, foot), height, 0.0)
     else:
-        yield _Number((demand,), value, 0.0)
+        yield Number((demand,), value, 0.0)
 
 
 def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
@@ -87,24 +95,50 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def _replaced(task: StandTask, demand: str, values: dict[tuple[str, ...], float]) -> StandTask:
-    """Returns a task with other numbers for a demand, by the keys of ``_numbers``."""
-    if not values:
-        return task
+def range_of(robot: Robot, demand: str, asked: Number) -> tuple[float, float]:
+    """Returns the least and the most that a number may become where its demand gives (m, rad).
+
+    Margins and lifts only become less, a slope or a step as well; all else may go either way.
+    """
+    value, far = asked.value, _FAR * robot.stand_height
+    if demand in MARGINS:
+        return 0.0, value
+    if demand == "ground":
+        return min(0.0, value), max(0.0, value)
+    if demand in ("roll", "pitch", "yaw"):
+        return min(-math.pi, value), max(math.pi, value)
+    if demand == "swing":
+        return _LEAST * value, value
+    return (_LEAST * value if demand == "height" else value - far), value + far
+
+
+def with_numbers(
+    task: StandTask, values: dict[tuple[str, ...], float], demands: Sequence[str]
+) -> StandTask:
+    """Returns a task with other numbers for some demands, by the keys of ``numbers_of``.
+
+    They are not checked: nobody's but our own.
+    """
+    return task.filled(**{demand: _value(task, demand, values) for demand in demands})
+
+
+def _value(task: StandTask, demand: str, values: dict[tuple[str, ...], float]) -> object:
+    """Returns what a field of a task is with other numbers."""
     if demand == "ground":
         steps = {foot: values["heights", foot] for foot in task.ground.heights}
-        return replace(task, ground=replace(task.ground, slope=values["slope",], heights=steps))
-    new: object
+        return replace(task.ground, slope=values["slope",], heights=steps)
     if demand in ("offset", "com"):
-        new = values[demand, "x"], values[demand, "y"]
-    elif demand in ("feet", "foot_offsets"):
-        feet = getattr(task, demand)
-        new = {foot: (values[demand, foot, "x"], values[demand, foot, "y"]) for foot in feet}
-    elif demand == "swing":
-        new = {foot: values[demand, foot] for foot in task.swing}
-    else:
-        new = values[demand,]
-    return replace(task, **{demand: new})  # type: ignore[arg-type]
+        return values[demand, "x"], values[demand, "y"]
+    if demand in ("feet", "foot_offsets"):
+        return FrozenDict(
+            {
+                foot: (values[demand, foot, "x"], values[demand, foot, "y"])
+                for foot in getattr(task, demand)
+            }
+        )
+    if demand == "swing":
+        return FrozenDict({foot: values[demand, foot] for foot in task.swing})
+    return values[demand,]
 
 
 def differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
@@ -112,7 +146,7 @@ def differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
     return any(
         number.value != number.nominal
         for demand in demands
-        for number in _numbers(robot, task, demand)
+        for number in numbers_of(robot, task, demand)
     )
 
 
@@ -122,45 +156,80 @@ def far_off(robot: Robot, task: StandTask, possible: StandTask, demands: Sequenc
         abs(asked.value - asked.nominal) > _DOUBTFUL * abs(found.value - found.nominal)
         for demand in demands
         for asked, found in zip(
-            _numbers(robot, task, demand), _numbers(robot, possible, demand), strict=True
+            numbers_of(robot, task, demand), numbers_of(robot, possible, demand), strict=True
         )
     )
 
 
-def shrunk(robot: Robot, task: StandTask, demands: Sequence[str], share: float) -> StandTask:
-    """Returns a task with some demands between the nominal stand's (0) and its own (1)."""
+def given_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
+    """Returns a task with the nominal stand's numbers for some demands; lifts are next to none."""
+    values = {}
+    had = [demand for demand in demands if any(True for _ in numbers_of(robot, task, demand))]
+    for demand in had:
+        for number in numbers_of(robot, task, demand):
+            least, most = range_of(robot, demand, number)
+            values[number.key] = min(max(number.nominal, least), most)
+    return with_numbers(task, values, had)
+
+
+def further(
+    robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str], share: float
+) -> StandTask:
+    """Returns a task in which some demands give more, by a share of what they give already."""
+    values = {}
     for demand in demands:
-        values = {
-            number.key: number.nominal + _share(demand, share) * (number.value - number.nominal)
-            for number in _numbers(robot, task, demand)
-        }
-        task = _replaced(task, demand, values)
-    return task
+        both = numbers_of(robot, task, demand), numbers_of(robot, asked, demand)
+        for number, before in zip(*both, strict=True):
+            least, most = range_of(robot, demand, before)
+            more = number.value + share * (number.value - before.value)
+            values[number.key] = min(max(more, least), most)
+    return with_numbers(task, values, demands)
 
 
-def _share(demand: str, share: float) -> float:
-    return max(share, _LEAST_SHARE) if demand in ("swing", "com_margin") else share
+def rounded(
+    robot: Robot,
+    task: StandTask,
+    asked: StandTask,
+    demands: Sequence[str],
+    *,
+    back: bool = False,
+) -> StandTask:
+    """Returns a task with some demands rounded to what is told of them, away from what was asked.
 
-
-def rounded(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Returns a task with some demands rounded to what ``in_words`` prints.
-
-    Every number is rounded towards the nominal stand's: by up to 0.1 mm, 0.1 degrees or 1/200 of
-    its distance from that, whichever is the least.
+    By up to 0.1 mm, 0.1 degrees or 1/200 of the distance from the nominal stand, whichever is
+    least; ``back`` rounds towards what was asked.
     """
-    for demand in demands:
-        values = {number.key: _inwards(number) for number in _numbers(robot, task, demand)}
-        task = _replaced(task, demand, values)
-    return task
+    values = {
+        number.key: _rounded(number, before.value, back=back)
+        for demand in demands
+        for number, before in zip(
+            numbers_of(robot, task, demand), numbers_of(robot, asked, demand), strict=True
+        )
+    }
+    return with_numbers(task, values, demands)
+
+
+def _rounded(number: Number, asked: float, *, back: bool) -> float:
+    unit = math.radians(1.0) if is_angle(number.key) else 1e-3  # degrees, millimetres
+    value, nominal = number.value / unit, number.nominal / unit
+    if number.value == asked or number.value == number.nominal:
+        return number.value
+    digits = max(1, math.ceil(-math.log10(_FINE * abs(value - nominal))))
+    step, up = 10.0 ** -min(_MOST_DIGITS, digits), (number.value > asked) != back
+    away = math.ceil if up else math.floor
+    result = round(away(value / step + (-1e-6 if up else 1e-6)) * step, digits)
+    if (result - nominal) * (value - nominal) <= 0:  # nothing would be left of it
+        return number.value
+    return math.radians(result) if is_angle(number.key) else round(result * 1e-3, digits + 3)
 
 
 def in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
-    """Returns a task with the angles of some demands as ``in_words`` prints them in radians."""
+    """Returns a task with the angles of some demands as they are told in radians."""
     for demand in demands:
         if demand in _ANGLES:
-            task = replace(task, **{demand: _short(getattr(task, demand))})  # type: ignore[arg-type]
+            task = task.filled(**{demand: _short(getattr(task, demand))})
         elif demand == "ground":
-            task = replace(task, ground=replace(task.ground, slope=_short(task.ground.slope)))
+            task = task.filled(ground=replace(task.ground, slope=_short(task.ground.slope)))
     return task
 
 
@@ -169,61 +238,57 @@ def _short(angle: float) -> float:
     return math.trunc(angle * 1e4) / 1e4
 
 
-def _inwards(number: _Number) -> float:
-    unit = math.radians(1.0) if _is_angle(number.key) else 1e-3  # degrees, millimetres
-    value, nominal = number.value / unit, number.nominal / unit
-    away = abs(value - nominal)
-    if away == 0.0:
-        return number.value
-    digits = min(_MOST_DIGITS, max(1, math.ceil(-math.log10(_FINE * away))))
-    step = 10.0**-digits
-    down = math.floor if value > nominal else math.ceil
-    result = round(down(value / step + (1e-6 if value > nominal else -1e-6)) * step, digits)
-    if (result - nominal) * (value - nominal) <= 0:  # beyond the nominal: nothing is left of it
-        return number.value
-    return math.radians(result) if _is_angle(number.key) else round(result * 1e-3, digits + 3)
-
-
-def _is_angle(key: tuple[str, ...]) -> bool:
+def is_angle(key: tuple[str, ...]) -> bool:
+    """Tells whether a number is in radians; all others are in metres."""
     return key[0] in _ANGLES
 
 
-def in_words(task: StandTask, demand: str) -> str:
-    """Returns a demand's value with its unit, in as many digits as it has."""
-    value = getattr(task, demand)
-    if demand == "height":
-        return f"{_text(value, 3)} m"
+def told_limit(
+    robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
+) -> Diagnostic:
+    """Tells how far some demands of a task can go."""
+    return diagnose(
+        "demands-can-go",
+        demands=[_told(possible, demand) for demand in demands],
+        far_off=far_off(robot, task, possible, demands),
+    )
+
+
+def _told(task: StandTask, demand: str) -> Diagnostic:
+    """Tells a demand's value with its unit, in as many digits as it has."""
+    field, value = Term(demand), getattr(task, demand)
     if demand in _ANGLES:
-        return _angle(value)
+        return diagnose(
+            "demanded-angle", field=field, value=Quantity(value, "rad"), cut=_cut(value)
+        )
     if demand == "ground":
-        steps = ", ".join(f"{foot} {_millimetres(h)}" for foot, h in value.heights.items())
-        return f"slope {_angle(value.slope)}" + (f", steps {steps}" if steps else "")
+        steps = [
+            diagnose("demanded-of-foot", subject=("foot", foot), value=Quantity(height, "m"))
+            for foot, height in value.heights.items()
+        ]
+        slope = Quantity(value.slope, "rad")
+        return diagnose(
+            "demanded-ground", field=field, value=slope, cut=_cut(value.slope), steps=steps
+        )
     if demand == "swing":
-        return ", ".join(f"{foot} {_millimetres(h)}" for foot, h in value.items())
+        feet = [
+            diagnose("demanded-of-foot", subject=("foot", foot), value=Quantity(height, "m"))
+            for foot, height in value.items()
+        ]
+        return diagnose("demanded-of-feet", field=field, feet=feet)
     if demand in ("offset", "com"):
-        return _point(value)
+        return diagnose("demanded-place", field=field, place=Vector(value, "m"))
     if demand in ("feet", "foot_offsets"):
-        return ", ".join(f"{foot} {_point(place)}" for foot, place in value.items())
-    return _millimetres(value)
+        feet = [
+            diagnose("demanded-place", field=foot, place=Vector(place, "m"))
+            for foot, place in value.items()
+        ]
+        return diagnose("demanded-of-feet", field=field, feet=feet)
+    length = Quantity(value, "m")
+    if demand == "height":
+        return diagnose("demanded-height", field=field, value=length)
+    return diagnose("demanded-length", field=field, value=length)
 
 
-def _text(value: float, digits: int) -> str:
-    """Returns a number with at least some digits, and as many as it needs, up to a limit."""
-    while digits < _MOST_DIGITS and abs(round(value, digits) - value) > 1e-12 * max(
-        1.0, abs(value)
-    ):
-        digits += 1
-    return f"{value:.{digits}f}"
-
-
-def _angle(value: float) -> str:
-    """Returns an angle in degrees, and in radians."""
-    return f"{_text(math.degrees(value), 1)} deg ({_short(value):.4f} rad)"
-
-
-def _millimetres(value: float) -> str:
-    return f"{_text(1e3 * value, 1)} mm"
-
-
-def _point(place: Sequence[float]) -> str:
-    return f"({', '.join(_text(1e3 * value, 1) for value in place)}) mm"
+def _cut(angle: float) -> Quantity:
+    return Quantity(_short(angle), "rad")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arrays import angle_between
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
@@ -71,20 +72,35 @@ class Stand(Result):
     robot: str
 
     @property
-    def blocked(self) -> tuple[str, ...]:
+    def blocked(self) -> tuple[Diagnostic, ...]:
         """What comes nearer to the ground, to another link or to tipping than the task allows."""
         found = []
         if self.com_short > TASK_TOLERANCE:
-            inside = (
-                f"{1e3 * abs(self.com_margin):.1f} mm {'in' if self.com_margin >= 0 else 'out'}side"
+            found.append(
+                diagnose(
+                    "com-lies-inside" if self.com_margin >= 0 else "com-lies-outside",
+                    distance=Quantity(abs(self.com_margin), "m"),
+                )
             )
-            found.append(f"the com is {inside} the support polygon")
         near, least = self.ground_clearance, self.task.ground_clearance
         if near is not None and near.distance < least - TOUCHING:
-            found.append(f"{near.links[0]} is {_distance(near, 'above', 'in')} the ground")
+            found.append(
+                diagnose(
+                    "part-above-ground" if near.distance >= 0 else "part-in-ground",
+                    subject=("link", near.links[0]),
+                    distance=Quantity(abs(near.distance), "m"),
+                )
+            )
         near, least = self.self_clearance, self.task.self_clearance or 0.0
         if near is not None and near.distance < least - TOUCHING:
-            found.append(f"{near.links[0]} is {_distance(near, 'from', 'in')} {near.links[1]}")
+            found.append(
+                diagnose(
+                    "links-too-near" if near.distance >= 0 else "links-overlap",
+                    subject=("link", near.links[0]),
+                    other=near.links[1],
+                    distance=Quantity(abs(near.distance), "m"),
+                )
+            )
         return tuple(found)
 
     @property
@@ -121,17 +137,12 @@ class Stand(Result):
         """
         if self.robot.rpartition(" ")[2] != robot.fingerprint.rpartition(" ")[2]:
             whose = self.robot.rpartition(" ")[0]
-            raise ConfigurationError(
-                "stand", f"it is a stand of {whose}, as that was loaded; solve it for {robot.name}"
-            )
+            problem = diagnose("stand-of-another-robot", whose=whose, robot=robot.name)
+            raise ConfigurationError("stand", problem)
 
     def joint_positions(self, robot: Robot) -> Array:
         """Returns the joints' part (nu,) of ``qpos`` (rad)."""
         return self.qpos[robot.nq - robot.nu :]
-
-
-def _distance(near: Clearance, apart: str, inside: str) -> str:
-    return f"{1e3 * abs(near.distance):.1f} mm {apart if near.distance >= 0 else inside}"
 
 
 def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
@@ -162,17 +173,11 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     near = shapes.above_ground(own, task.ground, targets, goal.depths, moved=True)
     if near is None and task.ground_clearance > 0.0:
         raise ConfigurationError(
-            "ground_clearance",
-            f"the MJCF of {robot.name} has no shapes but the feet's that touch the ground: how "
-            "high it is above that cannot be told",
+            "ground_clearance", diagnose("nothing-above-ground", robot=robot.name)
         )
     apart = None if task.self_clearance is None else shapes.between_links(own)
     if apart is None and task.self_clearance is not None:
-        raise ConfigurationError(
-            "self_clearance",
-            f"the MJCF of {robot.name} has no two links with shapes that touch anything and are "
-            "apart in its home configuration: how far links are from each other cannot be told",
-        )
+        raise ConfigurationError("self_clearance", diagnose("no-links-apart", robot=robot.name))
     return Stand(
         task=task,
         qpos=own,

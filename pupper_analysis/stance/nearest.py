@@ -1,85 +1,39 @@
-"""How near the feet can come to targets, and stands at the edge of what is possible."""
+"""How near the feet can come to targets that are out of reach."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.judge import TOUCHING, Stand, measure
+from pupper_analysis.stance.judge import Stand, measure
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
 
 
-_MOST_CLEAR = 120
-"""Steps with the ground kept clear: where there is a way it takes some ten, in hard cases 80, and
-where a part cannot be lifted out SLSQP stalls at each of them."""
-
-
-def nearest(shapes: Shapes, goal: Goal, start: Array, *, clear: bool = False) -> Stand:
+def nearest(shapes: Shapes, goal: Goal, start: Array) -> Stand:
     """Finds how near the feet can come to targets that are out of reach.
 
     The sum of the squared distances is minimised over the base's place and the joints, inside their
     limits, with the base's orientation and height and the com's place as the task has them. PlaCo's
-    Gauss-Newton steps, made for errors that vanish, stop short of that minimum. If ``clear``, no
-    part but the feet may be lower than the task allows.
+    Gauss-Newton steps, made for errors that vanish, stop short of that minimum.
     """
     from scipy import optimize  # slow to import
 
     programme = _Programme(shapes, goal, start)
-    constraints = [programme.com(0.0)]
-    if clear:
-        constraints.append(programme.room(TOUCHING))
     outcome = optimize.minimize(
         programme.distances,
         programme.start,
         jac=True,
         method="SLSQP",
         bounds=programme.bounds,
-        constraints=constraints,
-        options={"ftol": 1e-14, "maxiter": _MOST_CLEAR if clear else 200},
+        constraints=[programme.com()],
+        options={"ftol": 1e-14, "maxiter": 200},
     )
     return measure(shapes, goal, programme.at(outcome.x).qpos, 0)
-
-
-def in_place_and_clear(shapes: Shapes, goal: Goal, start: Array) -> Stand:
-    """Finds the stand nearest to a configuration, with the feet in place and the ground clear.
-
-    Both at once, to rounding, and the com with its margin: what is left of a stand at the edge of
-    what is possible may be micrometres wide, and by turns each is had at the other's expense.
-
-    Args:
-        shapes: The robot with its shapes.
-        goal: The goal, whose com may be anywhere inside.
-        start: (nq,) where feet miss by a millimetre or less.
-
-    Returns:
-        The stand, or what came of it.
-    """
-    from scipy import optimize  # slow to import
-
-    programme = _Programme(shapes, goal, start)
-    feet = {"type": "eq", "fun": programme.misses, "jac": programme.miss_rates}
-    outcome = optimize.minimize(
-        lambda values: (
-            0.5 * float((values - programme.start) @ (values - programme.start)),
-            values - programme.start,
-        ),
-        programme.start,
-        jac=True,
-        method="SLSQP",
-        bounds=programme.bounds,
-        constraints=[feet, programme.com(TASK_TOLERANCE), programme.room(0.0)],
-        options={"ftol": 1e-13, "maxiter": 50},
-    )
-    config = programme.at(outcome.x)
-    return measure(shapes, replace(goal, place=config.center_of_mass()[:2]), config.qpos, 0)
 
 
 class _Programme:
@@ -119,22 +73,11 @@ class _Programme:
             gradient += 2 * error @ jacobians[foot][:, self._columns]
         return total, gradient
 
-    def misses(self, values: Array) -> Array:
-        """Returns by how much the feet are off (3 feet,) (m)."""
-        positions = self.at(values).foot_positions()
-        return np.concatenate(
-            [positions[foot] - target for foot, target in self._goal.targets.items()]
-        )
-
-    def miss_rates(self, values: Array) -> Array:
-        jacobians = self.at(values).foot_jacobians()
-        return np.concatenate([jacobians[foot][:, self._columns] for foot in self._goal.targets])
-
-    def com(self, more: float) -> dict[str, object]:
-        """Says where the com, or the base, shall be; inside by so much more than asked (m)."""
+    def com(self) -> dict[str, object]:
+        """Says where the com, or the base, shall be."""
         goal, at = self._goal, self.at
         if goal.task.com == "inside":
-            sides, margin = polygon_sides(goal.contacts), goal.task.com_margin + more
+            sides, margin = polygon_sides(goal.contacts), goal.task.com_margin
             return {
                 "type": "ineq",
                 "fun": lambda values: (
@@ -152,16 +95,4 @@ class _Programme:
             "type": "eq",
             "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
             "jac": lambda values: at(values).com_jacobian()[:2, self._columns],
-        }
-
-    def room(self, more: float) -> dict[str, object]:
-        """Says that parts shall be above the ground, by so much more than asked (m)."""
-        shapes, goal = self._shapes, self._goal
-        ground = goal.task.ground, goal.targets, goal.depths
-        looked_at = np.isfinite(shapes.heights(self._qpos, *ground))  # feet are not
-        least = goal.task.ground_clearance + more
-        return {
-            "type": "ineq",
-            "fun": lambda v: shapes.heights(self.at(v).qpos, *ground)[looked_at] - least,
-            "jac": lambda v: shapes.height_rates(self.at(v).qpos, *ground)[looked_at],
         }

@@ -66,6 +66,22 @@ class Part:
             height += self.hull.dot((u, v, w)).min()
         return float(height)
 
+    def lowest(self, link: Place, normal: Array) -> Array:
+        """Returns the point (3,) in the world that is lowest above a plane; see ``height`` (m)."""
+        turn, place = link
+        own = turn.T @ normal
+        point = np.array(self.centre) - self.ball * own
+        for bar in self.bars:
+            point -= math.copysign(1.0, own @ bar) * np.array(bar)
+        if self.radii:
+            radii = np.array(self.radii)
+            reach = radii @ own
+            point -= radii.T @ reach / max(float(np.linalg.norm(reach)), 1e-300)
+        if self.hull is not None:
+            point += self.hull[(self.hull @ own).argmin()]
+        lowest: Array = turn @ point + place
+        return lowest
+
 
 def part_of(shape: Shape) -> Part:
     """Returns a shape as a sum."""

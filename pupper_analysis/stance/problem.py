@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import moves_com
@@ -63,7 +64,12 @@ class Goal:
 
 
 def goal_of(
-    robot: Robot, task: StandTask | None, depths: Mapping[str, float], like: Goal | None = None
+    robot: Robot,
+    task: StandTask | None,
+    depths: Mapping[str, float],
+    like: Goal | None = None,
+    *,
+    checked: bool = True,
 ) -> Goal:
     """Works out what a task means for a robot.
 
@@ -74,6 +80,7 @@ def goal_of(
         like: Another goal of the robot, as it is, with these depths: if its feet are to be in the
             same places, they are not worked out again; nor are equal limits. By default the nominal
             stand, if there are no depths.
+        checked: Refuse what leaves nothing at once, such as a com outside the support polygon.
 
     Raises:
         ConfigurationError: If the robot's base is fixed, or it has no feet; or if the margins leave
@@ -89,8 +96,8 @@ def goal_of(
     if task is None:
         task = StandTask()
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
-        raise ConfigurationError("ik_seed", f"it must have {robot.nu} values")
-    return _goal_of(robot, task, depths, like)
+        raise ConfigurationError("ik_seed", diagnose("seed-length-wrong", joints=robot.nu))
+    return _goal_of(robot, task, depths, like, checked=checked)
 
 
 @functools.lru_cache(maxsize=8)
@@ -105,7 +112,14 @@ def _nominal(robot: Robot, _limits: tuple[bytes, bytes]) -> Goal | None:
         return None
 
 
-def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: Goal | None) -> Goal:
+def _goal_of(
+    robot: Robot,
+    task: StandTask,
+    depths: Mapping[str, float],
+    like: Goal | None,
+    *,
+    checked: bool = True,
+) -> Goal:
     if like is not None and _same_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
         corners, centre = like.corners, like.centre
@@ -116,7 +130,8 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
         contacts = np.array(
             [targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
         )
-        _check_area(robot, contacts, stance_feet)
+        if checked:
+            _check_area(robot, contacts, stance_feet)
         targets = sunk_into(
             robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
         )
@@ -130,11 +145,11 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
     else:
         lower = robot.lower_limits + task.joint_margin
         upper = robot.upper_limits - task.joint_margin
-        if (lower > upper).any():
+        if checked and (lower > upper).any():
             name = robot.joint_names[int(np.argmax(lower - upper))]
-            raise ConfigurationError(
-                "joint_margin", f"{task.joint_margin} rad leaves nothing of the range of {name}"
-            )
+            margin = Quantity(task.joint_margin, "rad")
+            problem = diagnose("margin-leaves-no-range", margin=margin, joint=name)
+            raise ConfigurationError("joint_margin", problem)
     place, by_base = centre[:2], False
     if task.offset is not None:
         place, by_base = place + task.offset, True
@@ -143,7 +158,7 @@ def _goal_of(robot: Robot, task: StandTask, depths: Mapping[str, float], like: G
     elif like is not None and centre is like.centre and _centred(like.task):
         place = like.place
     # The centre, of which no margin is asked, always is inside.
-    if not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
+    if checked and not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
         _check_inside(task, place, dict(zip(stance_feet, contacts, strict=True)))
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
@@ -167,14 +182,13 @@ def _check_inside(task: StandTask, place: Array, points: Mapping[str, Array]) ->
     """Checks that the com shall be inside the support polygon, with the task's margin."""
     inside = com_margin(np.append(place, 0.0), points)
     if inside < min(task.com_margin, 0.0):
-        x, y = place
-        problem = f"({x:.4g}, {y:.4g}) m is {-1e3 * inside:.1f} mm outside the support polygon"
-        raise ConfigurationError("com", f"{problem}; or say com='inside'")
+        there, outside = Vector((place[0], place[1]), "m"), Quantity(-inside, "m")
+        problem = diagnose("place-outside-polygon", place=there, distance=outside)
+        raise ConfigurationError("com", problem)
     if inside < task.com_margin:
-        raise ConfigurationError(
-            "com_margin",
-            f"{task.com_margin} m is more than the {inside:.4g} m that the support polygon leaves",
-        )
+        margin, most = Quantity(task.com_margin, "m"), Quantity(inside, "m")
+        problem = diagnose("margin-exceeds-polygon", margin=margin, most=most)
+        raise ConfigurationError("com_margin", problem)
 
 
 def _filled(robot: Robot, task: StandTask) -> StandTask:
@@ -212,9 +226,7 @@ def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> No
     if np.linalg.svd(seen, compute_uv=False)[1] < _LINE:
         raise ConfigurationError(
             "swing" if len(stance_feet) < len(robot.feet) else "robot",
-            f"{robot.name} touches the ground along one line alone ({', '.join(stance_feet)}): the "
-            "support polygon needs an area, of 3 round feet or of a flat one; two wheels side by "
-            "side balance by rolling alone",
+            diagnose("touches-along-line", robot=robot.name, feet=stance_feet),
         )
 
 
@@ -222,14 +234,10 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
     """Returns the contact points that carry, if the task is one for this robot; see ``goal_of``."""
     robot.check_floating()
     if not robot.feet:
-        raise ConfigurationError("robot", f"{robot.name} was loaded without feet and cannot stand")
+        raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
     if not robot.gravity[2] < 0:
-        numbers = ", ".join(f"{value:g}" for value in robot.gravity)
-        raise ConfigurationError(
-            "robot",
-            f"gravity of the MJCF is ({numbers}) m/s^2, which presses no foot down; give it "
-            '<option gravity="0 0 -9.81"/>, and no <flag gravity="disable"/>',
-        )
+        gravity = Vector(tuple(robot.gravity), "m/s^2")
+        raise ConfigurationError("robot", diagnose("gravity-not-down", gravity=gravity))
     for foot in (*task.feet, *task.foot_offsets, *task.swing, *task.ground.heights):
         robot.points_of(foot)
     for foot in depths:
@@ -237,22 +245,18 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
     for foot, depth in depths.items():
         margin = robot.contacts[foot].margin if foot in robot.contacts else 0.0
         if not -margin <= depth < math.inf:
-            raise ConfigurationError(
-                "depths", f"{foot}: {depth} m is not finite and >= {-margin if margin else 0}"
-            )
+            given, least = Quantity(depth, "m"), Quantity(-margin if margin else 0.0, "m")
+            problem = diagnose("depth-not-valid", subject=("foot", foot), depth=given, least=least)
+            raise ConfigurationError("depths", problem)
     swinging = {point for foot in task.swing for point in robot.soles[foot]}
     stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
     if len(robot.feet) < 3:
         raise ConfigurationError(
             "robot",
-            f"{robot.name} touches the ground at {len(robot.feet)} points alone "
-            f"({', '.join(robot.feet)}): the support polygon needs an area, of 3 round feet or of "
-            "a flat one that its leg can lay flat",
+            diagnose(
+                "too-few-points", robot=robot.name, count=len(robot.feet), feet=tuple(robot.feet)
+            ),
         )
     if len(stance_feet) < 3:
-        raise ConfigurationError(
-            "swing",
-            f"only {len(stance_feet)} feet carry; at least 3 must, or a flat one: the support "
-            "polygon needs an area",
-        )
+        raise ConfigurationError("swing", diagnose("too-few-feet-carry", count=len(stance_feet)))
     return stance_feet

@@ -1,13 +1,15 @@
-"""Why a stance is out of reach: the demands that are in the way, and how far they can go."""
+"""Why a stance is out of reach: the fewest demands that must give, and how far they can go."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -15,32 +17,22 @@ from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.demands import (
     DEMANDS,
     differ,
-    far_off,
+    further,
+    given_up,
     in_radians,
-    in_words,
+    numbers_of,
     rounded,
-    shrunk,
+    told_limit,
 )
-from pupper_analysis.stance.judge import Stand, base_is_in_the_ground
+from pupper_analysis.stance.elastic import Elastic, Relaxation
+from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import follow, search
+from pupper_analysis.stance.search import search
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import lacking
 
 Array = NDArray[np.float64]
-
-RESOLUTION = 1e-3
-"""To what part of itself a limit is found, before it is rounded to what is printed."""
-
-_BEYOND = 1.02
-"""Where beyond a limit it is looked whether the stance is in reach again, in parts of the limit."""
-
-_COARSE = 0.2
-"""Shares further apart than this are searched for everywhere between."""
-
-DEAD_POINT = "the MJCF's loops are at a dead point: their motors bring the feet no nearer"
-"""What is in the way where loops bind joints so."""
 
 _DEAD = 1e-2
 """What loops leave, at most, of the joints' lever on a foot at a dead point: a thousandth of a
@@ -49,14 +41,23 @@ radian from it some thousandth."""
 _FELT = 1e-6
 """Where a dead point is the cause, feet that miss by less (m) do so by the search's tolerance."""
 
-_TYPED = (1.0, *(1 - 2.0**power * RESOLUTION for power in range(10)))
-"""Parts of a limit that are tried as who types them would: the first that stands is stated."""
+_FURTHER = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
+"""By what parts demands give more, if they are not met as they are printed: at the end of reach a
+search from scratch may not find what the elastic problem leads to."""
 
 _NOTHING_LEFT = ("swing", "com_margin")
-"""Demands of which a limit of nothing, the nominal stand's, is none to be stated."""
+"""Demands of which next to nothing is no limit to be stated: a foot that is not lifted carries, and
+without a margin a com with an offset may be outside the support polygon."""
 
-_LEAST = 1e-7
-"""A share of what is asked that is as good as none: 1e7 times too much."""
+_NOTHING = 1e-3
+"""How much is next to nothing (stand heights)."""
+
+_SCATTERED = 5
+"""Random starts where several demands must give: of six starts of the hardest example one led to
+the best."""
+
+_GIVES = 1e-6
+"""A demand that gives less does not (stand heights, rad)."""
 
 
 def unreachable(
@@ -79,31 +80,28 @@ def unreachable(
         for index in np.flatnonzero(np.abs(joints - limits) < 1e-6):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
-    possible: dict[str, str] = {}
-    ends: dict[str, dict[str, object]] = {}
-    feasible = stand = None
-    if explain:
-        differing = [d for d in DEMANDS if differ(robot, goal.task, [d])]
-        for size in range(1, len(differing) + 1):
-            for demands in combinations(differing, size):
-                stand = furthest(shapes, goal, demands)
-                if stand is not None:
-                    name = " and ".join(demands)
-                    possible[name] = " and ".join(f"{d} {in_words(stand.task, d)}" for d in demands)
-                    if far_off(robot, goal.task, stand.task, demands):
-                        possible[name] += " (was that in metres, or radians?)"
-                    ends[name] = {demand: getattr(stand.task, demand) for demand in demands}
-            if possible:
-                break
-        if len(differing) > 1 or not possible:
-            stand = furthest(shapes, goal, DEMANDS)
-        feasible = stand
     blocked = () if missed else nearest.blocked
     if not at_limit and _is_dead_point(robot, nearest):
-        blocked = (DEAD_POINT,)
+        blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _FELT}
+    ways = _Ways(shapes, goal, nearest).found() if explain else []
+    named = {" and ".join(way.demands): way for way in ways}
+    least = min(ways, key=lambda way: way.slack, default=None)
     return StanceUnreachableError(
-        str(goal.task), missed, at_limit, possible, feasible, blocked, ends, lacking(robot, goal)
+        str(goal.task),
+        missed,
+        at_limit,
+        {
+            name: told_limit(robot, goal.task, way.stand.task, way.demands)
+            for name, way in named.items()
+        },
+        None if least is None else least.stand,
+        blocked,
+        {
+            name: {demand: getattr(way.stand.task, demand) for demand in way.demands}
+            for name, way in named.items()
+        },
+        lacking(robot, goal),
     )
 
 
@@ -124,113 +122,149 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     return False
 
 
-def furthest(shapes: Shapes, goal: Goal, demands: Sequence[str]) -> Stand | None:
-    """Finds how far demands can go from the nominal stand's towards the task's.
-
-    Bisection between a share that is in reach and one that is not. Most shares are tried from the
-    last stand alone (``follow``), which is quick; where that ends, the search everywhere has the
-    last word. Demands are rounded, towards the nominal stand's, to what is printed: that is in
-    reach when it is typed.
-
-    Returns:
-        The stand there; None if the demands do not differ from the nominal stand's, or giving them
-        up altogether does not help.
-    """
-    if not differ(shapes.robot, goal.task, demands):
-        return None
-    way = _Way(shapes, goal, demands)
-    if not way.solves(0.0):
-        return None
-    low, refused, leads = 0.0, 1.0, True  # refused by the search everywhere
-    while True:
-        high = refused
-        while high - low > RESOLUTION * low and high > _LEAST:
-            middle = (low + high) / 2
-            if leads and way.follows(middle):
-                low = middle
-            elif leads and high - low <= _COARSE:
-                high = middle
-            elif way.solves(middle):
-                low = middle
-            else:
-                high = refused = middle
-        if high < refused and way.solves(high):
-            low, leads = high, False  # there is more than the last stand leads to
-            continue
-        refused, again = high, min(_BEYOND * low, 1.0)
-        if low == 0.0 or again == 1.0 or not (way.solves(again) or way.solves(again, afresh=True)):
-            break
-        low, refused = again, 1.0
-    # Where a stand was only found on the way from another one, who types the limit may not find it.
-    parts = _TYPED
-    if len(demands) == len(DEMANDS) or not set(demands) & set(_NOTHING_LEFT):
-        parts = (*parts, 0.0)
-    for part in parts:
-        if way.solves_as_typed(part * low):
-            return way.stand
-    return None
-
-
+@dataclass(frozen=True, eq=False)
 class _Way:
-    """Demands on their way from the nominal stand's to the task's; ``stand`` is the last one."""
+    """Demands that give, and a stand that fulfils what is left of them and all else."""
 
-    def __init__(self, shapes: Shapes, goal: Goal, demands: Sequence[str]) -> None:
-        self.shapes, self.goal, self.demands = shapes, goal, demands
-        self.stand: Stand | None = None
+    demands: tuple[str, ...]
+    slack: float
+    stand: Stand
 
-    def solves(self, share: float, *, afresh: bool = False) -> bool:
-        """Tells whether there is a stand at a share, by the search everywhere.
 
-        Args:
-            share: From 0, the nominal stand's, to 1, the task's.
-            afresh: Not from the last stand first, which leads the search to what is near that.
+class _Ways:
+    """The ways in which a goal that is out of reach may give.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal.
+        nearest: The best failure.
+    """
+
+    def __init__(self, shapes: Shapes, goal: Goal, nearest: Stand) -> None:
+        self.shapes, self.goal = shapes, goal
+        robot, home = shapes.robot, shapes.robot.home.copy()
+        home[:2] = goal.centre[:2]
+        self.starts = [nearest.qpos, home]
+        low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
+        random = np.random.default_rng(0)
+        self.scattered = []
+        for _ in range(_SCATTERED):
+            scattered = home.copy()
+            scattered[-robot.nu :] = random.uniform(low, np.maximum(low, high))
+            self.scattered.append(scattered)
+
+    def found(self) -> list[_Way]:
+        """Returns each demand that alone may give, or else the fewest that must."""
+        robot, task = self.shapes.robot, self.goal.task
+        differing = [demand for demand in DEMANDS if differ(robot, task, [demand])]
+        alone = [self._stated(self._least([demand], self.starts)) for demand in differing]
+        if found := [way for way in alone if way is not None]:
+            return found
+        least = self._least(differing, [*self.starts, *self.scattered])
+        fewest = self._stated(self._fewest(least)) or self._stated(least)
+        return [] if fewest is None else [fewest]
+
+    def _least(self, demands: Sequence[str], starts: Iterable[Array]) -> Relaxation | None:
+        """Returns how demands give least, from the best of some starts; None if they do not help.
+
+        One more is a stand without the demands, if there is one: from there they are taken as far
+        as they go.
         """
-        goal, hints = self._goal(self._task(share)), []
-        if self.stand is not None and not afresh:
-            hints = [self.stand.joint_positions(self.shapes.robot)]
-        if goal is None or base_is_in_the_ground(self.shapes, goal):
-            return False
-        return self._found(search(self.shapes, goal, hints))
+        elastic = Elastic(self.shapes, self.goal, demands)
+        ways = [elastic.solve(start) for start in starts]
+        without = given_up(self.shapes.robot, self.goal.task, demands)
+        stand = search(self.shapes, self._goal(without), plainly=True)
+        if stand.solved:
+            ways.append(elastic.solve(stand.qpos, without))
+        return min((way for way in ways if way.met), key=lambda way: way.slack, default=None)
 
-    def solves_as_typed(self, share: float) -> bool:
-        """Tells whether there is a stand at a share as it is printed.
+    def _fewest(self, way: Relaxation | None) -> Relaxation | None:
+        """Returns a way in which no demand gives that need not, those that give little first."""
+        if way is None:
+            return None
+        given = {demand: slack for demand, slack in way.given.items() if slack > _GIVES}
+        for demand in sorted(given, key=given.__getitem__):
+            rest = [
+                other for other in given if other != demand and way.given.get(other, 0.0) > _GIVES
+            ]
+            if way.given.get(demand, 0.0) > _GIVES and len(rest) > 1:
+                way = self._least(rest, (way.qpos,)) or way
+        return way
 
-        The search is as for someone who types it: without a hint, each angle in degrees or in
-        radians. Where several demands go together, the less of one, by its digits, may ask for more
-        of another.
+    def _stated(self, way: Relaxation | None) -> _Way | None:
+        """Returns a way as it can be told; None if it cannot be typed and found."""
+        if way is None:
+            return None
+        robot = self.shapes.robot
+        demands = tuple(demand for demand, slack in way.given.items() if slack > _GIVES)
+        if not demands:
+            return None
+        for share in _FURTHER:
+            task = self._rounded(way, demands, share)
+            if task is None or any(_is_nothing(robot, task, demand) for demand in demands):
+                continue
+            if (stand := self._typed(task, demands)) is not None:
+                return _Way(demands, way.slack, stand)
+        return None
+
+    def _rounded(self, way: Relaxation, demands: Sequence[str], share: float) -> StandTask | None:
+        """Returns the task of a way as it is told, its demands giving more by a share.
+
+        One after the other, those that give most first: where one has been rounded, the others
+        give as little as that leaves them.
         """
-        robot, demands = self.shapes.robot, self.demands
-        task = rounded(robot, self._task(share), demands)
+        robot, task, left = self.shapes.robot, self.goal.task, [*demands]
+        now: Relaxation | None = way
+        while now is not None:
+            demand = max(left, key=now.given.__getitem__)
+            left.remove(demand)
+            there = further(robot, now.task, self.goal.task, [demand], share)
+            ends = [rounded(robot, there, self.goal.task, [demand])]
+            if left:  # what it has given may be all that it can: the others then give more
+                ends.append(rounded(robot, now.task, self.goal.task, [demand], back=True))
+            before, now = now, None
+            for end in ends:
+                trial = task.filled(**{demand: getattr(end, demand)})
+                if not left:
+                    return trial
+                way = Elastic(self.shapes, self._goal(trial), left).solve(before.qpos, before.task)
+                if way.met:
+                    task, now = trial, way
+                    break
+        return None
+
+    def _typed(self, task: StandTask, demands: Sequence[str]) -> Stand | None:
+        """Returns the stand of a task, if who types it finds it, in degrees and in radians.
+
+        Where several demands go together, the less of one, by its digits, may ask for more of
+        another.
+        """
         angles = [demand for demand in demands if in_radians(task, [demand]) != task]
-        readings = [
-            in_radians(task, some)
-            for count in range(len(angles), -1, -1)  # degrees alone last: that is what is kept
-            for some in combinations(angles, count)
-        ]
-        for reading in readings:
-            goal = self._goal(reading)
-            if goal is None or not self._found(search(self.shapes, goal)):
-                return False
-        return True
+        stand = None
+        for count in range(len(angles), -1, -1):  # degrees alone last: that is what is kept
+            for some in combinations(angles, count):
+                stand = self._stand(in_radians(task, some))
+                if stand is None:
+                    return None
+        return stand
 
-    def follows(self, share: float) -> bool:
-        """Tells whether there is a stand at a share, as the last one leads to."""
-        goal = self._goal(self._task(share))
-        if goal is None or self.stand is None:
-            return False
-        return self._found(follow(self.shapes, goal, self.stand))
-
-    def _task(self, share: float) -> StandTask:
-        return shrunk(self.shapes.robot, self.goal.task, self.demands, share)
-
-    def _goal(self, task: StandTask) -> Goal | None:
+    def _stand(self, task: StandTask) -> Stand | None:
+        """Returns the stand of a task, as who types it finds it."""
         try:
-            return goal_of(self.shapes.robot, task, self.goal.depths)
+            goal = self._goal(task, checked=True)
         except ConfigurationError:
             return None
+        stand = search(self.shapes, goal)
+        return stand if stand.solved else None
 
-    def _found(self, stand: Stand | None) -> bool:
-        if stand is None or not stand.solved:
-            return False
-        self.stand = stand
-        return True
+    def _goal(self, task: StandTask, *, checked: bool = False) -> Goal:
+        """Returns a task's goal, with feet as deep and loops as open as the refused one's."""
+        goal = goal_of(self.shapes.robot, task, self.goal.depths, checked=checked)
+        return replace(goal, give=self.goal.give)
+
+
+def _is_nothing(robot: Robot, task: StandTask, demand: str) -> bool:
+    """Tells whether next to nothing is left of a demand of which that is no limit."""
+    return demand in _NOTHING_LEFT and any(
+        number.value < _NOTHING * robot.stand_height for number in numbers_of(robot, task, demand)
+    )

@@ -15,9 +15,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, branches
 from pupper_analysis.stance.clear_starts import clear_starts
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.com_places import first_places, inner, pushed_inside
+from pupper_analysis.stance.com_places import first_places, pushed_inside
+from pupper_analysis.stance.elastic import Elastic
 from pupper_analysis.stance.judge import Stand, base_is_in_the_ground, measure
-from pupper_analysis.stance.nearest import in_place_and_clear, nearest
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import Point, Solver
 from pupper_analysis.stance.starts import NEAR_MISS, choices, starts
@@ -35,16 +35,13 @@ _ROUNDS = 4
 """How often the branches are looked for anew from where the feet have come much nearer."""
 
 _CLEAR_STARTS = 24
-"""Choices of clear branches that are tried where feet are in place and a part is in the ground."""
+"""Starts that clear the ground that are tried where feet are in place and a part is in it."""
 
 _CLEARED = 4
-"""Stands with a part in the ground that are tried once more with it kept out (SLSQP, slow)."""
+"""Stands with a part in the ground from which all is tried to be met at once."""
 
 _ALIKE = 0.2
 """Stands whose joints differ by less are bent alike (rad): what clears the one clears the other."""
-
-_TURNS = 4
-"""How often, while less than ``_ALMOST`` of the part is left in the ground; two were enough."""
 
 _CLOSE = 5e-3
 """Where feet miss by less (m), every branch is tried from there; the com may have gone far."""
@@ -53,13 +50,6 @@ _STRETCHED = 3e-3
 """Where feet miss by less (m), starts are scattered too: at the end of reach, with the com on the
 polygon's edge, what is left to stand on is small, and few starts lead there. With the best of the
 usual ones 2.2 mm off a stand was missed."""
-
-_ALMOST = 1e-3
-"""A part that is less in the ground (m) may be lifted out by going on."""
-
-_NEARLY = 5e-3
-"""Where feet and ground together are missed by more (m), by turns they are missed as well: of 253
-stands at which both at once had failed none was cleared so."""
 
 _SCATTERED = 64
 """How many: in the hardest case found, one of eight led to the stand."""
@@ -74,23 +64,26 @@ _SLACK = 1.5
 """How much further than the legs' branches shift the com the base may be off, for a com's place."""
 
 
-def search(shapes: Shapes, goal: Goal, hints: Sequence[Array] = ()) -> Stand:
+def search(
+    shapes: Shapes, goal: Goal, hints: Sequence[Array] = (), *, plainly: bool = False
+) -> Stand:
     """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
 
     Args:
         shapes: The robot with its shapes.
         goal: The goal.
         hints: Joint positions (nu,) from which to start first.
+        plainly: From the usual starts alone.
 
     Returns:
         A stand that is solved, or else the best failure: with the feet as near as they came, or
         where they are in place, with something in the way.
     """
     there = _At(shapes, goal)
-    if found := there.search(hints):
+    if found := there.search(hints, plainly=plainly):
         return found
     best = there.result()
-    if best.solved or goal.task.com != "inside" or goal.by_base:
+    if best.solved or plainly or goal.task.com != "inside" or goal.by_base:
         return best
     return _search_inside(shapes, goal, best, there.found, hints)
 
@@ -112,8 +105,7 @@ def follow(shapes: Shapes, goal: Goal, near: Stand) -> Stand | None:
     if inside is None or inside.solved or inside.foot_error >= TASK_TOLERANCE:
         return inside if inside is not None and inside.solved else None
     # A part is in the ground, out of which joints and com may take it without the feet.
-    clear = in_place_and_clear(shapes, goal, inside.qpos)
-    return clear if clear.solved else None
+    return meet(shapes, goal, inside.qpos)
 
 
 def begin_inside(shapes: Shapes, goal: Goal, joints: Array, com: Array) -> Stand | None:
@@ -187,11 +179,12 @@ class _At:
         """Whether no start can lead to a stand; most searches succeed and never ask."""
         return base_is_in_the_ground(self.shapes, self.goal)
 
-    def search(self, hints: Sequence[Array]) -> Stand | None:
+    def search(self, hints: Sequence[Array], *, plainly: bool) -> Stand | None:
         """Tries all starts, until one leads to a stand; ``result`` has what else came of them."""
         robot, goal = self.shapes.robot, self.goal
         solver = Solver(self.shapes, goal)
-        if found := self._any(solver, chain(hints, starts(robot, goal))):
+        found = self._any(solver, chain(hints, starts(robot, goal)))
+        if found is not None or plainly:
             return found
         bent: list[Array] = []
         for _ in range(_ROUNDS):
@@ -306,16 +299,13 @@ def _search_inside(
             if solves(random.uniform(low, high), place):
                 return found[-1]
     reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
-    if reached:  # and a part is in the ground: elsewhere, or bent otherwise, it may not be
-        least_off = max(reached, key=lambda stand: stand.room)
-        clear_of_it = clear_starts(shapes, goal, least_off.qpos, inner(goal))
-        for start, place in islice(clear_of_it, _CLEAR_STARTS):
-            if solves(start, place):
-                return found[-1]
-        reached = [stand for stand in found if stand.foot_error < TASK_TOLERANCE]
-    for stand in islice(_bent_otherwise(robot, reached), _CLEARED):
-        if (cleared := _cleared(shapes, goal, stand)).solved:
-            return cleared
+    if reached and not in_vain:  # a part is in the ground: elsewhere, or bent otherwise, it is not
+        bent_otherwise = (stand.qpos for stand in islice(_bent_otherwise(robot, reached), _CLEARED))
+        least_off = max(reached, key=lambda stand: stand.room).qpos
+        clear = islice(clear_starts(shapes, goal, least_off), _CLEAR_STARTS)
+        for start in chain(bent_otherwise, clear):
+            if (stand := meet(shapes, goal, start)) is not None:
+                return stand
     return max(found, key=lambda stand: (stand.foot_error < TASK_TOLERANCE, -stand.foot_error))
 
 
@@ -329,21 +319,21 @@ def _bent_otherwise(robot: Robot, stands: Iterable[Stand]) -> Iterator[Stand]:
             yield stand
 
 
-def _cleared(shapes: Shapes, goal: Goal, stand: Stand) -> Stand:
-    """Returns a stand near another one of which a part is in the ground, or what came of it.
+def meet(shapes: Shapes, goal: Goal, qpos: Array) -> Stand | None:
+    """Looks for a stand from one configuration (nq,), with all that it must fulfil met at once.
 
     At the edge of what is possible the feet and the ground are each satisfied at the other's
-    expense, by turns, and less of it every time.
+    expense, by turns; what is left there may be micrometres wide.
     """
-    both = in_place_and_clear(shapes, goal, stand.qpos)
-    if both.solved or max(both.foot_error, -both.room) > _NEARLY:
-        return both
-    for _ in range(_TURNS):
-        clear = nearest(shapes, goal, stand.qpos, clear=True)
-        stand = _exactly(shapes, goal, Point(clear.qpos, clear.foot_error, 0))
-        if stand.solved or stand.foot_error >= TASK_TOLERANCE or stand.room < -_ALMOST:
-            break
-    return stand
+    met = Elastic(shapes, goal, ()).solve(qpos)
+    if met.missed > NEAR_MISS:
+        return None
+    com = Configuration(shapes.robot, met.qpos).center_of_mass()[:2]
+    at = replace(goal, place=com) if goal.task.com == "inside" and not goal.by_base else goal
+    stand = measure(shapes, at, met.qpos, 0)
+    if not stand.solved:
+        stand = _exactly(shapes, at, Point(met.qpos, stand.foot_error, 0))
+    return stand if stand.solved else None
 
 
 def _exactly(shapes: Shapes, goal: Goal, point: Point) -> Stand:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -120,7 +121,8 @@ def sunk_stand(
         goal = goal_of(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)
         stand = stand_for(robot, goal, explain=explain)
-    raise NotSettlingError(change, f"the feet's depths do not settle, by {1e3 * change:.3g} mm")
+    left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
+    raise NotSettlingError(change, left)
 
 
 @checked

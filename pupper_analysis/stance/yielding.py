@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import pinocchio as pin
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import Goal
@@ -31,18 +32,14 @@ def yields(robot: Robot) -> bool:
     )
 
 
-def lacking(robot: Robot, goal: Goal) -> str:
-    """Says which joints the legs lack for a sole that is lifted or moved; nothing if none.
+def lacking(robot: Robot, goal: Goal) -> Diagnostic | None:
+    """Tells which joints the legs lack for a sole that is lifted or moved; None if none.
 
     Or for loops and couplings that give way.
     """
     task = goal.task
     if goal.give is not None and goal.give.any():
-        return (
-            "On rigid ground, with the MJCF's loops and couplings closed, it is in reach; under "
-            f"load they open by up to {abs(goal.give).max():.2g} m or rad, feet sink in, and "
-            "the legs have no joints to make up for it: stiffer ones (solref) may do"
-        )
+        return diagnose("loops-give-way", most=float(abs(goal.give).max()))
     moved = [
         sole
         for sole in robot.soles
@@ -54,12 +51,9 @@ def lacking(robot: Robot, goal: Goal) -> str:
         if len(robot.soles[sole]) > 1
     }
     if not short or min(short.values()) >= _JOINTS:
-        return ""
+        return None
     sole = min(short, key=short.__getitem__)
-    return (
-        f"A sole is lifted, or moved, in any way by a leg of six joints, and that of {sole} has "
-        f"{short[sole]}"
-    )
+    return diagnose("sole-needs-six-joints", subject=("foot", sole), joints=short[sole])
 
 
 def _joints_to(robot: Robot, point: str) -> int:

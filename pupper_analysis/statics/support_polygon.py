@@ -117,8 +117,10 @@ def polygon_sides(contacts: Array) -> Array:
     Args:
         contacts: (k, 2) or (k, 3) contact points (m).
     """
-    corners = support_polygon(contacts)
-    along = np.roll(corners, -1, axis=0) - corners
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    inward = np.column_stack([-along[:, 1], along[:, 0]])  # the corners run counter-clockwise
-    return np.column_stack([inward, -np.sum(inward * corners, axis=1)])
+    ring = _ring(tuple([_corner(point) for point in contacts]))
+    return np.array(
+        [
+            [-along_y / length, along_x / length, (along_y * x - along_x * y) / length]
+            for x, y, along_x, along_y, length in ring
+        ]
+    )

@@ -1,0 +1,250 @@
+"""A stand whose demands may give: which of them least, so that all else is met.
+
+Source: Gill, Murray and Saunders, "SNOPT: an SQP algorithm for large-scale constrained
+optimization", 2005, section 1.2: demands that cannot be met together get slacks, whose sum is
+minimised. A sum of absolute values leaves most of them at zero. SciPy's SLSQP solves it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.constraints import constraints_of
+from pupper_analysis.stance.demands import is_angle, numbers_of, range_of, with_numbers
+from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_STEP = 1e-7
+"""Of difference quotients by a demand's numbers (stand heights, rad): with longer ones steps and
+slopes are less exact, with shorter ones rounding counts."""
+
+_MET = 1e-6
+"""Constraints that are missed by less are met (m, rad): the search does the rest."""
+
+_ITERATIONS = 50
+"""Of 150 solutions of many demands that led to a stand all took fewer."""
+
+_DEPENDENT = 1e-6
+"""Equalities of which less is independent follow from the others: SLSQP cannot have them twice."""
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """Demands that give, and where what is left is met as well as it can be.
+
+    Attributes:
+        task: The task with other numbers.
+        qpos: (nq,) the configuration.
+        given: {demand: how much it gives} (stand heights, rad).
+        missed: By how much what is left is missed (m, rad).
+    """
+
+    task: StandTask
+    qpos: Array
+    given: dict[str, float]
+    missed: float
+
+    @property
+    def met(self) -> bool:
+        """Whether what is left is met, but for what the search mends."""
+        return self.missed <= _MET
+
+    @property
+    def slack(self) -> float:
+        """How much all demands give together."""
+        return sum(self.given.values())
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Where the problem is looked at: the robot and the goal there, and the residuals."""
+
+    at: Configuration
+    goal: Goal
+    residuals: tuple[Array, ...]
+
+
+class Elastic:
+    """The problem: in the base's x and y, the joints, and how much less and more numbers become.
+
+    Lengths are in stand heights, so that a robot that is scaled gives alike.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: What is asked.
+        demands: Which demands may give.
+    """
+
+    def __init__(self, shapes: Shapes, goal: Goal, demands: Sequence[str]) -> None:
+        robot = self._robot = shapes.robot
+        self._goal, self._demands = goal, tuple(demands)
+        constraints = constraints_of(shapes, goal)
+        self._constraints = sorted(constraints, key=lambda one: not one.equal)
+        self._unit = robot.stand_height
+        numbers = [(d, number) for d in demands for number in numbers_of(robot, goal.task, d)]
+        self._fields = [demand for demand, _ in numbers]
+        self._keys = [number.key for _, number in numbers]
+        self._asked = np.array([number.value for _, number in numbers])
+        self._units = np.array([1.0 if is_angle(key) else self._unit for key in self._keys])
+        ranges = np.array([range_of(robot, *number) for number in numbers]).reshape(-1, 2)
+        least, most = (ranges.T - self._asked) / self._units
+        # Where its margin gives, the joints' limits are a constraint like others.
+        free = np.full(robot.nu, np.inf)
+        within = (-free, free) if "joint_margin" in demands else (goal.lower, goal.upper)
+        nothing, anywhere = np.zeros(2 * len(numbers)), np.full(2, np.inf)
+        self._low = np.concatenate([-anywhere, within[0], nothing])
+        self._high = np.concatenate([anywhere, within[1], -least, most])
+        self._cost = np.concatenate([np.zeros(2 + robot.nu), nothing + 1.0])
+        self._moving = [0, 1, *range(robot.nv - robot.nu, robot.nv)]
+        self._last: tuple[bytes, _Point] = b"", self._look(np.zeros(len(self._cost)))
+        self._slopes: tuple[bytes, Array] = b"", np.zeros((0, 0))
+
+    def solve(self, qpos: Array, task: StandTask | None = None) -> Relaxation:
+        """Finds how the demands give least, from one start.
+
+        Args:
+            qpos: (nq,) where to start.
+            task: What the demands are there; by default what is asked.
+        """
+        from scipy import optimize  # slow to import
+
+        equal = self._rows[1]
+        kinds = ("eq", slice(0, equal)), ("ineq", slice(equal, None))
+        outcome = optimize.minimize(
+            lambda x: (float(self._cost @ x), self._cost),
+            self._start(qpos, task),
+            jac=True,
+            method="SLSQP",
+            bounds=list(zip(self._low, self._high, strict=True)),
+            constraints=[
+                {
+                    "type": kind,
+                    "fun": lambda x, rows=rows: self._residuals(x)[rows],
+                    "jac": lambda x, rows=rows: self._jacobian(x)[rows],
+                }
+                for kind, rows in kinds
+            ],
+            options={"ftol": 1e-9, "maxiter": _ITERATIONS},
+        )
+        x = np.clip(outcome.x, self._low, self._high)
+        left = self._residuals(x)
+        off = np.abs(left[:equal]).max(initial=0.0)
+        missed = float(max(off, -left[equal:].min(initial=0.0)))
+        values, given = self._values(x), dict.fromkeys(self._demands, 0.0)
+        for demand, slack in zip(self._fields, (values - self._asked) / self._units, strict=True):
+            given[demand] += abs(float(slack))
+        return Relaxation(self._task(values), self._point(x).at.qpos.copy(), given, missed)
+
+    def _start(self, qpos: Array, task: StandTask | None) -> Array:
+        given = np.zeros(len(self._asked))
+        if task is not None:
+            had = [n.value for d in self._demands for n in numbers_of(self._robot, task, d)]
+            given = (np.array(had) - self._asked) / self._units
+        parts = qpos[:2] / self._unit, qpos[7:], np.maximum(-given, 0.0), np.maximum(given, 0.0)
+        start: Array = np.clip(np.concatenate(parts), self._low, self._high)
+        return start
+
+    def _values(self, x: Array) -> Array:
+        """Returns the demands' numbers there (m, rad)."""
+        less, more = np.split(x[2 + self._robot.nu :], 2)
+        values: Array = self._asked + self._units * (more - less)
+        return values
+
+    def _task(self, values: Array) -> StandTask:
+        given = dict(zip(self._keys, values.tolist(), strict=True))
+        return with_numbers(self._goal.task, given, self._demands)
+
+    def _look(self, x: Array) -> _Point:
+        goal = self._goal_at(self._values(x), self._goal)
+        qpos = np.empty(self._robot.nq)
+        qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.turn
+        qpos[7:] = x[2 : 2 + self._robot.nu]
+        at = Configuration(self._robot, qpos)
+        return _Point(at, goal, tuple(one.residual(goal, at) for one in self._constraints))
+
+    def _goal_at(self, values: Array, like: Goal) -> Goal:
+        return goal_of(self._robot, self._task(values), self._goal.depths, like, checked=False)
+
+    def _point(self, x: Array) -> _Point:
+        """Returns what is there; each constraint asks for it in turn, and it is made once."""
+        key = x.tobytes()
+        if self._last[0] != key:
+            self._last = key, self._look(x)
+        return self._last[1]
+
+    def _residuals(self, x: Array) -> Array:
+        together: Array = np.concatenate(self._point(x).residuals)[self._rows[0]]
+        return together
+
+    def _jacobian(self, x: Array) -> Array:
+        key = x.tobytes()
+        if self._slopes[0] != key:
+            self._slopes = key, self._derivative(x)[self._rows[0]]
+        return self._slopes[1]
+
+    def _derivative(self, x: Array) -> Array:
+        """Returns the derivative of all residuals (m, n).
+
+        By the robot's motion it is exact; by a number it is that of the base's motion with it, and
+        a difference quotient of the residuals with the robot at rest, where they depend on it.
+        """
+        there, values = self._point(x), self._values(x)
+        rates = [one.rates(there.goal, there.at) for one in self._constraints]
+        moved = np.concatenate(rates)
+        ends = np.cumsum([len(rate) for rate in rates])
+        columns = []
+        for number, (demand, unit) in enumerate(zip(self._fields, self._units, strict=True)):
+            near = values.copy()  # towards what is asked: beyond it there may be nothing
+            near[number] += math.copysign(_STEP * unit, self._asked[number] - values[number])
+            step = near[number] - values[number]
+            goal = self._goal_at(near, there.goal)
+            column = moved[:, :6] @ (_twist(there.goal, goal) / step)
+            for one, before, end in zip(self._constraints, there.residuals, ends, strict=True):
+                if demand in one.reads:
+                    change = one.residual(goal, there.at) - before
+                    column[end - len(before) : end] += change / step
+            columns.append(unit * column)
+        by_numbers = np.array(columns).reshape(-1, len(moved)).T
+        by_motion = moved[:, self._moving]
+        by_motion[:, :2] *= self._unit
+        return np.hstack([by_motion, -by_numbers, by_numbers])
+
+    @cached_property
+    def _rows(self) -> tuple[IntArray, int]:
+        """Rows of which no equality follows from others, and how many of them are equalities."""
+        random = np.random.default_rng(0)
+        x = np.zeros(len(self._cost))
+        low, high = np.maximum(self._goal.lower, -np.pi), np.minimum(self._goal.upper, np.pi)
+        x[2 : 2 + self._robot.nu] = random.uniform(low, np.maximum(low, high))
+        residuals, whole = self._point(x).residuals, self._derivative(x)
+        pairs = zip(self._constraints, residuals, strict=True)
+        equal = sum(len(one) for constraint, one in pairs if constraint.equal)
+        _, triangle, order = linalg.qr(whole[:equal].T, mode="economic", pivoting=True)
+        size = np.abs(np.diag(triangle))
+        kept = np.sort(order[: int((size > _DEPENDENT * size[0]).sum())])
+        return np.concatenate([kept, np.arange(equal, len(whole))]), len(kept)
+
+
+def _twist(goal: Goal, other: Goal) -> Array:
+    """Returns how the base moves (6,) from one goal's height and turn to another's nearby."""
+    (w, x, y, z), (a, b, c, d) = goal.turn, other.turn
+    turned = (  # the vector of the first one's inverse times the second
+        w * b - x * a - y * d + z * c,
+        w * c - y * a - z * b + x * d,
+        w * d - z * a - x * c + y * b,
+    )
+    sign = math.copysign(2.0, w * a + x * b + y * c + z * d)
+    rise = other.height - goal.height
+    return np.array([0.0, 0.0, rise, *(sign * part for part in turned)])
