@@ -144,11 +144,11 @@ class StanceUnreachableError(PupperAnalysisError):
         task: Problem,
         shortfall: Mapping[str, float],
         at_limit: Mapping[str, float],
-        possible: Mapping[str, Problem] | None = None,
+        possible: Mapping[str, Diagnostic] | None = None,
         nearest: Any = None,
-        blocked: Iterable[Problem] = (),
+        blocked: Iterable[Diagnostic] = (),
         limits: Mapping[str, Mapping[str, Any]] | None = None,
-        lacks: Problem | None = None,
+        lacks: Diagnostic | None = None,
     ) -> None:
         self.lacks = lacks
         self.limits = dict(limits or {})

@@ -11,8 +11,7 @@ import numpy as np
 
 from pupper_analysis.analysis.robot import slides
 from pupper_analysis.analysis.stance import Stance
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import Problem, PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.controls import slider_values
 from pupper_analysis.live.door import without_folders
 from pupper_analysis.live.model import Answer, Sag
@@ -124,7 +123,9 @@ def refusal_document(
 def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Block]:
     """Yields what is in the way, what would be possible, and where feet and joints end."""
     if error.possible:
-        demands = joined([joined(map(word, fields), "and") for fields in error.limits.values()], "or")
+        demands = joined(
+            [joined(map(word, fields), "and") for fields in error.limits.values()], "or"
+        )
         listed = (_possible(answer.state, one) for one in error.limits.values())
         lines = (text("possible-with-all-else"), *(_spaced(doc.Name("•"), one) for one in listed))
         yield doc.Lines(lines, title=text("in-the-way-demands", demands=demands))

@@ -258,5 +258,5 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
             ),
         )
     if len(stance_feet) < 3:
-        raise ConfigurationError("swing", diagnose("too-few-feet-carry", count=len(stance_feet)))
+        raise ConfigurationError("swing", diagnose("three-feet-must-carry", count=len(stance_feet)))
     return stance_feet
