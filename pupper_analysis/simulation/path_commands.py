@@ -146,18 +146,32 @@ def _sinking(robot: Robot, path: StancePath, sunk: Array) -> CubicSpline:
     normal = path.stances[0].task.ground.normal()
     radius = np.array([robot.foot_radius[foot] for foot in path.feet])
     torques = []
-    for moment, before, after, forces in zip(path.time, path.qpos, sunk, path.forces, strict=True):
-        held = [Configuration(robot, qpos) for qpos in (before, after)]
-        centres = [config.foot_places(path.feet) for config in held]
+    rows = zip(path.time, path.qpos, sunk, path.qvel, path.qacc, path.forces, strict=True)
+    for moment, before, after, qvel, qacc, forces in rows:
+        there = [Configuration(robot, qpos, qvel) for qpos in (before, after)]
+        centres = [config.foot_places(path.feet) for config in there]
         depth = (centres[0] - centres[1]) @ normal
         loads = []
-        for config, lever in zip(held, (radius, radius - depth / 2), strict=True):
+        for config, lever in zip(there, (radius, radius - depth / 2), strict=True):
             contacts = config.point_jacobians(path.feet, -lever[:, None] * normal)
-            load = config.load() - np.einsum("nij,ni->j", contacts, forces)
-            loads.append(config.by_motors(load)[dofs])
-        matrix = held[1].mass_matrix()[dofs, dofs]
-        torques.append(loads[1] - loads[0] + matrix @ longer(moment, 2))
+            load = config.mass_matrix() @ qacc + config.bias_forces() - config.passive()
+            load -= np.einsum("nij,ni->j", contacts, forces)
+            loads.append(config.by_motors(load))
+        more = loads[1] - loads[0]
+        more -= _balanced(more[:6], contacts * np.maximum(forces @ normal, 0.0)[:, None, None])
+        matrix = there[1].mass_matrix()[dofs, dofs]
+        torques.append(more[dofs] + matrix @ longer(moment, 2))
     return CubicSpline(path.time, torques)
+
+
+def _balanced(missing: Array, contacts: Array) -> Array:
+    """Returns what contact forces that add a wrench to a base do to all joints (nv,).
+
+    Each foot adds to its force in proportion to its load, by which the Jacobians are multiplied.
+    """
+    jacobian = contacts.reshape(-1, contacts.shape[-1])
+    forces = np.linalg.lstsq(jacobian[:, :6].T, missing, rcond=1e-9)[0]
+    return np.asarray(forces @ jacobian)
 
 
 def _fine_timestep(robot: Robot, first: Stand, drive: Servos) -> float:
