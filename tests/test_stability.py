@@ -273,3 +273,26 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     (said,) = unstable(stability, found)
     assert "swing is 0.03 rad from where it was, and comes back" in str(said)
     assert not unstable(stability, replace(found, farthest=9e-3))
+
+
+def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:
+    """Differences half beyond the limit told a swing of neither: a mean of servo and stop.
+
+    Off the limit it is the servo's, sqrt(kp/I), which hardly decays.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0" timestep="0.001"/><compiler angle="radian"/><worldbody>'
+        '<body><joint name="j" axis="0 1 0" range="-1 0" limited="true" solreflimit="0.01 1"/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>'
+        '<actuator><position joint="j" kp="1" kv="0.002"/></actuator></mujoco>'
+    )
+    swings = []
+    for place in (0.0, -0.1):
+        data = mujoco.MjData(model)
+        data.qpos[0] = data.ctrl[0] = place
+        mujoco.mj_forward(model, data)
+        least = pa.step_stability(model, data, settle=0.0).least_damped
+        assert least is not None
+        swings.append(least.frequency)
+    assert swings == pytest.approx([math.sqrt(1 / 0.01) / (2 * math.pi)] * 2, rel=1e-2)
+    assert model.jnt_range[0].tolist() == [-1.0, 0.0]
