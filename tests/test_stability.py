@@ -10,7 +10,7 @@ import pytest
 from conftest import benchmark, load, stand_of
 
 import pupper_analysis as pa
-from pupper_analysis.robot.stability import transition
+from pupper_analysis.robot.transition import transition
 from pupper_analysis.simulation.causes import unstable
 from pupper_analysis.simulation.nudge import response
 from pupper_analysis.simulation.rollout import full_state, run
@@ -116,7 +116,7 @@ def test_what_swings_without_damping_neither_grows_nor_decays() -> None:
 
 def test_own_differences_are_mujocos() -> None:
     """For RK4, which ``mjd_transitionFD`` has not: of another integrator they are the same."""
-    from pupper_analysis.robot.stability import _differences
+    from pupper_analysis.robot.transition import _differences
 
     robot = load("v3")
     model = copy.copy(robot.mj_model)

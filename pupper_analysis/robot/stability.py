@@ -16,6 +16,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.results import Result
+from pupper_analysis.robot.transition import STEP, copied, transition
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -30,19 +31,10 @@ and a mode that doubles in a second has multiplied rounding by 1.4."""
 
 _LONGEST = 600.0  # s: what is simulated at most, as of a stand
 
-_STEP = 1e-7
-"""Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;
-eigenvalues come out to 1e-9, where 1e-6 leaves as much."""
-
-_EDGE = 10 * _STEP
+_EDGE = 10 * STEP
 """So near to its limit a joint is at it (rad, m): differences would be taken half inside, half
 outside, and their mean is the motion of neither. ANYmal at a hard limit of its knees was said to
 shake at 9 Hz, and forgot each nudge."""
-
-_TOLERANCE = 1e-14
-"""Of the solver while differences are taken: with the usual 1e-8 it sometimes ends an iteration
-earlier on one side of a difference, and an element is off by 0.03. A copy of the model, with the
-meshes of a humanoid, takes longer than all else."""
 
 _STILL = 1e-4
 """Rate of a mode that neither grows nor decays (1/s): it takes two hours to double."""
@@ -219,7 +211,7 @@ def step_stability(
             raise ConfigurationError(name, diagnose("argument-of-other-kind", **what))
     if not 0 <= settle <= _LONGEST:
         raise ConfigurationError("settle", diagnose("settling-time", settle=settle, most=_LONGEST))
-    start, data = data, _copied(model, data)
+    start, data = data, copied(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
         return _judged(model, data, settled=False)
@@ -227,11 +219,11 @@ def step_stability(
         mujoco.mj_step(model, data, steps)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
         # It diverged, and MuJoCo began anew.
-        return _judged(model, _copied(model, start), settled=False)
+        return _judged(model, copied(model, start), settled=False)
     found = _judged(model, data, settled=True)
     if found.at_rest:
         return found
-    other = _judged(model, _copied(model, start), settled=False)
+    other = _judged(model, copied(model, start), settled=False)
     threw = (other.doubling_time or math.inf) < settle / _THROWN
     return other if other.at_rest and threw else found
 
@@ -245,7 +237,7 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Sta
     joints, tendons = model.dof_frictionloss.copy(), model.tendon_frictionloss.copy()
     model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
     try:
-        free = _judged_at_limits(model, _copied(model, data), settled=settled)
+        free = _judged_at_limits(model, copied(model, data), settled=settled)
     finally:
         model.dof_frictionloss[:], model.tendon_frictionloss[:] = joints, tendons
     freed = [replace(mode, freed=True) for mode in free.unstable if mode.shakes]
@@ -272,60 +264,10 @@ def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bo
         for apart in (-_EDGE, _EDGE):
             moved = ends + np.array([apart, -apart])
             model.jnt_range[:] = np.where(edges, moved, ranges)
-            found.append(_Modes(model, _copied(model, data)).judged(settled=settled))
+            found.append(_Modes(model, copied(model, data)).judged(settled=settled))
     finally:
         model.jnt_range[:] = ranges
     return max(found, key=lambda one: one.radius)
-
-
-def _copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
-    """Returns data of its own at the same state."""
-    state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION.value))
-    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
-    own = mujoco.MjData(model)
-    mujoco.mj_setState(model, own, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
-    mujoco.mj_forward(model, own)
-    return own
-
-
-def transition(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-    """Returns the derivative of a step by the state, (2 nv + na, 2 nv + na).
-
-    Args:
-        model: The model. While this runs, the tolerance of its solver is tighter.
-        data: The state; it stays as it is.
-    """
-    size = 2 * model.nv + model.na
-    matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
-    model.opt.tolerance = min(tolerance, _TOLERANCE)
-    try:
-        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
-            return _differences(model, data, matrix)
-        mujoco.mjd_transitionFD(model, data, _STEP, True, matrix, None, None, None)
-    finally:
-        model.opt.tolerance = tolerance
-    return matrix
-
-
-def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> Array:
-    """Fills in centred differences of whole steps."""
-    own, nv = _copied(model, data), model.nv
-    ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
-    for column in range(len(matrix)):
-        for end, size in zip(ends, (-_STEP, _STEP), strict=True):
-            mujoco.mj_copyData(own, model, data)
-            change = np.zeros(len(matrix))
-            change[column] = size
-            mujoco.mj_integratePos(model, own.qpos, change[:nv], 1.0)
-            own.qvel += change[nv : 2 * nv]
-            own.act += change[2 * nv :]
-            mujoco.mj_step(model, own)
-            end[0][:], end[1][:], end[2][:] = own.qpos, own.qvel, own.act
-        moved = np.empty(nv)
-        mujoco.mj_differentiatePos(model, moved, 2 * _STEP, ends[0][0], ends[1][0])
-        rates = [(ends[1][part] - ends[0][part]) / (2 * _STEP) for part in (1, 2)]
-        matrix[:, column] = np.concatenate([moved, *rates])
-    return matrix
 
 
 class _Modes:
