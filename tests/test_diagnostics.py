@@ -80,9 +80,6 @@ def literals(node: ast.expr, where: str) -> Iterator[str]:
 
 CALLS = list(calls())
 
-STILL_READ: set[str] = set()
-"""Modules that still look at sentences; none is to be added."""
-
 
 @pytest.mark.parametrize("file", CATALOGUE, ids=lambda file: file.name)
 def test_the_tables_are_those_that_toml_reads(file: Path) -> None:
@@ -143,18 +140,10 @@ def test_no_program_reads_its_own_prose() -> None:
         for path in sorted(PACKAGE.rglob("*.py"))
         if any(map(reads.search, path.read_text(encoding="utf-8").splitlines()))
     }
-    assert found == STILL_READ
+    assert found == set()
 
 
 SENTENCE = re.compile("[a-z]+ [a-z]+ [a-z]+")
-
-STILL_BARE = {
-    "stance/branches.py",
-    "stance/judge.py",
-    "stance/problem.py",
-    "stance/sunk.py",
-}
-"""Modules whose refusals are sentences still; none is to be added."""
 
 
 def test_refusals_are_diagnostics_and_no_sentences() -> None:
@@ -172,7 +161,7 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
                      if isinstance(one, ast.Constant)]  # fmt: skip
             if name != "UnknownNameError" and any(map(SENTENCE.search, map(str, words))):
                 found.add(str(path.relative_to(PACKAGE)))
-    assert found == STILL_BARE
+    assert found == set()
     assert all(map(is_term, kinds - {None})), kinds
 
 
