@@ -24,6 +24,7 @@ import pupper_analysis as pa
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.checks.audit import RULES
+from pupper_analysis.report import scene as scenes
 from pupper_analysis.report import words
 from pupper_analysis.report.document import (
     Column,
@@ -564,6 +565,15 @@ def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_p
         config = pa.Configuration(robot, stand.qpos)
         assert joint.place == pytest.approx(config.joint_position(joint.name))
         assert joint.torque is None
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_points_in_a_line_span_no_polygon(count: int) -> None:
+    points = np.array([[0.25, 0.5, 0.0], [0.5, 0.75, 0.01], [0.75, 1.0, 0.02]])[:count]
+    corners = scenes.polygon(points)
+    assert corners[0] == pytest.approx(points[0])
+    assert corners[-1] == pytest.approx(points[-1])
+    assert len(corners) == min(count, 2)
 
 
 def decoded(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]

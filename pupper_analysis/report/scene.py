@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
@@ -191,7 +192,7 @@ def standing(robot: Robot, stand: Stand, statics: GravityCompensation | None) ->
     return Standing(
         ground=ground,
         points=points,
-        polygon=_polygon(points),
+        polygon=polygon(points),
         steps=tuple(Step(foot, ground.heights[foot], *box) for foot, box in steps.items()),
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),
@@ -222,10 +223,11 @@ def _touched(robot: Robot, stand: Stand) -> Array:
     )
 
 
-def _polygon(points: Array) -> Array:
+def polygon(points: Array) -> Array:
     """Returns the support polygon's corners (m, 3), each as high as the point that it is (m)."""
-    wide = np.linalg.matrix_rank(points[1:, :2] - points[0, :2]) > 1  # not all in a line
-    corners = support_polygon(points) if wide else points[:, :2]
+    hull = shapely.MultiPoint(points[:, :2]).convex_hull
+    wide = hull.geom_type == "Polygon"  # and no line, nor a point
+    corners = support_polygon(points) if wide else np.array(hull.coords)
     away = np.linalg.norm(points[:, None, :2] - corners, axis=-1)
     return np.column_stack([corners, points[np.argmin(away, axis=0), 2]])
 

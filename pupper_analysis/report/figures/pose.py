@@ -39,7 +39,8 @@ Array = NDArray[np.float64]
 _ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
 _LABEL = (4.6, 2.6)  # width and height of a force's label, in heights of its letters
-_LONGEST = 10  # letters of a foot's name beside the polygon: what there is room for
+_LONGEST = 8  # letters of a foot's name: what there is room for beside the polygon
+_TALL = 1.5  # height / width of what needs room below for what the axes say
 _NEAR, _FAR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
@@ -162,7 +163,7 @@ def _draw_forces(axes: Any, lines: Skeleton, seen: Standing) -> None:
     for foot, force in forces.items():
         tail, tip = drawn[foot]
         axes.annotate(
-            f"{foot}\n{np.linalg.norm(force):.2f} N",
+            f"{_named(foot)}\n{np.linalg.norm(force):.2f} N",
             tail,
             (aside[foot], -1),
             textcoords="offset points",
@@ -210,6 +211,11 @@ def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, fl
     return {foot: 72 / style.DPI * by for foot, by in moved.items()}
 
 
+def _named(foot: str) -> str:
+    """Returns a foot's name, or its beginning."""
+    return foot if len(foot) <= _LONGEST else f"{foot[: _LONGEST - 1]}…"
+
+
 def _small(seen: Standing) -> float:
     """Returns the size of a foot's mark: smaller where feet have several contact points."""
     return 1.0 if len(seen.contacts) == len(seen.points) else 0.45
@@ -221,7 +227,8 @@ def _fit(axes: Any, shown: Array) -> None:
     low = shown.min(axis=0) - room * np.array([35, 20, 50])
     high = shown.max(axis=0) + room * np.array([20, 35, 10])
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
-    axes.set_box_aspect(high - low, zoom=1.02)
+    tall = (high - low)[2] > _TALL * (high - low)[:2].max()
+    axes.set_box_aspect(high - low, zoom=0.87 if tall else 1.02)
     # No ticks in the corners, where those of two axes meet, nor below the ground.
     first, last = low + 30 * room, high - 15 * room
     first[2] = 0.0
@@ -266,7 +273,7 @@ def _draw_from_above(
         foot, (x, y) = contact.foot, 1e3 * contact.point[:2]
         left = y > middle[1]
         axes.annotate(
-            foot if len(foot) <= _LONGEST else f"{foot[: _LONGEST - 1]}…",
+            _named(foot),
             (y, x),
             (-7 if left else 7, 0),
             textcoords="offset points",
