@@ -3,33 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.footholds import feet_places, nominal_feet
 from pupper_analysis.stance.task import StandTask
 
-DEMANDS = (
-    *("height", "roll", "pitch", "yaw", "offset", "com", "feet", "foot_offsets", "swing"),
-    *("ground", "com_margin", "joint_margin", "ground_clearance", "self_clearance"),
-)
-"""The fields of a task that may put a stance out of reach."""
+_FIELDS: dict[str, list[Field]] = {}
+for _field in FIELDS.values():
+    if _field.gives != "no":
+        _FIELDS.setdefault(_field.attribute, []).append(_field)
 
-MARGINS = ("com_margin", "joint_margin", "ground_clearance", "self_clearance")
-"""Those of which more is only harder, and less than nothing is not to be had."""
+DEMANDS = tuple(_FIELDS)
+"""The fields of a task that may put a stance out of reach; those of the ground give together."""
 
 _FAR = 3.0
 """No place or height need be further from what was asked (stand heights): no leg reaches so far."""
 
 _LEAST = 1e-3
 """Part of a height that is always left of it: none is zero or less."""
-
-_ANGLES = ("roll", "pitch", "yaw", "slope", "joint_margin")
 
 _FINE = 0.005
 """A value is rounded by no more than this part of its distance from the nominal stand's."""
@@ -57,30 +56,33 @@ class Number:
 
 def numbers_of(robot: Robot, task: StandTask, demand: str) -> Iterator[Number]:
     """Yields the numbers of a demand."""
-    value = getattr(task, demand)
-    if value is None or (demand == "com" and isinstance(value, str)):
-        return
-    if demand == "height":
-        yield Number((demand,), value, robot.stand_height)
-    elif demand == "ground":
-        yield Number(("slope",), value.slope, 0.0)
-        for foot, height in value.heights.items():
-            yield Number(("heights", foot), height, 0.0)
-    elif demand in ("offset", "com"):
-        centre = (0.0, 0.0) if demand == "offset" else _centre(robot, task)
-        for axis, one, other in zip("xy", value, centre, strict=True):
-            yield Number((demand, axis), one, float(other))
-    elif demand in ("feet", "foot_offsets"):
-        places = nominal_feet(robot)
-        for foot, place in value.items():
-            nominal = places[foot] if demand == "feet" else (0.0, 0.0)
-            for axis, one, other in zip("xy", place, nominal, strict=True):
-                yield Number((demand, foot, axis), one, float(other))
-    elif demand == "swing":
-        for foot, height in value.items():
-            yield Number((demand, foot), height, 0.0)
-    else:
-        yield Number((demand,), value, 0.0)
+    for field in _FIELDS[demand]:
+        for foot, value in _values(task, field):
+            nominal = _nominal(robot, task, field, foot)
+            key = (field.name, foot) if foot else (field.name,)
+            if isinstance(value, tuple):
+                for axis, one, other in zip("xy", value, nominal, strict=True):
+                    yield Number((*key, axis), one, float(other))
+            else:
+                yield Number(key, value, nominal)
+
+
+def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
+    """Yields what a field has that is in numbers, with its foot; empty if it is of none."""
+    value = getattr(task if field.part == "task" else task.ground, field.name)
+    if field.per_foot:
+        yield from value.items()
+    elif value is not None and not isinstance(value, str):
+        yield "", value
+
+
+def _nominal(robot: Robot, task: StandTask, field: Field, foot: str) -> Any:
+    """Returns what the nominal stand has of a field."""
+    if field.nominal == "zero":
+        return (0.0, 0.0) if field.axes else 0.0
+    if field.nominal == "foot_places":
+        return nominal_feet(robot)[foot][:2]
+    return _centre(robot, task) if field.nominal == "centre" else getattr(robot, field.nominal)
 
 
 def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
@@ -95,21 +97,18 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def range_of(robot: Robot, demand: str, asked: Number) -> tuple[float, float]:
+def range_of(robot: Robot, asked: Number) -> tuple[float, float]:
     """Returns the least and the most that a number may become where its demand gives (m, rad).
 
     Margins and lifts only become less, a slope or a step as well; all else may go either way.
     """
-    value, far = asked.value, _FAR * robot.stand_height
-    if demand in MARGINS:
-        return 0.0, value
-    if demand == "ground":
-        return min(0.0, value), max(0.0, value)
-    if demand in ("roll", "pitch", "yaw"):
-        return min(-math.pi, value), max(math.pi, value)
-    if demand == "swing":
-        return _LEAST * value, value
-    return (_LEAST * value if demand == "height" else value - far), value + far
+    field, value, far = FIELDS[asked.key[0]], asked.value, _FAR * robot.stand_height
+    if field.gives == "less":
+        least = _LEAST * value if field.open else min(0.0, value)
+        return least, max(0.0, value)
+    if field.kind == "angle":
+        return min(field.low, value), max(field.high, value)
+    return (_LEAST * value if field.open else value - far), value + far
 
 
 def with_numbers(
@@ -119,26 +118,20 @@ def with_numbers(
 
     They are not checked: nobody's but our own.
     """
-    return task.filled(**{demand: _value(task, demand, values) for demand in demands})
+    changed: dict[str, dict[str, Any]] = {"task": {}, "ground": {}}
+    for demand in demands:
+        for field in _FIELDS[demand]:
+            new = {foot: _new(field, foot, one, values) for foot, one in _values(task, field)}
+            if new or field.per_foot:
+                changed[field.part][field.name] = FrozenDict(new) if field.per_foot else new[""]
+    if changed["ground"]:
+        changed["task"]["ground"] = replace(task.ground, **changed["ground"])
+    return task.filled(**changed["task"])
 
 
-def _value(task: StandTask, demand: str, values: dict[tuple[str, ...], float]) -> object:
-    """Returns what a field of a task is with other numbers."""
-    if demand == "ground":
-        steps = {foot: values["heights", foot] for foot in task.ground.heights}
-        return replace(task.ground, slope=values["slope",], heights=steps)
-    if demand in ("offset", "com"):
-        return values[demand, "x"], values[demand, "y"]
-    if demand in ("feet", "foot_offsets"):
-        return FrozenDict(
-            {
-                foot: (values[demand, foot, "x"], values[demand, foot, "y"])
-                for foot in getattr(task, demand)
-            }
-        )
-    if demand == "swing":
-        return FrozenDict({foot: values[demand, foot] for foot in task.swing})
-    return values[demand,]
+def _new(field: Field, foot: str, had: Any, values: Mapping[tuple[str, ...], float]) -> Any:
+    key = (field.name, foot) if foot else (field.name,)
+    return tuple(values[*key, axis] for axis in "xy") if isinstance(had, tuple) else values[key]
 
 
 def differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
@@ -167,7 +160,7 @@ def given_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask
     had = [demand for demand in demands if any(True for _ in numbers_of(robot, task, demand))]
     for demand in had:
         for number in numbers_of(robot, task, demand):
-            least, most = range_of(robot, demand, number)
+            least, most = range_of(robot, number)
             values[number.key] = min(max(number.nominal, least), most)
     return with_numbers(task, values, had)
 
@@ -180,7 +173,7 @@ def further(
     for demand in demands:
         both = numbers_of(robot, task, demand), numbers_of(robot, asked, demand)
         for number, before in zip(*both, strict=True):
-            least, most = range_of(robot, demand, before)
+            least, most = range_of(robot, before)
             more = number.value + share * (number.value - before.value)
             values[number.key] = min(max(more, least), most)
     return with_numbers(task, values, demands)
@@ -225,12 +218,9 @@ def _rounded(number: Number, asked: float, *, back: bool) -> float:
 
 def in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the angles of some demands as they are told in radians."""
-    for demand in demands:
-        if demand in _ANGLES:
-            task = task.filled(**{demand: _short(getattr(task, demand))})
-        elif demand == "ground":
-            task = task.filled(ground=replace(task.ground, slope=_short(task.ground.slope)))
-    return task
+    angles = [one for name in demands for one in _FIELDS[name] if one.kind == "angle"]
+    values = {one.name: _short(value) for one in angles for _, value in _values(task, one)}
+    return task.having(values)
 
 
 def _short(angle: float) -> float:
@@ -240,7 +230,7 @@ def _short(angle: float) -> float:
 
 def is_angle(key: tuple[str, ...]) -> bool:
     """Tells whether a number is in radians; all others are in metres."""
-    return key[0] in _ANGLES
+    return FIELDS[key[0]].kind == "angle"
 
 
 def told_limit(
@@ -256,39 +246,32 @@ def told_limit(
 
 def _told(task: StandTask, demand: str) -> Diagnostic:
     """Tells a demand's value with its unit, in as many digits as it has."""
-    field, value = Term(demand), getattr(task, demand)
-    if demand in _ANGLES:
-        return diagnose(
-            "demanded-angle", field=field, value=Quantity(value, "rad"), cut=_cut(value)
-        )
+    name = Term(demand)
     if demand == "ground":
-        steps = [
-            diagnose("demanded-of-foot", subject=("foot", foot), value=Quantity(height, "m"))
-            for foot, height in value.heights.items()
-        ]
-        slope = Quantity(value.slope, "rad")
-        return diagnose(
-            "demanded-ground", field=field, value=slope, cut=_cut(value.slope), steps=steps
-        )
-    if demand == "swing":
-        feet = [
-            diagnose("demanded-of-foot", subject=("foot", foot), value=Quantity(height, "m"))
-            for foot, height in value.items()
-        ]
-        return diagnose("demanded-of-feet", field=field, feet=feet)
-    if demand in ("offset", "com"):
-        return diagnose("demanded-place", field=field, place=Vector(value, "m"))
-    if demand in ("feet", "foot_offsets"):
-        feet = [
-            diagnose("demanded-place", field=foot, place=Vector(place, "m"))
-            for foot, place in value.items()
-        ]
-        return diagnose("demanded-of-feet", field=field, feet=feet)
-    length = Quantity(value, "m")
-    if demand == "height":
-        return diagnose("demanded-height", field=field, value=length)
-    return diagnose("demanded-length", field=field, value=length)
+        slope = Quantity(task.ground.slope, "rad")
+        steps = list(_of_feet(task, FIELDS["heights"]))
+        return diagnose("demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps)
+    (field,) = _FIELDS[demand]
+    if field.per_foot:
+        return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))
+    value = field.quantity(getattr(task, demand))
+    if isinstance(value, Vector):
+        return diagnose("demanded-place", field=name, place=value)
+    if field.kind == "angle":
+        return diagnose("demanded-angle", field=name, value=value, cut=_cut(value))
+    if field.nominal != "zero":
+        return diagnose("demanded-height", field=name, value=value)
+    return diagnose("demanded-length", field=name, value=value)
 
 
-def _cut(angle: float) -> Quantity:
-    return Quantity(_short(angle), "rad")
+def _of_feet(task: StandTask, field: Field) -> Iterator[Diagnostic]:
+    for foot, value in _values(task, field):
+        told = field.quantity(value)
+        if isinstance(told, Vector):
+            yield diagnose("demanded-place", field=foot, place=told)
+        else:
+            yield diagnose("demanded-of-foot", subject=("foot", foot), value=told)
+
+
+def _cut(angle: Quantity) -> Quantity:
+    return Quantity(_short(angle.value), angle.unit)

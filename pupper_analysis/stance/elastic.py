@@ -98,7 +98,7 @@ class Elastic:
         self._keys = [number.key for _, number in numbers]
         self._asked = np.array([number.value for _, number in numbers])
         self._units = np.array([1.0 if is_angle(key) else self._unit for key in self._keys])
-        ranges = np.array([range_of(robot, *number) for number in numbers]).reshape(-1, 2)
+        ranges = np.array([range_of(robot, number) for _, number in numbers]).reshape(-1, 2)
         least, most = (ranges.T - self._asked) / self._units
         # Where its margin gives, the joints' limits are a constraint like others.
         free = np.full(robot.nu, np.inf)

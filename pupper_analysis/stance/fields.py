@@ -82,12 +82,15 @@ class Field:
         part: Whose attribute it is: the ``"task"``'s, or its ``"ground"``'s.
         per_foot: Whether it is a mapping of feet to such values.
         optional: Whether nothing may be asked, by None; else it is 0.
-        nominal: What the nominal stand has: ``"zero"``, or an attribute of the robot.
+        nominal: What the nominal stand has: ``"zero"``, an attribute of the robot, the ``"centre"``
+            of the feet that carry, ``"foot_places"``, or what is the robot's ``"own"``.
         low: The least that makes sense (SI units).
         high: The greatest.
         open: Whether ``low`` itself makes no sense.
         choices: Words that are values, too.
         constraint: What it sets of the problem that a stand solves.
+        gives: Which way it gives where a stance is out of reach: ``"either"``, ``"less"`` (towards
+            0) or ``"no"``.
         always_said: Whether a task's text has it where it is 0, too.
         option: Of the command line, without its dashes; there is none without ``help``.
         help: What ``--help`` says of it.
@@ -108,6 +111,7 @@ class Field:
     open: bool = False
     choices: tuple[str, ...] = ()
     constraint: str = ""
+    gives: str = "either"
     always_said: bool = False
     option: str = ""
     help: str = ""
@@ -222,6 +226,13 @@ def _field(name: str, facts: dict[str, Any]) -> Field:
 
 FIELDS = read_table("pupper_analysis.stance", "fields.toml")
 """{name: field} of all that can be asked of a stand."""
+
+NO_MARGINS = {
+    name: field.usual
+    for name, field in FIELDS.items()
+    if field.part == "task" and not field.per_foot and field.gives == "less"
+}
+"""{name: value} of a stand that keeps off nothing: neither from limits nor from the ground."""
 
 ROBOT_FIELDS = read_table("pupper_analysis.stance", "robot_fields.toml")
 """{name: field} of what can be asked of the robot that shall stand: its load, its servos."""

@@ -14,6 +14,7 @@ from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.fields import NO_MARGINS
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_for, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -44,10 +45,7 @@ def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
         offset=(x, y),
         com="centre",
         # Margins are demands of the unloaded stance; what a load breaks is judged elsewhere.
-        com_margin=0.0,
-        joint_margin=0.0,
-        ground_clearance=0.0,
-        self_clearance=None,
+        **NO_MARGINS,
         ik_seed=tuple(stand.joint_positions(loaded).tolist()),
     )
     return sunk_stand(loaded, task, explain=False)
