@@ -21,12 +21,13 @@ from rich.table import Table
 from stances import OTHERS, Demand, other_robot, random_task
 
 import pupper_analysis as pa
+from pupper_analysis.stance.demands import numbers_of
 
 NEAR = 5e-3
 """A refused stance whose feet miss by less is within reach's edge (m)."""
 
 BEYOND = 0.02
-"""Of the way from a limit to what was asked."""
+"""How far beyond a limit, towards what was asked, in parts of its distance from the nominal."""
 REACHED = 1e-8
 """A stance to which a search comes as near is in reach (m); it ends at 1e-9 where it can."""
 
@@ -108,12 +109,26 @@ def check_limits(
             except pa.StanceUnreachableError:
                 tally.untrue.append(f"{robot.name}: {error.possible[name]}; {task!r}")
                 break
-        beyond = between(end, task, list(limits), BEYOND)
+        share = share_beyond(robot, end, task, list(limits))
+        if share >= 1.0:  # that is beyond what was asked, which is refused
+            continue
+        beyond = between(end, task, list(limits), share)
         try:
             pa.solve_stand(robot, beyond, explain=False)
         except (pa.StanceUnreachableError, pa.ConfigurationError):
             continue
         tally.beyond.append(f"{robot.name}: {error.possible[name]}; {task!r}")
+
+
+def share_beyond(
+    robot: pa.Robot, end: pa.StandTask, task: pa.StandTask, fields: list[str]
+) -> float:
+    """What share of the way from a limit to what was asked is ``BEYOND`` it."""
+    limits = [number for field in fields for number in numbers_of(robot, end, field)]
+    asked = [number for field in fields for number in numbers_of(robot, task, field)]
+    size = sum(abs(number.value - number.nominal) for number in limits)
+    given = sum(abs(a.value - n.value) for a, n in zip(asked, limits, strict=True))
+    return BEYOND * size / given
 
 
 def as_printed(task: pa.StandTask, text: str, limits: dict[str, object], unit: str) -> pa.StandTask:

@@ -53,16 +53,20 @@ def constraints_of(shapes: Shapes, goal: Goal) -> Iterator[Constraint]:
     yield _footholds(robot, goal)
     if robot.closure is not None:
         yield _loops(robot, robot.closure)
-    if goal.by_base or task.com != "inside":
-        yield Constraint(
-            "base-place" if goal.by_base else "com-place", *_PLACE, equal=True, reads=_WHERE
-        )
-    if not goal.by_base or task.com_margin > 0.0:
-        yield Constraint("support-margin", *_INSIDE, reads=frozenset({*_FEET, "com_margin"}))
+    yield from place_of(goal)
     yield _joint_limits(goal)
     yield _ground_clearance(shapes, goal)
     if task.self_clearance is not None:
         yield _self_clearance(shapes)
+
+
+def place_of(goal: Goal) -> Iterator[Constraint]:
+    """Yields where the com, or the base with an offset, shall be."""
+    if goal.by_base or goal.task.com != "inside":
+        name = "base-place" if goal.by_base else "com-place"
+        yield Constraint(name, *_PLACE, equal=True, reads=_WHERE)
+    if not goal.by_base or goal.task.com_margin > 0.0:
+        yield Constraint("support-margin", *_INSIDE, reads=frozenset({*_FEET, "com_margin"}))
 
 
 _FEET = frozenset({"feet", "foot_offsets", "ground"})

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.constraints import place_of
 from pupper_analysis.stance.judge import Stand, measure
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def nearest(shapes: Shapes, goal: Goal, start: Array) -> Stand:
         jac=True,
         method="SLSQP",
         bounds=programme.bounds,
-        constraints=[programme.com()],
+        constraints=programme.places(),
         options={"ftol": 1e-14, "maxiter": 200},
     )
     return measure(shapes, goal, programme.at(outcome.x).qpos, 0)
@@ -73,26 +73,15 @@ class _Programme:
             gradient += 2 * error @ jacobians[foot][:, self._columns]
         return total, gradient
 
-    def com(self) -> dict[str, object]:
+    def places(self) -> list[dict[str, object]]:
         """Says where the com, or the base, shall be."""
-        goal, at = self._goal, self.at
-        if goal.task.com == "inside":
-            sides, margin = polygon_sides(goal.contacts), goal.task.com_margin
-            return {
-                "type": "ineq",
-                "fun": lambda values: (
-                    sides[:, :2] @ at(values).center_of_mass()[:2] + sides[:, 2] - margin
-                ),
-                "jac": lambda values: sides[:, :2] @ at(values).com_jacobian()[:2, self._columns],
+        return [
+            {
+                "type": "eq" if one.equal else "ineq",
+                "fun": lambda values, one=one: one.residual(self._goal, self.at(values)),
+                "jac": lambda values, one=one: one.rates(self._goal, self.at(values))[
+                    :, self._columns
+                ],
             }
-        if goal.by_base:
-            return {
-                "type": "eq",
-                "fun": lambda values: values[:2] - goal.place,
-                "jac": lambda values: np.eye(2, len(values)),
-            }
-        return {
-            "type": "eq",
-            "fun": lambda values: at(values).center_of_mass()[:2] - goal.place,
-            "jac": lambda values: at(values).com_jacobian()[:2, self._columns],
-        }
+            for one in place_of(self._goal)
+        ]
