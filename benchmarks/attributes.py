@@ -12,6 +12,11 @@ range: the wrong way round), not a number, and a word, in this order; then of ot
 * `d`: a URDF that is taken, and of which `crosscheck` says DISAGREE;
 * `.`: the base stays where it is, or mass matrix and limits are the same within 1e-3;
 * `!`: something is said that is not so; the program then ends with status 1.
+
+Sensors, `visual`, `statistic`, `custom`, cameras, lights, textures, materials and sites cannot move
+a robot: MuJoCo reads them, and no force depends on them. Not swept yet, though they can: defaults
+of geoms, pairs, actuators and tendons, spatial tendons, and motor, velocity, muscle, cylinder, pid
+and dcmotor actuators.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Robots that stand by themselves get one slip each: a sign, a factor of ten, a un
 an attribute of another element ... Bare MuJoCo runs an MJCF as it is, from its own keyframe. None
 that falls is to be said to HOLD, none that no engine takes to be SOUND, and none of whose numbers
 that both formats have one differs is to AGREE; nothing is to end in an exception of no type of
-ours.
+ours. Of a file without ground it is to be said that one was added.
 """
 
 from __future__ import annotations
@@ -108,6 +108,8 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
         lost = by_itself(pair.mjcf)
         if _keyless(pair.mjcf):  # nothing says where it is to stand
             return {**result, "bare": "no keyframe"}
+        if _groundless(pair.mjcf):  # as most are published: a floor is added, and that is said
+            return judge_groundless(pair, {**result, "bare": "no ground"})
     except (ValueError, RuntimeError) as error:
         lost, result["refusal"] = math.nan, str(error).splitlines()[0][:120]
     except (ZeroDivisionError, OverflowError, mujoco.FatalError):
@@ -152,6 +154,22 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
 @quiet()
 def _keyless(path: Path) -> bool:
     return not mujoco.MjModel.from_xml_path(str(path)).nkey
+
+
+@quiet()
+def _groundless(path: Path) -> bool:
+    """Whether the world has nothing that a robot could stand on."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    still = model.body_weldid[model.geom_bodyid] == 0
+    return not (still & ((model.geom_contype != 0) | (model.geom_conaffinity != 0))).any()
+
+
+def judge_groundless(pair: Pair, result: dict[str, Any]) -> dict[str, Any]:
+    """Looks whether it is said that the robot stands on a floor that is not the file's."""
+    loaded = typed(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    if loaded is not None and not any(note.code == "ground-added" for note in loaded.notes):
+        result["bad"].append("no ground, and nothing is said of it")
+    return result
 
 
 @cache
