@@ -51,22 +51,36 @@ def uses(template: str) -> set[str]:
     return {*optional, *holes}
 
 
+def walked() -> tuple[list[tuple[str, ast.Call]], set[str]]:
+    """All calls in the package, each with its module, and all texts: walked through once."""
+    made, texts = [], set()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = str(path.relative_to(PACKAGE))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                made.append((module, node))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                texts.add(node.value)
+    return made, texts
+
+
+MADE, WRITTEN = walked()
+
+
 def calls() -> Iterator[tuple[str, str, set[str] | None]]:
     """(where, code, the names that are given, None if not known) of each call of ``diagnose``.
 
     Codes stand in the call as literals, so that they can be found; a choice of literals will do.
     """
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            name = getattr(getattr(node, "func", None), "id", None)
-            if not isinstance(node, ast.Call) or name != "diagnose":
-                continue
-            named = {word.arg for word in node.keywords if word.arg}
-            if "subject" in named:
-                named.add("name")
-            given = None if any(word.arg is None for word in node.keywords) else named
-            for code in literals(node.args[0], f"{path.relative_to(PACKAGE)}:{node.lineno}"):
-                yield f"{path.relative_to(PACKAGE)}:{node.lineno}", code, given
+    for module, node in MADE:
+        if getattr(node.func, "id", None) != "diagnose":
+            continue
+        named = {word.arg for word in node.keywords if word.arg}
+        if "subject" in named:
+            named.add("name")
+        given = None if any(word.arg is None for word in node.keywords) else named
+        for code in literals(node.args[0], f"{module}:{node.lineno}"):
+            yield f"{module}:{node.lineno}", code, given
 
 
 def literals(node: ast.expr, where: str) -> Iterator[str]:
@@ -150,17 +164,15 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
     """No error of the package's is made of words that stand in the code."""
     made = {name for name, one in vars(errors).items() if name.endswith("Error")}
     found, kinds = set(), set()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            name = getattr(getattr(node, "func", None), "id", None)
-            if not isinstance(node, ast.Call) or name not in made:
-                continue
-            if name == "UnknownNameError":
-                kinds |= {one.value for one in node.args[1:2] if isinstance(one, ast.Constant)}
+    for module, node in MADE:
+        name = getattr(node.func, "id", None)
+        if name == "UnknownNameError":
+            kinds |= {one.value for one in node.args[1:2] if isinstance(one, ast.Constant)}
+        elif name in made:
             words = [one.value for given in node.args for one in ast.walk(given)
                      if isinstance(one, ast.Constant)]  # fmt: skip
-            if name != "UnknownNameError" and any(map(SENTENCE.search, map(str, words))):
-                found.add(str(path.relative_to(PACKAGE)))
+            if any(map(SENTENCE.search, map(str, words))):
+                found.add(module)
     assert found == set()
     assert all(map(is_term, kinds - {None})), kinds
 

@@ -8,6 +8,7 @@ import pkgutil
 import re
 import tomllib
 from dataclasses import fields, is_dataclass
+from functools import cache
 
 import pytest
 from test_diagnostics import CATALOGUE, HAN
@@ -26,6 +27,7 @@ OWN_PAGES = (pa.Analysis, Stance, PushedStance, PathThere, pa.Comparison, pa.Aud
 PUBLIC = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), type)]
 
 
+@cache
 def documented(kind: type) -> dict[str, str]:
     """{field: what the class's own docstring says of it, marks of code left out}."""
     said = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Iterator
 
 import pytest
-from test_diagnostics import CATALOGUE, HAN, PACKAGE, uses
+from test_diagnostics import CATALOGUE, HAN, MADE, WRITTEN, uses
 
 from pupper_analysis.diagnostics import LANGUAGES, phrase
 from pupper_analysis.diagnostics.catalogue import LINED, lines
@@ -26,23 +26,21 @@ SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\
 
 def said() -> Iterator[tuple[str, str, set[str] | None]]:
     """(where, key, values that are given) of each text that is asked for by a literal."""
-    for path in sorted(PACKAGE.rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.Call) or not node.args:
-                continue
-            called = node.func
-            by_attribute = getattr(called, "attr", "") in ("say", "_say")
-            if not by_attribute and getattr(called, "id", "") not in ("text", "say"):
-                continue
-            given = {one.arg for one in node.keywords if one.arg}
-            known = None if any(one.arg is None for one in node.keywords) else given
-            choices = [node.args[0]]
-            while choices:
-                one = choices.pop()
-                if isinstance(one, ast.IfExp):
-                    choices += [one.body, one.orelse]
-                elif isinstance(one, ast.Constant) and isinstance(one.value, str):
-                    yield f"{path.relative_to(PACKAGE)}:{node.lineno}", one.value, known
+    for module, node in MADE:
+        by_attribute = getattr(node.func, "attr", "") in ("say", "_say")
+        if not node.args or (
+            not by_attribute and getattr(node.func, "id", "") not in ("text", "say")
+        ):
+            continue
+        given = {one.arg for one in node.keywords if one.arg}
+        known = None if any(one.arg is None for one in node.keywords) else given
+        choices = [node.args[0]]
+        while choices:
+            one = choices.pop()
+            if isinstance(one, ast.IfExp):
+                choices += [one.body, one.orelse]
+            elif isinstance(one, ast.Constant) and isinstance(one.value, str):
+                yield f"{module}:{node.lineno}", one.value, known
 
 
 def test_files_with_a_line_per_entry_are_what_toml_reads() -> None:
@@ -72,14 +70,8 @@ def test_every_text_that_is_asked_for_is_there_and_gets_its_values() -> None:
 
 
 def test_no_text_is_left_over() -> None:
-    written = {
-        node.value
-        for path in PACKAGE.rglob("*.py")
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(node, ast.Constant) and isinstance(node.value, str)
-    }
     measures = {f"measure-{name.replace('_', '-')}" for name in MEASURES}
-    assert set(TEXTS) - written == measures
+    assert set(TEXTS) - WRITTEN == measures
 
 
 def test_a_text_that_is_not_there_is_refused() -> None:
