@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
+from pupper_analysis.diagnostics.record import record, restored
 from pupper_analysis.stance.demands import (
     DEMANDS,
     differ,
@@ -215,3 +217,15 @@ def test_a_limit_with_the_com_in_a_corner_of_its_margin_is_all_that_there_is() -
         place = {"RL": (share * asked[0], share * asked[1])}
         reached += pa.solve_stand(robot, replace(task, foot_offsets=place), explain=False).solved
     assert reached == 12
+
+
+def test_a_refusal_says_what_was_asked_in_both_languages() -> None:
+    with pytest.raises(pa.StanceUnreachableError) as refused:
+        pa.solve_stand(pa.load_variant("v3"), pa.StandTask(height=0.4, swing={"FL": 0.02}))
+    told = pickle.loads(pickle.dumps(refused.value)).diagnostic
+    assert "height 0.4000 m" in told.text("en")
+    chinese = told.text("zh")
+    assert "高度 0.4000 m" in chinese
+    assert "FL 抬起 20 mm" in chinese
+    assert "height" not in chinese
+    assert restored(record(told)).text("zh") == chinese

@@ -28,7 +28,7 @@ from pupper_analysis.diagnostics.diagnostic import (
     grouped,
 )
 from pupper_analysis.diagnostics.templates import fill
-from pupper_analysis.diagnostics.values import UNLIMITED, bound
+from pupper_analysis.diagnostics.values import UNLIMITED, Phrase, bound
 
 __all__ = [
     "LANGUAGES",
@@ -36,6 +36,7 @@ __all__ = [
     "Diagnostic",
     "Entry",
     "Group",
+    "Phrase",
     "Quantity",
     "Severity",
     "Source",

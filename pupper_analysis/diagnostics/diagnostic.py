@@ -10,12 +10,13 @@ from typing import Any, TypeAlias
 
 from pupper_analysis.diagnostics.catalogue import entry
 from pupper_analysis.diagnostics.templates import fill
-from pupper_analysis.diagnostics.values import Quantity, Term, Vector, readable
+from pupper_analysis.diagnostics.values import Phrase, Quantity, Term, Vector, readable
 from pupper_analysis.frozen import FrozenDict
 
 __all__ = [
     "Diagnostic",
     "Group",
+    "Phrase",
     "Quantity",
     "Severity",
     "Source",
@@ -160,7 +161,17 @@ class Diagnostic:
 
 
 Value: TypeAlias = (
-    str | int | float | bool | Quantity | Vector | Term | Diagnostic | tuple["Value", ...] | None
+    str
+    | int
+    | float
+    | bool
+    | Quantity
+    | Vector
+    | Term
+    | Phrase
+    | Diagnostic
+    | tuple["Value", ...]
+    | None
 )
 """What a diagnostic may carry: lists are tuples."""
 
@@ -221,7 +232,9 @@ def _named(value: Value, change: Callable[[str], str]) -> Value:
         return tuple(_named(one, change) for one in value)
     if isinstance(value, Diagnostic):
         return value.with_names(change)
-    return change(value) if isinstance(value, str) and not isinstance(value, Term) else value
+    if isinstance(value, Term | Phrase) or not isinstance(value, str):
+        return value
+    return change(value)
 
 
 def _plain(value: Any) -> Any:
@@ -229,7 +242,7 @@ def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # numpy's float64 is a float, too
         value = value.tolist()
     if value is None or isinstance(
-        value, bool | int | float | Quantity | Vector | Diagnostic | Term
+        value, bool | int | float | Quantity | Vector | Diagnostic | Term | Phrase
     ):
         return value
     if isinstance(value, str | PathLike):

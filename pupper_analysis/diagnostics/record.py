@@ -7,6 +7,7 @@ from typing import Any
 from pupper_analysis.diagnostics.catalogue import entry
 from pupper_analysis.diagnostics.diagnostic import (
     Diagnostic,
+    Phrase,
     Quantity,
     Severity,
     Source,
@@ -56,6 +57,8 @@ def _recorded(value: Value) -> Any:
         return {"quantity": [value.value, value.unit]}
     if isinstance(value, Vector):
         return {"vector": [list(value.values), value.unit]}
+    if isinstance(value, Phrase):
+        return {"phrase": [str(value), value.chinese]}
     return {"term": str(value)} if isinstance(value, Term) else value
 
 
@@ -69,4 +72,6 @@ def _restored(kept: Any) -> Value:
         return restored(value)
     if kind == "quantity":
         return Quantity(*value)
+    if kind == "phrase":
+        return Phrase(*value)
     return Vector(tuple(value[0]), value[1]) if kind == "vector" else Term(value)

@@ -83,7 +83,7 @@ class _Filler(Formatter):
             return self._listed(value, format_spec)
         if isinstance(value, Term):
             return term(str(value), self.language)
-        if hasattr(value, "text"):  # another diagnostic
+        if hasattr(value, "text"):  # another diagnostic, or a phrase
             return str(value.text(self.language))
         if hasattr(value, "kind"):  # a subject
             return f"{term(value.kind, self.language)} {value.name}"

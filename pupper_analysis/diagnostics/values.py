@@ -106,6 +106,31 @@ class Term(str):
     __slots__ = ()
 
 
+class Phrase(str):
+    """Words that are made elsewhere, as a stand's task says what it asks for: in both languages.
+
+    It is its English; ``chinese`` is the same in Simplified Chinese.
+    """
+
+    __slots__ = ("chinese",)
+
+    chinese: str
+
+    def __new__(cls, english: str, chinese: str) -> Phrase:
+        """Returns the phrase."""
+        phrase = super().__new__(cls, english)
+        phrase.chinese = chinese
+        return phrase
+
+    def __getnewargs__(self) -> tuple[str, str]:
+        """Returns what it is made of, when it is copied or unpickled."""
+        return str(self), self.chinese
+
+    def text(self, language: str = "en") -> str:
+        """Returns its words in ``"en"`` or ``"zh"``."""
+        return self.chinese if language == "zh" else str(self)
+
+
 UNLIMITED = Term("unlimited")
 
 

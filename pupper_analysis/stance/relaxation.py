@@ -88,7 +88,7 @@ def unreachable(
     named = {" and ".join(way.demands): way for way in ways}
     least = min(ways, key=lambda way: way.slack, default=None)
     return StanceUnreachableError(
-        str(goal.task),
+        goal.task.phrase(),
         missed,
         at_limit,
         {

@@ -13,7 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type, finite
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics import Phrase, diagnose
 from pupper_analysis.diagnostics.templates import fill
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
@@ -160,6 +160,10 @@ class StandTask:
     def __str__(self) -> str:
         """Names the values, with units."""
         return self.said("en")
+
+    def phrase(self) -> Phrase:
+        """Returns the values with units, in both languages."""
+        return Phrase(self.said("en"), self.said("zh"))
 
     def said(self, language: str) -> str:
         """Returns the values with units, in ``"en"`` or ``"zh"``."""
