@@ -122,9 +122,9 @@ class Phrase(str):
         phrase.chinese = chinese
         return phrase
 
-    def __getnewargs__(self) -> tuple[str, str]:
-        """Returns what it is made of, when it is copied or unpickled."""
-        return str(self), self.chinese
+    def __reduce__(self) -> tuple[type[Phrase], tuple[str, str]]:
+        """Tells what it is made of, when it is copied or pickled."""
+        return Phrase, (str(self), self.chinese)
 
     def text(self, language: str = "en") -> str:
         """Returns its words in ``"en"`` or ``"zh"``."""
