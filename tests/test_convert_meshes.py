@@ -136,7 +136,7 @@ def test_what_takes_minutes_to_compile_is_left(
 def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
     """An STL that claims more triangles than it has was left out, and the conversion agreed."""
     whole = BOX.export(file_type="stl")
-    for claimed, passes in ((len(BOX.faces), True), (len(BOX.faces) + 5, False), (10**9, False)):
+    for claimed, passes in ((len(BOX.faces), True), (len(BOX.faces) + 5, False)):
         content = whole[:80] + struct.pack("<I", claimed) + whole[84:]
         file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
         (tmp_path / file).write_bytes(content)

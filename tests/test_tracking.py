@@ -88,6 +88,7 @@ def test_an_integrators_own_error_is_kept_small() -> None:
     assert explicit.torque_error == pytest.approx(fine.torque_error, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_time_step_suits_the_servos_damping() -> None:
     """13 N m s/rad made half of the inertia of A1's knees: its fastest squat lost the ground."""
     robot, share = load("original"), []
@@ -103,6 +104,7 @@ def test_a_time_step_suits_the_servos_damping() -> None:
     assert 0.9 * share[0] < share[1] < 0.1
 
 
+@pytest.mark.slow
 def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
     """v3's feet are 4 mm in the ground: on its first command it stays, with 3 % less in knees."""
     robot = benchmark("sag").changed(load("v3"), benchmark("sag").without_dry_friction)
