@@ -82,7 +82,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
         StanceUnreachableError: If the task itself is out of reach.
         ConfigurationError: If the robot cannot stand.
     """
-    return _interval(robot, solve_stand(robot, task), "height")
+    return interval(robot, solve_stand(robot, task), "height")
 
 
 @checked
@@ -104,18 +104,24 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         ConfigurationError: If the robot cannot stand.
     """
     start = solve_stand(robot, task)
-    return BaseWorkspace(
-        start=start,
-        intervals={direction: _interval(robot, start, direction) for direction in DIRECTIONS},
-    )
+    intervals = {direction: interval(robot, start, direction) for direction in DIRECTIONS}
+    return BaseWorkspace(start=start, intervals=intervals)
 
 
-def _interval(robot: Robot, start: Stand, direction: str) -> Interval:
-    low, high = (_limit(robot, start, direction, sign) for sign in (-1.0, 1.0))
+def interval(robot: Robot, start: Stand, direction: str, enough: float = math.inf) -> Interval:
+    """Finds how far the base can go in one direction, both ways; see ``base_workspace``.
+
+    Args:
+        robot: The robot.
+        start: Where the search begins.
+        direction: One of ``DIRECTIONS``.
+        enough: How far (m, or rad) is not asked beyond: an end that is further may be any.
+    """
+    low, high = (_limit(robot, start, direction, sign, enough) for sign in (-1.0, 1.0))
     return Interval(low, high)
 
 
-def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
+def _limit(robot: Robot, start: Stand, direction: str, sign: float, enough: float) -> float:
     """Steps outwards until a stand is out of reach, then halves the step.
 
     Short steps are tried from the last stand alone, which is quick; where that ends, the search
@@ -133,7 +139,7 @@ def _limit(robot: Robot, start: Stand, direction: str, sign: float) -> float:
             value, last = further, found
         return found is not None
 
-    while step > least:
+    while step > least and abs(value - begin) < enough:
         further, gap = value + sign * step, value + sign * _GAP * first
         if goes(further, last) or (step > shortest and goes(further)):
             continue

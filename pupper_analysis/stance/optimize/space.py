@@ -19,12 +19,14 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
-from pupper_analysis.stance.workspace import base_workspace
+from pupper_analysis.stance.workspace import interval
 from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
 
 BASE = ("height", "x", "y", "roll", "pitch", "yaw")
+
+_TURNS = ("roll", "pitch", "yaw")
 """The base's coordinates: see ``BestStance.coordinates``."""
 
 HEIGHT_RESERVE = 0.05
@@ -108,14 +110,16 @@ class StanceSpace:
 
     def _bounds(self) -> tuple[Array, Array]:
         """Returns the coordinates' least and greatest values; the task's are between."""
-        within = base_workspace(self.robot, self.nominal.task).intervals
+        start = solve_stand(self.robot, self.nominal.task)
+        # Turns go no further than that, so that their ends need not be found.
+        most = dict.fromkeys(BASE, math.inf) | dict.fromkeys(_TURNS, MOST_TURN)
+        within = {name: interval(self.robot, start, name, most[name]) for name in BASE}
         height = within["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
         low, high = [height.low + reserve], [height.high - reserve]
         for name, value in zip(BASE[1:], self.start[1:], strict=False):
-            most = math.inf if name in "xy" else MOST_TURN
-            low.append(max(within[name].low, value - most))
-            high.append(min(within[name].high, value + most))
+            low.append(max(within[name].low, value - most[name]))
+            high.append(min(within[name].high, value + most[name]))
         outwards = self.outwards()
         apart = [abs(self._from_centre(foot)) for foot in self.free]
         inwards = np.minimum(SPREAD * height.high, CLOSING * np.min(apart, axis=0)) if apart else 0
