@@ -53,8 +53,8 @@ _NO_LIMIT = {"effort": "0", "velocity": "0"}
 
 
 @dataclass(frozen=True, eq=False)
-class UrdfLink:
-    """A link.
+class UrdfElement:
+    """A link or a joint.
 
     Attributes:
         element: Its XML.
@@ -66,6 +66,16 @@ class UrdfLink:
     def name(self) -> str:
         """Its name."""
         return str(self.element.get("name"))
+
+    def remove(self, *tags: str) -> None:
+        """Takes its children of some tags out of it."""
+        for tag in tags:
+            for child in self.element.findall(tag):
+                self.element.remove(child)
+
+
+class UrdfLink(UrdfElement):
+    """A link."""
 
     @property
     def inertial(self) -> etree._Element | None:
@@ -87,25 +97,9 @@ class UrdfLink:
         element = self.element.find("inertial/mass")
         return None if element is None else float(element.get("value"))
 
-    def remove(self, *tags: str) -> None:
-        """Takes its children of some tags out of it."""
-        _remove(self.element, tags)
 
-
-@dataclass(frozen=True, eq=False)
-class UrdfJoint:
-    """A joint.
-
-    Attributes:
-        element: Its XML.
-    """
-
-    element: etree._Element
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return str(self.element.get("name"))
+class UrdfJoint(UrdfElement):
+    """A joint."""
 
     @property
     def kind(self) -> str:
@@ -146,10 +140,6 @@ class UrdfJoint:
         """Where its frame is in the parent's."""
         return origin_of(self.element)
 
-    def remove(self, *tags: str) -> None:
-        """Takes its children of some tags out of it."""
-        _remove(self.element, tags)
-
     def fix(self) -> None:
         """Makes it a fixed joint."""
         self.element.set("type", "fixed")
@@ -167,12 +157,6 @@ class UrdfJoint:
 
 def _words(values: Array) -> str:
     return " ".join(repr(float(value)) for value in values)
-
-
-def _remove(element: etree._Element, tags: Collection[str]) -> None:
-    for tag in tags:
-        for child in element.findall(tag):
-            element.remove(child)
 
 
 @dataclass(frozen=True, eq=False)
