@@ -171,7 +171,7 @@ BAD = {
     "too near": (["v3", "--self-clearance", "0.05"], "Possible with all else as asked: self_"),
     "no such robot": (["spot"], "'spot'"),
     "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
-    "too steep": (["v3", "--slope", "0.9"], "ground slope 34.7 deg"),
+    "too steep": (["v3", "--slope", "0.9"], "ground slope 34.8 deg"),
     "below the ground": (["v3", "--height", "-0.1"], "not above the ground"),
     "not finite": (["v3", "--roll", "nan"], "roll"),
     "no such foot": (["v3", "--swing", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),

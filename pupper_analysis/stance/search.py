@@ -65,7 +65,12 @@ _SLACK = 1.5
 
 
 def search(
-    shapes: Shapes, goal: Goal, hints: Sequence[Array] = (), *, plainly: bool = False
+    shapes: Shapes,
+    goal: Goal,
+    hints: Sequence[Array] = (),
+    *,
+    plainly: bool = False,
+    centred: bool = False,
 ) -> Stand:
     """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
 
@@ -74,6 +79,7 @@ def search(
         goal: The goal.
         hints: Joint positions (nu,) from which to start first.
         plainly: From the usual starts alone.
+        centred: With a com that may be anywhere inside over the centre alone, which is quick.
 
     Returns:
         A stand that is solved, or else the best failure: with the feet as near as they came, or
@@ -83,7 +89,7 @@ def search(
     if found := there.search(hints, plainly=plainly):
         return found
     best = there.result()
-    if best.solved or plainly or goal.task.com != "inside" or goal.by_base:
+    if best.solved or plainly or centred or goal.task.com != "inside" or goal.by_base:
         return best
     return _search_inside(shapes, goal, best, there.found, hints)
 
