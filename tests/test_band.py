@@ -76,7 +76,7 @@ def test_robots_on_gripping_ground_end_inside_and_near_the_ends(name: str) -> No
         assert stays == pytest.approx(pose.base_height, abs=0.06 * (high - low))
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("change", [without_rolling, without_joints])
 def test_each_kind_of_friction_alone(change: object) -> None:
     robot, stand = sag.changed(load("v3"), change), stand_of("v3")

@@ -220,7 +220,7 @@ def test_the_rest_of_the_task_stays() -> None:
     assert com_margin(robot, found.stand) >= 0.04
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_least_torque() -> None:
     robot, distribution = load("v3"), pa.ForceDistribution.MIN_TORQUE
     found = best_stance(robot, distribution=distribution)

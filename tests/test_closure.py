@@ -108,7 +108,7 @@ def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
     assert rigid.failures[-1].code == "loops-are-soft"
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("pair", [belts, four_bars])
 def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
     """Where they are closed they are 30 times as soft as where they are open."""
@@ -251,7 +251,7 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     assert pa.minimum_stiffness(robot, stand, feet="sliding") > 1
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> None:
     """Right knees follow left ones: as those give way, feet on two sides are not on one level."""
     pair = quadruped(tmp_path)
@@ -441,7 +441,7 @@ def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> N
     assert any("were opened: connect #0, connect #1" in str(note) for note in load(pair).notes)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> None:
     """A weld ties three ways in the plane: with another hinge at the rod's end it is a connect."""
     folders = [tmp_path / name for name in ("one", "two")]
@@ -472,7 +472,7 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
             )
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) -> None:
     pair = four_bars(tmp_path)
     limited = pair.mjcf.read_text()
@@ -517,7 +517,7 @@ def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> N
     assert load(pair).closure is None
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'

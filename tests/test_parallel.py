@@ -229,7 +229,7 @@ def test_meshes_come_along(tmp_path: Path) -> None:
 # -------------------------------------------------------------------------------------- results
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @COPIES
 def test_results_come_back_the_same(copied: Callable[[Any], Any]) -> None:
     robot, stand = load("v3"), stand_of("v3")

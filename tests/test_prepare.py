@@ -346,7 +346,7 @@ def test_preparing_changes_no_file(tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stances = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
@@ -384,7 +384,7 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     stands(robot)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_servos_with_which_it_comes_to_rest_otherwise_are_the_last_resort(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -162,7 +162,7 @@ def test_closed_standard_output_is_no_error(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- signals
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize(
     ("number", "status", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],

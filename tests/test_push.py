@@ -65,7 +65,7 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
 # ------------------------------------------------------------------------------------- limits
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_every_variant_has_limits_in_every_direction(variant: str) -> None:
     robot, result = load(variant), pushed(variant)
     np.testing.assert_allclose(result.directions, np.radians([0, 90, 180, 270]))
@@ -101,7 +101,7 @@ def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     assert not plain_push(name, angle, impulse + 1.02 * result.resolution, 3.0)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_deterministic() -> None:
     arguments: dict[str, Any] = {**COARSE, "directions": 3, "resolution": 0.2}
     one, two = (push_recovery(load("v3"), stand_of("v3"), **arguments) for _ in range(2))

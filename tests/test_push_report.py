@@ -16,7 +16,7 @@ from pupper_analysis.report.figures.push import push_figure
 COARSE = ("--directions", "4", "--resolution", "0.3")
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "push.png"
     output = ("--figure", str(figure), "--json", str(path))
