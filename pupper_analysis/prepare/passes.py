@@ -149,13 +149,10 @@ def _build_held(draft: Draft) -> Made:
     return replace(draft, built=robot), ()
 
 
-def _own_spec(draft: Draft) -> Made:
-    description = replace(draft.described, mjcf=draft.described.mjcf.copy())
-    return replace(draft, description=description), ()
-
-
 def _level_ground(draft: Draft) -> Made:
-    return draft, level_ground(draft.described.mjcf)
+    ready = draft.described.mjcf.copy()  # which the passes up to the building change in place
+    told = level_ground(ready)
+    return replace(draft, description=replace(draft.described, mjcf=ready)), told
 
 
 def _free_of_friction(draft: Draft) -> Made:
@@ -295,7 +292,6 @@ PASSES = (
     Pass("weigh-parts", Term("adds parts that only the MJCF has"), _weigh_parts, _any),
     Pass("couple-mimics", Term("couples joints that follow others"), _couple_mimics, _any),
     Pass("build-held", Term("builds the robot on its fixed base"), _build_held, _held),
-    Pass("own-copy", Term("takes a copy of the MJCF"), _own_spec, _stands),
     Pass("level-ground", Term("adds a level ground, or makes it level"), _level_ground, _stands),
     Pass(
         "free-of-friction",
