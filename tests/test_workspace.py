@@ -9,7 +9,7 @@ import pytest
 from conftest import load
 
 import pupper_analysis as pa
-from pupper_analysis.stance.workspace import base_workspace, reachable_heights, stand_at
+from pupper_analysis.stance.workspace import base_workspace, interval, reachable_heights, stand_at
 from pupper_analysis.statics.support_polygon import com_margin
 
 
@@ -101,3 +101,21 @@ def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
     interval = base_workspace(robot, task).intervals["pitch"]
     assert interval.low < -0.2
     assert interval.high > 0.2
+
+
+@pytest.mark.slow
+def test_an_end_that_is_far_enough_need_not_be_found() -> None:
+    robot = pa.load_variant("original")
+    start = pa.solve_stand(robot)
+    whole = pa.base_workspace(robot).intervals
+    for direction, enough in (("pitch", 0.3), ("roll", 0.45), ("height", 0.02)):
+        begin = float(getattr(start.task, direction))
+        some = interval(robot, start, direction, enough)
+        for found, end, side in (
+            (some.low, whole[direction].low, -1.0),
+            (some.high, whole[direction].high, 1.0),
+        ):
+            if side * (end - begin) < enough:
+                assert found == pytest.approx(end, abs=1e-9)
+            else:
+                assert side * (found - begin) >= enough
