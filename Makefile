@@ -6,8 +6,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 # Quick ones, which between them use every package that is required.
-LOWEST_TESTS := $(addprefix tests/test_,$(addsuffix .py,audit_report cli_quantities crosscheck \
-  figures loading printed results robot simulation statics study study_report study_results study_run))
+LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,test_results checks/test_engines cli/test_shared \
+  models/test_loading report/test_audit report/test_figures report/test_printed report/test_study \
+  robot/test_robot simulation/test_verify statics/test_equilibrium study/test_outcome study/test_running \
+  study/test_study))
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=

@@ -37,10 +37,11 @@ from lxml import etree
 
 from pupper_analysis.models.mjcf import quiet
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
-from legged import Pair
 from one_slip import audited, base, judge_mjcf, judge_urdf, wrong
+
+from tests.support.legged import Pair
 
 CLASSES = ("zero", "least", "greatest", "sign", "nan", "word")
 

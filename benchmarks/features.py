@@ -26,8 +26,8 @@ from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.report.verdict import in_words
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-import legged  # the tests' hand-made robots
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.support import legged  # the tests' hand-made robots
 
 LEGS = ("FL", "FR", "RL", "RR")
 SECONDS = 6.0

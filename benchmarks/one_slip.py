@@ -30,11 +30,12 @@ import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.mjcf import quiet
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
-from bases import BASES, FALLS, by_itself, standing
-from legged import Pair
-from slip_generator import draw_slip
+
+from tests.support.bases import BASES, FALLS, by_itself, standing
+from tests.support.legged import Pair
+from tests.support.slip_generator import draw_slip
 
 WHOLE = 60
 """Of so many that stand, one goes through the whole chain, for exceptions."""

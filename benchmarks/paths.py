@@ -2,8 +2,8 @@
 
 For each variant and demo the least time (`fastest_path`), its lower bound, what binds, and what
 MuJoCo makes of the path; of robots of others (a1, go1, anymal, hyq, laikago: URDFs of
-example-robot-data, converted) squat and sway. Nothing here is asserted; `tests/test_fastest.py`
-does so.
+example-robot-data, converted) squat and sway. Nothing here is asserted;
+`tests/stance/path/test_fastest.py` does so.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import pupper_analysis as pa
 from pupper_analysis.pupper.demo import DEMOS, demo_stances
 from pupper_analysis.stance.path.fastest import RESERVE
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from bases import published
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.support.bases import published
 
 OTHERS = {
     "a1": "a1_description/urdf/a1.urdf",

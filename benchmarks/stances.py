@@ -2,7 +2,7 @@
 
 The checks share no code with the package's solvers: MuJoCo's kinematics of the MJCF, bounded least
 squares from random starts, and linear programmes on MuJoCo's com and weight.
-`tests/test_random_stands.py` runs the same with fewer tasks.
+`tests/physics/test_random_stands.py` runs the same with fewer tasks.
 """
 
 from __future__ import annotations

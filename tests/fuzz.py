@@ -439,7 +439,7 @@ SPOIL: tuple[Callable[[st.DrawFn, bytes], bytes], ...] = (
 
 @functools.cache
 def _base_files() -> list[tuple[bytes, bytes]]:
-    from robots import arm, mjcf_text, quadruped, urdf_text
+    from tests.support.robots import arm, mjcf_text, quadruped, urdf_text
 
     pairs = []
     for parts in (quadruped(), arm()):

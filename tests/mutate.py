@@ -40,7 +40,7 @@ SECONDS = 180
 WAITING = 20 * SECONDS
 """Of waiting: others compute, too."""
 
-ABOUT_THE_TEXT = {"test_architecture", "test_docs", "test_house", "test_layers", "test_structure"}
+ABOUT_THE_TEXT = {"test_architecture", "test_docs", "test_house", "test_layers"}
 """Tests that read the code, and do not run it."""
 
 
@@ -122,7 +122,7 @@ def nearest(module: str, most: int) -> list[Path]:
             away[user] = away[name] + 1
             waiting.append(user)
     words, stem, ranked = words_of(module), words_of(module.rpartition(".")[2]), []
-    for file in sorted((ROOT / "tests").glob("test_*.py")):
+    for file in sorted((ROOT / "tests").rglob("test_*.py")):
         path = file.relative_to(ROOT)
         steps = [away[name] for name in used(path) if name in away]
         if steps and path.stem not in ABOUT_THE_TEXT:

@@ -1,6 +1,6 @@
 """What the package computed of its variants when `tests/data/recorded.json` was written.
 
-`python tests/recorded.py` writes the file anew: after a change that is meant to change numbers, and
+`python -m tests.recorded` writes the file anew: after a change that is meant to change numbers, and
 which says so in the changelog. Of each result every number is taken, whatever its fields are
 called; of a long array its products with three fixed vectors, which any of its elements changes.
 """
@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 import orjson
-from conftest import NAMES, load, random_state, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.results import to_json
+from tests.support.states import random_state
+from tests.support.variants import NAMES, load, stand_of
 
 FILE = Path(__file__).parent / "data" / "recorded.json"
 

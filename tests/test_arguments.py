@@ -12,10 +12,11 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import Files, load, stand_of
 
 import pupper_analysis as pa
 from pupper_analysis.arguments import check_type, checked, finite, length
+from tests.support.tiny import Files
+from tests.support.variants import load, stand_of
 
 APART = {  # below, each with an argument that is wrong
     "to_json",

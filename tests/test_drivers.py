@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
+
+from tests.support.repository import ROOT
 
 
 def run(*arguments: str, folder: Path, gl: str) -> subprocess.CompletedProcess[str]:

@@ -15,12 +15,13 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from conftest import ROOT, answer, run_command
 
 import pupper_analysis as pa
 from pupper_analysis import files
 from pupper_analysis.errors import OutputError, VariantError
 from pupper_analysis.files import whole_file
+from tests.support.commands import answer, run_command
+from tests.support.repository import ROOT
 
 
 def write(path: Path, text: str = "all of it") -> None:

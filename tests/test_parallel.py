@@ -17,7 +17,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from conftest import Files, load, stand_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,6 +24,8 @@ import pupper_analysis as pa
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.stance.clearance import Shapes
+from tests.support.tiny import Files
+from tests.support.variants import load, stand_of
 
 METHODS = multiprocessing.get_all_start_methods()
 REBUILT = 1e-14  # of the largest number of its kind

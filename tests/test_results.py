@@ -11,12 +11,13 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from conftest import ROOT, load, stand_of
 from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.results import Result
+from tests.support.repository import ROOT
+from tests.support.variants import load, stand_of
 
 strict = {"parse_constant": lambda word: pytest.fail(f"{word} is not JSON")}
 

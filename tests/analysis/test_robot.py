@@ -1,0 +1,171 @@
+"""An analysis gathers what the modules find; here, what it adds of its own."""
+
+from __future__ import annotations
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.robot import (
+    joint_summaries,
+    leg_jacobians,
+    leg_joints,
+    leg_lengths,
+    thigh_shape_length,
+)
+from tests.support.tiny import TINY_MJCF, TINY_URDF
+
+
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_every_variant_verifies(name: str) -> None:
+    analysis = pa.analyze_variant(pa.load_variant(name))
+    assert analysis.verified, analysis.failures
+    assert analysis.stand.foot_error < 1e-9
+    assert analysis.verification.mujoco_foot_error < 1e-9
+    assert analysis.verification.joint_error < 1e-3
+    assert analysis.verification.torque_error < 0.01
+    assert analysis.verification.force_error < 0.01
+    assert analysis.verification.height_deviation < 5e-5
+    assert analysis.check.passed
+    json.loads(analysis.to_json())
+
+
+def test_motions_are_what_the_axes_do() -> None:
+    """The tutorial's names say roll, pitch, pitch; v3's axes say pitch, roll, pitch."""
+    v3 = joint_summaries(pa.load_variant("v3"))
+    assert [joint.motion for joint in v3] == ["pitch", "roll", "pitch"] * 4
+    skeleton = joint_summaries(pa.load_variant("original"))
+    assert [joint.motion for joint in skeleton] == ["roll", "pitch", "pitch"] * 4
+
+
+def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
+    found = {joint.name: joint.motion for joint in joint_summaries(tiny)}
+    assert found["push"] == "along z"
+    assert found["turn"] == found["bend"] == "oblique"  # the arm is tilted by 0.3 rad
+    slide = '<origin xyz="-0.1 0 0"/><axis xyz="0 0 1"/>'
+    assert slide in TINY_URDF
+    (tmp_path / "tiny.urdf").write_text(TINY_URDF.replace(slide, slide.replace("0 0 1", "0 1 1")))
+    (tmp_path / "tiny.xml").write_text(
+        TINY_MJCF.replace('type="slide" axis="0 0 1"', 'type="slide" axis="0 1 1"')
+    )
+    oblique = pa.load_robot(urdf=tmp_path / "tiny.urdf", mjcf=tmp_path / "tiny.xml", feet=["foot"])
+    found = {joint.name: joint.motion for joint in joint_summaries(oblique)}
+    assert found["push"] == "oblique slide"
+
+
+def test_leg_joints() -> None:
+    robot = pa.load_variant("v3")
+    assert leg_joints(robot, "RL") == ("leg_back_l_1", "leg_back_l_2", "leg_back_l_3")
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+        leg_joints(robot, "XX")
+
+
+@pytest.mark.parametrize(
+    ("name", "thigh", "calf"),
+    [
+        ("original", 0.08, 0.11),
+        ("long-leg", 0.12, 0.165),
+        ("v3", np.hypot(0.0494, 0.0685), np.hypot(0.06231, 0.06216)),
+        ("v3-long-leg", 1.5 * np.hypot(0.0494, 0.0685), 1.5 * np.hypot(0.06231, 0.06216)),
+    ],
+)
+def test_leg_lengths(name: str, thigh: float, calf: float) -> None:
+    assert leg_lengths(pa.load_variant(name)) == pytest.approx((thigh, calf), rel=1e-12)
+
+
+@pytest.mark.parametrize(("base", "long"), [("original", "long-leg"), ("v3", "v3-long-leg")])
+def test_thigh_ratio_by_distance_and_by_shape(base: str, long: str) -> None:
+    one, two = pa.load_variant(base), pa.load_variant(long)
+    assert leg_lengths(two)[0] / leg_lengths(one)[0] == pytest.approx(1.5, rel=1e-12)
+    shapes = thigh_shape_length(two), thigh_shape_length(one)
+    assert shapes[0] is not None
+    assert shapes[1] is not None
+    # Mesh vertices are kept in single precision.
+    assert shapes[0] / shapes[1] == pytest.approx(1.5, rel=1e-6)
+
+
+def test_leg_jacobian_of_a_planar_leg() -> None:
+    """Straight down, a leg of length l moves its foot by l in x per pitch: and not along itself."""
+    robot = pa.load_variant("original")
+    jacobians = leg_jacobians(pa.Configuration(robot, robot.neutral()))
+    expected = np.array([[0, -0.19, -0.11], [0.19, 0, 0], [0, 0, 0]])
+    np.testing.assert_allclose(jacobians["FL"].matrix, expected, atol=1e-15)
+    assert jacobians["FL"].condition > 1e12
+    bent = pa.Configuration(robot, np.concatenate([robot.neutral()[:7], [0, 0.9, -1.5] * 4]))
+    for jacobian in leg_jacobians(bent).values():
+        assert jacobian.condition == pytest.approx(np.linalg.cond(jacobian.matrix))
+
+
+@pytest.mark.slow
+def test_a_failed_verification_and_a_failed_check_are_told() -> None:
+    robot = pa.load_variant("original")
+    weak = copy.copy(robot.mj_model)
+    weak.actuator_forcerange[:] = (-0.2, 0.2)  # the knees hold 0.36 N m
+    analysis = pa.analyze_variant(replace(robot, mj_model=weak))
+    assert not analysis.verified
+    assert not analysis.verification.passed
+    assert any("fell over" in str(failure) for failure in analysis.failures)
+    assert any("effort limits" in str(failure) for failure in analysis.failures)
+
+    heavy = copy.copy(robot.mj_model)
+    heavy.body_mass[1] += 0.01
+    analysis = pa.analyze_variant(replace(robot, mj_model=heavy))
+    assert not analysis.verified
+    assert any("body masses" in str(failure) for failure in analysis.failures)
+
+
+def test_a_stance_out_of_reach_is_no_analysis() -> None:
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.analyze_variant(pa.load_variant("v3"), pa.StandTask(height=0.4))
+
+
+LEGS = {"FR": (0.1, -0.08), "FL": (0.1, 0.08), "RR": (-0.1, -0.08), "RL": (-0.1, 0.08)}
+
+
+def telescope(folder: Path) -> pa.Robot:
+    """A box on four legs of one joint each, which slides."""
+    inertia = '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>'
+    links = [f'<link name="base"><inertial><mass value="2"/>{inertia}</inertial></link>']
+    bodies, motors = [], []
+    for leg, (x, y) in LEGS.items():
+        links.append(
+            f'<joint name="{leg}_slide" type="prismatic"><origin xyz="{x} {y} 0"/>'
+            f'<axis xyz="0 0 1"/><parent link="base"/><child link="{leg}_leg"/>'
+            '<limit lower="-0.05" upper="0.05" effort="40" velocity="2"/>'
+            '<dynamics damping="0" friction="0"/></joint>'
+            f'<link name="{leg}_leg"><inertial><mass value="0.1"/>{inertia}</inertial></link>'
+            f'<joint name="{leg}_toe" type="fixed"><origin xyz="0 0 -0.15"/>'
+            f'<parent link="{leg}_leg"/><child link="{leg}_foot"/></joint><link name="{leg}_foot"/>'
+        )
+        bodies.append(
+            f'<body pos="{x} {y} 0"><joint name="{leg}_slide" type="slide" axis="0 0 1" '
+            'range="-0.05 0.05"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-3 1e-3 1e-3"/>'
+            f'<geom type="sphere" size="0.02" pos="0 0 -0.15"/>'
+            f'<site name="{leg}_foot" pos="0 0 -0.15"/></body>'
+        )
+        motors.append(f'<position joint="{leg}_slide" kp="2000" kv="40" forcerange="-40 40"/>')
+    urdf, mjcf = folder / "telescope.urdf", folder / "telescope.xml"
+    urdf.write_text(f'<robot name="telescope">{"".join(links)}</robot>')
+    mjcf.write_text(
+        '<mujoco model="telescope"><worldbody><geom type="plane" size="1 1 1"/>'
+        '<body name="base" pos="0 0 0.17"><freejoint/>'
+        '<inertial pos="0 0 0" mass="2" diaginertia="1e-3 1e-3 1e-3"/>'
+        f"{''.join(bodies)}</body></worldbody><actuator>{''.join(motors)}</actuator></mujoco>"
+    )
+    return pa.load_robot(urdf=urdf, mjcf=mjcf, feet={leg: f"{leg}_foot" for leg in LEGS})
+
+
+def test_legs_of_one_joint_have_no_thigh(tmp_path: Path) -> None:
+    robot = telescope(tmp_path)
+    assert leg_lengths(robot) == (None, pytest.approx(0.0))  # along the slide
+    assert thigh_shape_length(robot) is None
+    analysis = pa.analyze_variant(robot, pa.StandTask(height=0.16))
+    assert analysis.verified, analysis.failures
+    assert (analysis.thigh_length, analysis.thigh_shape_length) == (None, None)
+    weight = analysis.total_mass * 9.81
+    np.testing.assert_allclose(analysis.statics.joint_torques, -(weight / 4 - 0.981), rtol=1e-6)

@@ -1,0 +1,582 @@
+"""What a difference does is what physics says; nothing is missing; and the words are right."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.checks import changes as explain_module
+from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.differences import Difference, Explanation
+from pupper_analysis.checks.states import random_states
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.matching.tolerances import Tolerances
+from tests.support.engines import addresses, mujoco_at
+from tests.support.robots import (
+    FEET,
+    Part,
+    Parts,
+    all_changed,
+    arm,
+    changed,
+    compared,
+    explained,
+    found,
+    matched,
+    mjcf_text,
+    pendulum,
+    quadruped,
+    robot_of,
+    turned_about,
+    urdf_text,
+    write,
+)
+
+GRAVITY = 9.81
+WEIGHT = sum(part.mass for part in quadruped().values()) * GRAVITY
+LENGTH, MASS = 0.5, 2.0  # of the pendulum
+ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor
+
+
+def only(explanation: Explanation) -> Difference:
+    (difference,) = explanation.differences
+    return difference
+
+
+def swing(folder: Path, **values: Any) -> tuple[Explanation, np.ndarray, np.ndarray]:
+    """A pendulum whose MJCF has other values; and the angles and velocities it was judged at."""
+    robot = robot_of(folder, pendulum(), pendulum(**values), free=False)
+    states = random_states(robot, 10, seed=0)
+    return explain(robot), states.qpos[:, 0], states.qvel[:, 0]
+
+
+# ------------------------------------------------------------------------------------- effects
+
+
+def test_a_mass_weighs_what_it_weighs(tmp_path: Path) -> None:
+    effects = only(
+        explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.25))
+    ).effects
+    assert effects["gravity"].deviation == pytest.approx(0.25 * GRAVITY, rel=1e-12)
+    assert effects["gravity"].relative == pytest.approx(0.25 * GRAVITY / WEIGHT, rel=1e-12)
+    assert effects["mass matrix"].deviation == pytest.approx(0.25, rel=1e-12)
+    assert effects["gravity"].share == pytest.approx(1, rel=1e-12)
+    assert "joint positions" not in effects
+    assert "foot positions" not in effects
+
+
+def test_shares_of_two_masses_add_up_and_exceed_one_where_they_cancel(tmp_path: Path) -> None:
+    for thigh, expected in ((1.1, (0.75, 0.25)), (0.9, (1.5, -0.5))):
+        mjcf = changed(changed(quadruped(), "base", mass=6.3), "thigh0", mass=thigh)
+        shares = {
+            difference.element: difference.effects["gravity"].share
+            for difference in explained(tmp_path, quadruped(), mjcf).differences
+        }
+        assert shares["base"] == pytest.approx(expected[0], rel=1e-9)
+        assert shares["hip0"] == pytest.approx(abs(expected[1]), rel=1e-9)
+
+
+def test_the_effect_of_a_mass_is_that_of_mujoco(tmp_path: Path) -> None:
+    """Another engine, the same states: gravity, bias and mass matrix with one mass changed."""
+    robot = robot_of(tmp_path, quadruped(), changed(quadruped(), "shank1", mass=0.5))
+    effects = only(explain(robot)).effects
+    states = random_states(robot, 10, seed=0)
+    lighter = robot.description.mjcf.copy().compile()
+    lighter.body("shank1").mass[0] = 0.21
+    _, order = addresses(robot)
+    worst = {"bias forces": 0.0, "mass matrix": 0.0}
+    for qpos, qvel in zip(states.qpos, states.qvel, strict=True):
+        bias, matrices = [], []
+        for model in (robot.mj_model, lighter):
+            data = mujoco_at(robot, qpos, qvel, model)
+            full = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, full)
+            bias.append(data.qfrc_bias[order].copy())
+            matrices.append(full)
+        for name, (one, two) in (("bias forces", bias), ("mass matrix", matrices)):
+            worst[name] = max(worst[name], float(np.abs(one - two).max()))
+    for name, deviation in worst.items():
+        assert effects[name].deviation == pytest.approx(deviation, rel=1e-9)
+
+
+def test_damping_of_a_pendulum(tmp_path: Path) -> None:
+    explanation, _, qvel = swing(tmp_path, damping=0.35)
+    effect = only(explanation).effects
+    assert set(effect) == {"forward dynamics"}
+    expected = np.abs(0.25 * qvel / ROD).max()
+    assert effect["forward dynamics"].deviation == pytest.approx(expected, rel=1e-9)
+
+
+def test_com_of_a_pendulum(tmp_path: Path) -> None:
+    explanation, angles, _ = swing(tmp_path, com=(0.0, 0.0, -0.52))
+    expected = np.abs(MASS * GRAVITY * 0.02 * np.sin(angles)).max()
+    assert only(explanation).effects["gravity"].deviation == pytest.approx(expected, rel=1e-9)
+    heavier = MASS * (0.52**2 - 0.5**2)
+    effect = only(explanation).effects["mass matrix"]
+    assert effect.deviation == pytest.approx(heavier, rel=1e-9)
+    assert effect.relative == pytest.approx(heavier / ROD, rel=1e-9)
+
+
+def test_inertia_of_a_pendulum(tmp_path: Path) -> None:
+    explanation, _, _ = swing(tmp_path, inertia=(1e-3, 1.8e-3, 1e-3, 0, 0, 0))
+    effects = only(explanation).effects
+    assert effects["mass matrix"].deviation == pytest.approx(0.8e-3, rel=1e-9)
+    assert "gravity" not in effects
+
+
+def test_zero_angle_of_a_pendulum(tmp_path: Path) -> None:
+    turned = turned_about(pendulum()["bob"], (0, 1, 0), 0.1)
+    explanation, angles, _ = swing(tmp_path, quaternion=turned)
+    difference = only(explanation)
+    assert difference.kind == "rotation"
+    assert "turned by 5.73 deg about (0, 1, 0) (its own axis: the files' zero angles differ)" in (
+        difference.message
+    )
+    expected = MASS * GRAVITY * LENGTH * (np.sin(angles + 0.1) - np.sin(angles))
+    assert difference.effects["gravity"].deviation == pytest.approx(
+        np.abs(expected).max(), rel=1e-9
+    )
+
+
+def test_armature_is_given_to_both_and_what_it_does_is_told(tmp_path: Path) -> None:
+    explanation, _, _ = swing(tmp_path, armature=0.03)
+    assert explanation.differences == ()
+    assert explanation.armature.values == {"swing": 0.03}
+    effects = explanation.armature.effects
+    assert effects["mass matrix"].deviation == pytest.approx(0.03, rel=1e-9)
+    assert "gravity" not in effects
+    assert "forward dynamics" in effects
+
+
+def test_a_joint_moved_moves_what_it_carries(tmp_path: Path) -> None:
+    shift = np.array([0.003, -0.001, 0.002])
+    mjcf = changed(quadruped(), "thigh2", position=tuple(quadruped()["thigh2"].position + shift))
+    robot = robot_of(tmp_path, quadruped(), mjcf)
+    difference = only(explain(robot))
+    assert (difference.kind, difference.element) == ("position", "hip2")
+    states = random_states(robot, 10, seed=0)
+    expected = max(
+        np.abs(rotation_from_quaternion(qpos[3:7]) @ shift).max() for qpos in states.qpos
+    )
+    for quantity in ("joint positions", "foot positions"):
+        assert difference.effects[quantity].deviation == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_frame_moves_nothing_but_itself(tmp_path: Path) -> None:
+    moved = [f._replace(position=(0.002, 0.0, -0.203)) if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+    difference = only(explain(matched(files).robot))
+    assert (difference.kind, difference.element, difference.unit) == ("frame", "foot1", "m")
+    assert difference.message.startswith("frame foot1 is 3 mm apart: (0.002, 0, -0.203) m in the")
+    assert set(difference.effects) == {"foot positions"}
+    assert 0.003 / math.sqrt(3) <= difference.effects["foot positions"].deviation <= 0.003
+
+
+def test_a_frame_on_another_body_is_told(tmp_path: Path) -> None:
+    moved = [f._replace(link="thigh1") if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+    explanation = explain(matched(files).robot)
+    assert found(explanation) == [("frame", "foot1")]
+    assert "is on the body of hip1 in the URDF, of knee1 in the MJCF" in only(explanation).message
+    assert explanation.complete
+
+
+# ------------------------------------------------------------------------------------- completeness
+
+
+def shaken(parts: Parts, seed: int) -> Parts:
+    """The parts with every number changed a little, or much."""
+    random = np.random.default_rng(seed)
+    size = 10.0 ** random.uniform(-7, -1)
+
+    def near(values: Any) -> Any:
+        return tuple(np.array(values) + size * random.normal(size=len(values)) * 0.1)
+
+    result = {}
+    for name, part in parts.items():
+        turn = Rotation.from_rotvec(size * random.normal(size=3))
+        rotation = Rotation.from_quat(part.quaternion, scalar_first=True) * turn
+        factors = dict(
+            zip(("mass", "damping", "friction", "effort"), random.normal(size=4), strict=True)
+        )
+        result[name] = replace(
+            part,
+            position=near(part.position) if part.parent else part.position,
+            quaternion=tuple(rotation.as_quat(scalar_first=True)) if part.parent else (1, 0, 0, 0),
+            com=near(part.com),
+            axis=near(part.axis),
+            lower=part.lower + size * random.normal(),
+            inertia=tuple(np.array(part.inertia) * (1 + size * random.normal() * 0.1)),
+            **{key: getattr(part, key) * math.exp(size * x) for key, x in factors.items()},
+        )
+    return result
+
+
+@pytest.mark.slow
+@given(seed=st.integers(0, 10**6), fixed=st.booleans())
+def test_all_differences_taken_away_nothing_is_left(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, fixed: bool
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    parts = arm() if fixed else quadruped()
+    explanation = explained(folder, parts, shaken(parts, seed), free=not fixed)
+    assert explanation.complete
+    assert max(explanation.left.values()) < 1e-12
+    assert max(explanation.deviations.values()) > 1e-9  # there was something to explain
+
+
+def test_what_is_overlooked_is_not_explained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The proof can fail: with masses and inertias left out of the comparison, it does."""
+    monkeypatch.setattr(explain_module, "body_changes", lambda *_: iter(()))
+    explanation = explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.3))
+    assert explanation.differences == ()
+    assert not explanation.complete
+    assert explanation.left["gravity"] == pytest.approx(0.3 * GRAVITY / WEIGHT, rel=1e-9)
+    assert explanation.left["gravity"] == explanation.deviations["gravity"]
+
+
+def whip(**values: Any) -> Parts:
+    """An arm with a hand at its end, which may weigh next to nothing."""
+    hand = Part(
+        "hand", "column", "roll", "continuous", (0.3, 0.0, 0.4), axis=(0.0, 0.6, 0.8),
+        mass=0.5, inertia=(2e-3, 2e-3, 2e-3, 0.0, 0.0, 0.0), armature=0.0,
+    )  # fmt: skip
+    parts = arm() | {"hand": hand}
+    return parts | {"hand": replace(hand, **values)}
+
+
+TINY: dict[str, Any] = {"mass": 1e-6, "inertia": (1e-9, 1e-9, 1e-9, 0.0, 0.0, 0.0)}
+
+
+def test_rounding_of_a_light_link_is_nothing_that_is_left(tmp_path: Path) -> None:
+    """A hand of 1e-6 kg: its accelerations are 1e6 times the URDF's, and so is their rounding."""
+    explanation = explained(tmp_path, whip(), whip(**TINY), free=False)
+    assert {element for _, element in found(explanation)} == {"roll"}
+    assert explanation.complete
+    assert max(explanation.left.values()) < 1e-12
+
+
+def test_what_is_overlooked_shows_beside_a_light_link(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A damper of 1e-7 N m s/rad that is missed is no rounding, however light its link."""
+    monkeypatch.setattr(explain_module, "_joint_numbers", lambda *_: iter(()))
+    light = whip(**TINY, damping=0.0)
+    explanation = explained(tmp_path, light, changed(light, "hand", damping=1e-7), free=False)
+    assert explanation.differences == ()
+    assert not explanation.complete
+
+
+def test_limits_are_ordered_by_the_range_that_is_lost(tmp_path: Path) -> None:
+    """As those of a T1: half of an elbow's range goes before a tenth of the head's."""
+    mjcf = changed(quadruped(), "thigh0", upper=0.8)
+    mjcf = changed(mjcf, "shank2", lower=-1.0)
+    mjcf = changed(mjcf, "thigh1", lower=-0.6, effort=2.1)
+    mjcf = changed(mjcf, "shank0", effort=34.0)
+    assert found(explained(tmp_path, quadruped(), mjcf)) == [
+        ("lower limit", "knee2"),  # 1.5 rad
+        ("lower limit", "hip1"),  # 0.41 rad
+        ("upper limit", "hip0"),  # 0.1 rad
+        ("effort", "hip1"),  # a tenth is left
+        ("effort", "knee0"),
+    ]
+
+
+def test_what_a_user_must_mend_comes_first(tmp_path: Path) -> None:
+    mjcf = changed(quadruped(), "base", mass=6.1, com=(0.01, 0.002, -0.0051))
+    mjcf = changed(mjcf, "thigh0", damping=0.2, effort=25.0, lower=-0.7)
+    mjcf = changed(mjcf, "shank3", mass=0.5, friction=0.9)
+    explanation = explained(tmp_path, quadruped(), mjcf)
+    assert found(explanation) == [
+        ("mass", "knee3"),  # 0.27 kg
+        ("mass", "base"),  # 0.1 kg
+        ("damping", "hip0"),  # accelerations alone
+        ("lower limit", "hip0"),
+        ("effort", "hip0"),
+        ("com", "base"),  # 0.1 mm: less than a thousandth of anything
+        ("friction", "knee3"),
+    ]
+    tiers = [difference.tier for difference in explanation.differences]
+    assert tiers == [1, 1, 2, 3, 3, 4, 4]
+    assert explanation.differences[0].weight > explanation.differences[1].weight
+
+
+# ------------------------------------------------------------------------------------- tolerances
+
+SHANK = quadruped()["shank0"]
+BASE = quadruped()["base"]
+
+
+def _plus(values: Any, more: float) -> tuple[float, ...]:
+    return (values[0] + more, *values[1:])
+
+
+BY_TOLERANCE: dict[str, tuple[str, float, Any]] = {
+    # kind: the link, the tolerance, how the MJCF's part is changed by x
+    "mass": ("base", 1e-4, lambda x: {"mass": BASE.mass / (1 - x)}),
+    "com": ("base", 1e-5, lambda x: {"com": _plus(BASE.com, x)}),
+    "inertia": ("base", 1e-3, lambda x: {"inertia": _plus(BASE.inertia, 0.1 * x)}),
+    "position": ("shank0", 1e-5, lambda x: {"position": _plus(SHANK.position, x)}),
+    "rotation": ("shank0", 1e-4, lambda x: {"quaternion": turned_about(SHANK, (1, 0, 0), x)}),
+    "axis": ("shank0", 1e-4, lambda x: {"axis": (0.0, math.cos(x), math.sin(x))}),
+    "lower limit": ("shank0", 1e-3, lambda x: {"lower": SHANK.lower + x}),
+    "upper limit": ("shank0", 1e-3, lambda x: {"upper": SHANK.upper + x}),
+    "effort": ("shank0", 1e-3, lambda x: {"effort": SHANK.effort / (1 - x)}),
+    "damping": ("shank0", 1e-3, lambda x: {"damping": SHANK.damping / (1 - x)}),
+    "friction": ("shank0", 1e-3, lambda x: {"friction": SHANK.friction / (1 - x)}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("strict", [False, True])
+@pytest.mark.parametrize("kind", BY_TOLERANCE)
+def test_each_tolerance_passes_just_below_and_fails_just_above(
+    tmp_path: Path, kind: str, strict: bool
+) -> None:
+    link, size, change = BY_TOLERANCE[kind]
+    tolerances = Tolerances.strict() if strict else Tolerances()
+    size = 1e-9 if strict else size
+    element = quadruped()[link].joint or "base"
+    for factor, expected in ((0.98, []), (1.02, [(kind, element)])):
+        for sign in (1, -1):
+            mjcf = changed(quadruped(), link, **change(sign * factor * size))
+            assert found(explained(tmp_path, quadruped(), mjcf, tolerances)) == expected
+
+
+def test_the_tolerance_of_a_frame_is_that_of_positions(tmp_path: Path) -> None:
+    for apart, expected in ((0.98e-5, []), (1.02e-5, [("frame", "foot2")])):
+        moved = [f._replace(position=(0.002, 0.0, -0.2 + apart)) if f.name == "foot2" else f
+                 for f in FEET]  # fmt: skip
+        files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+        assert found(explain(matched(files).robot)) == expected
+
+
+def test_tolerances_are_changed_by_name() -> None:
+    tolerances = Tolerances().changed({"mass": 0.01, "com": 0.002})
+    assert (tolerances.mass, tolerances.com) == (0.01, 0.002)
+    assert tolerances.inertia == Tolerances().inertia
+
+
+def test_an_unknown_tolerance_names_the_valid_ones() -> None:
+    with pytest.raises(ConfigurationError, match=r"no kind 'masses'; valid: mass, com, inertia,"):
+        Tolerances().changed({"masses": 1.0})
+
+
+@pytest.mark.parametrize("value", [0.0, -1e-3, math.nan])
+def test_a_tolerance_is_positive(value: float) -> None:
+    with pytest.raises(ConfigurationError, match="is not positive"):
+        Tolerances().changed({"mass": value})
+
+
+# ------------------------------------------------------------------------------------- words
+
+
+def _xyzw(quaternion: Any) -> tuple[float, ...]:
+    w, x, y, z = quaternion
+    return (x, y, z, w)
+
+
+TURNED = (0.8, 0.1, 0.5, math.sqrt(1 - 0.9))
+HINTS: dict[str, tuple[dict[str, Any], dict[str, Any], str, str]] = {
+    # the URDF's shank, the MJCF's, the kind, what the message says
+    "grams": ({}, {"mass": 200.0}, "mass", "mass 0.2 kg in the URDF, 200 kg in the MJCF (g for"),
+    "grams in the other": ({"mass": 200.0}, {}, "mass", "(g for kg?)"),
+    "grams of inertia": (
+        {"inertia": tuple(1e3 * np.array(SHANK.inertia))},
+        {},
+        "inertia",
+        "ixx 1.5 kg m^2 in the URDF, 0.0015 kg m^2 in the MJCF (g for kg?)",
+    ),
+    "percent": ({}, {"mass": 0.25}, "mass", "(+25 %)"),
+    "degrees": ({}, {"lower": math.degrees(-2.5)}, "lower limit", "(degrees for radians?)"),
+    "degrees rounded": ({"upper": -28.6}, {}, "upper limit", "(degrees for radians?)"),
+    "mirrored com": ({"com": (0.004, -0.001, -0.12)}, {}, "com", "(y has the other sign)"),
+    "mirrored position": (
+        {"position": (0.0, 0.08, 0.2)},
+        {},
+        "position",
+        "knee0: 400 mm apart, from its parent's frame: (0, 0.08, 0.2) m in the URDF, "
+        "(0, 0.08, -0.2) m in the MJCF (z has the other sign)",
+    ),
+    "products' sign": (
+        {"inertia": (0.0015, 0.0014, 3e-4, 1e-4, 2e-4, 3e-6)},
+        {"inertia": (0.0015, 0.0014, 3e-4, 1e-4, -2e-4, 3e-6)},
+        "inertia",
+        "ixz 0.0002 kg m^2 in the URDF, -0.0002 kg m^2 in the MJCF (the other sign) "
+        "(the products of inertia differ, perhaps in sign)",
+    ),
+    "turned tensor": (
+        {"inertia": (0.0015, 3e-4, 0.0014, 0, 0, 0)},
+        {"inertia": (0.0015, 0.0014, 3e-4, 0, 0, 0)},
+        "inertia",
+        "(the same principal moments: one of the tensors is in turned axes)",
+    ),
+    "reversed axis": ({}, {"axis": (0, -1, 0)}, "axis", "axis reversed: (0, 1, 0) in the URDF, (0"),
+    "turned axis": ({}, {"axis": (1, 1, 0)}, "axis", "axis turned by 45 deg"),
+    "quaternion order": (
+        {"quaternion": TURNED},
+        {"quaternion": _xyzw(TURNED)},
+        "rotation",
+        "(a quaternion in another order: MJCF has (w, x, y, z)?)",
+    ),
+    "type": ({}, {"kind": "prismatic"}, "type", "revolute in the URDF, prismatic in the MJCF"),
+    "unlimited": (
+        {"kind": "continuous"},
+        {},
+        "lower limit",
+        "lower limit unlimited in the URDF, -2.5 rad in the MJCF",
+    ),
+    "limited in the URDF": (
+        {},
+        {"kind": "continuous"},
+        "upper limit",
+        "upper limit -0.5 rad in the URDF, unlimited in the MJCF",
+    ),
+}
+
+
+@pytest.mark.parametrize("hint", HINTS)
+def test_the_message_gives_both_values_and_the_likely_slip(tmp_path: Path, hint: str) -> None:
+    urdf, mjcf, kind, words = HINTS[hint]
+    explanation = explained(
+        tmp_path,
+        changed(quadruped(), "shank0", **urdf),
+        changed(quadruped(), "shank0", **mjcf),
+    )
+    messages = {d.kind: d.message for d in explanation.differences if d.element == "knee0"}
+    assert words in messages[kind]
+    assert explanation.complete
+    assert {d.element for d in explanation.differences} == {"knee0"}
+
+
+def test_no_slip_is_suggested_without_reason(tmp_path: Path) -> None:
+    mjcf = changed(quadruped(), "shank0", mass=0.31, com=(0.01, 0.002, -0.1), lower=-2.0)
+    mjcf = changed(mjcf, "shank0", quaternion=turned_about(SHANK, (0, 1, 1), 0.1))
+    for difference in explained(tmp_path, quadruped(), mjcf).differences:
+        assert "?" not in difference.message
+        assert "other sign" not in difference.message
+        assert "zero angles" not in difference.message
+
+
+def test_a_slide_has_newtons_and_metres(tmp_path: Path) -> None:
+    mjcf = changed(arm(), "rod", lower=-0.1, effort=7.0, damping=0.3, friction=0.4)
+    explanation = explained(tmp_path, arm(), mjcf, free=False)
+    units = {difference.kind: difference.unit for difference in explanation.differences}
+    assert units == {"lower limit": "m", "effort": "N", "damping": "N s/m", "friction": "N"}
+    by_kind = {difference.kind: difference.message for difference in explanation.differences}
+    assert "lower limit 0 m in the URDF, -0.1 m in the MJCF" in by_kind["lower limit"]
+    assert "damping 0.1 N s/m in the URDF, 0.3 N s/m in the MJCF" in by_kind["damping"]
+
+
+# ------------------------------------------------------------------------------------- free joint
+
+
+def free_joint(folder: Path, attributes: str) -> Explanation:
+    text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {attributes}/>')
+    return explain(matched(write(folder, urdf_text(quadruped()), text)).robot)
+
+
+def test_damping_of_the_free_joint(tmp_path: Path) -> None:
+    difference = only(free_joint(tmp_path, 'damping="0.5"'))
+    assert (difference.kind, difference.element, difference.mjcf) == ("damping", "base", 0.5)
+    assert "use <freejoint/>" in difference.message
+    assert set(difference.effects) == {"forward dynamics"}
+
+
+@pytest.mark.parametrize("base", ["base", "trunk"])
+@pytest.mark.parametrize(
+    ("word", "kind"), [("frictionloss", "dry friction"), ("stiffness", "spring")]
+)
+def test_what_holds_the_free_joint(word: str, kind: str, base: str, tmp_path: Path) -> None:
+    """It said AGREE, though MuJoCo holds the base; whatever the MJCF calls it."""
+    text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {word}="1.5"/>')
+    text = text.replace('<body name="base"', f'<body name="{base}"')
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    assert not comparison.agree
+    (difference,) = comparison.differences
+    assert (difference.kind, difference.element) == (kind, base)
+    assert "1.5" in difference.message
+
+
+def test_armature_of_the_free_joint(tmp_path: Path) -> None:
+    """No rotor moves a base: it said AGREE, though the base is the heavier for it."""
+    explanation = free_joint(tmp_path, 'armature="0.5"')
+    difference = only(explanation)
+    assert (difference.kind, difference.element) == ("armature", "base")
+    assert (difference.urdf, difference.mjcf) == (None, 0.5)
+    assert "use <freejoint/>" in difference.message
+    # On the diagonal alone, and nothing of it weighs.
+    assert difference.effects["mass matrix"].deviation == pytest.approx(0.5)
+    assert "gravity" not in difference.effects
+    assert explanation.complete
+
+
+def test_an_armature_unlike_that_of_the_other_legs(tmp_path: Path) -> None:
+    mjcf = changed(quadruped(), "shank2", armature=0.2)
+    difference = only(explained(tmp_path, quadruped(), mjcf))
+    assert (difference.kind, difference.element) == ("armature", "knee2")
+    assert (difference.urdf, difference.mjcf, difference.unit) == (None, 0.2, "kg m^2")
+    assert "armature 0.2 kg m^2 in the MJCF, but 0.02 kg m^2 on the joints" in difference.message
+    assert difference.effects["mass matrix"].deviation == pytest.approx(0.18, rel=1e-9)
+
+
+def test_an_unusual_armature_of_a_slide_is_a_mass(tmp_path: Path) -> None:
+    sliding = {
+        name: replace(part, kind="prismatic", lower=-0.1, upper=0.1)
+        if name.startswith("shank")
+        else part
+        for name, part in quadruped().items()
+    }
+    difference = only(explained(tmp_path, sliding, changed(sliding, "shank2", armature=0.2)))
+    assert difference.unit == "kg"
+    assert "armature 0.2 kg in the MJCF" in difference.message
+
+
+def test_armatures_by_place_on_the_leg_are_not_unusual(tmp_path: Path) -> None:
+    """Hips and knees have other motors; that is usual."""
+    assert explained(tmp_path, quadruped(), quadruped()).differences == ()
+    two = changed(changed(quadruped(), "shank2", armature=0.2), "shank1", armature=0.2)
+    assert explained(tmp_path, quadruped(), two).differences == ()  # no majority: nobody is wrong
+
+
+def test_parts_without_damping_in_either_file(tmp_path: Path) -> None:
+    bare = all_changed(quadruped(), damping=0.0, friction=0.0)
+    explanation = explained(tmp_path, bare, bare)
+    assert explanation.differences == ()
+    assert found(explained(tmp_path, bare, changed(bare, "thigh0", damping=1e-6))) == [
+        ("damping", "hip0")
+    ]
+
+
+@pytest.mark.parametrize(("joints", "said"), [(["knee2"], 1), (["knee1", "knee3"], 0)])
+def test_armature_of_one_leg_is_unlike_the_others(
+    joints: list[str], said: int, tmp_path: Path
+) -> None:
+    """One value alone is a slip; one that a mirror image has too is meant."""
+    parts = {
+        name: replace(part, armature=0.05 if part.joint in joints else part.armature)
+        for name, part in quadruped().items()
+    }
+    explanation = explain(robot_of(tmp_path, parts, parts))
+    assert len([d for d in explanation.differences if d.kind == "armature"]) == said
+
+
+def test_armature_of_a_neck_is_no_legs(tmp_path: Path) -> None:
+    """Apollo's neck is as deep in its tree as a joint of an arm."""
+    neck = Part("head", "base", "neck", position=(0.3, 0.0, 0.4), mass=0.2, armature=0.5)
+    nod = Part("face", "head", "nod", position=(0.0, 0.0, 0.05), mass=0.1, armature=0.6)
+    parts = quadruped() | {"head": neck, "face": nod}
+    explanation = explain(robot_of(tmp_path, parts, parts))
+    assert not [d for d in explanation.differences if d.kind == "armature"]

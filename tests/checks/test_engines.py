@@ -1,0 +1,184 @@
+"""The cross-check: agreeing models agree, and a changed number is found where it is."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.checks.engines import EDGES, cross_check
+from tests.support.robots import Frame, arm, compared, mjcf_text, numbers, urdf_text, write
+
+
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_both_models_of_every_variant_agree_in_both_engines(name: str) -> None:
+    check = cross_check(pa.load_variant(name))
+    assert check.passed
+    assert max(quantity.relative for quantity in check.quantities) < 1e-12
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_fixed_base_agrees(name: str) -> None:
+    assert cross_check(pa.load_variant(name, fixed_base=True)).passed
+
+
+def test_compares_what_it_says() -> None:
+    quantities = {q.name: q for q in cross_check(pa.load_variant("v3")).quantities}
+    assert set(quantities) >= {
+        "body masses",
+        "body coms",
+        "body inertias",
+        "lower joint limits",
+        "upper joint limits",
+        "effort limits",
+        "foot positions",
+        "foot Jacobians",
+        "com",
+        "com Jacobian",
+        "mass matrix",
+        "bias forces",
+        "gravity",
+        "forward dynamics",
+        "gyro",
+        "accelerometer",
+    }
+    # Nothing is compared with nothing: every quantity has a scale, and takes all sides.
+    every = set(EDGES.values()) - {"models (reader)", "readers (URDF)"}  # those of large robots
+    for quantity in quantities.values():
+        assert quantity.scale > 0, quantity.name
+        assert set(quantity.edges) >= every - {"yourdfpy (URDF)"}
+    assert set(quantities["foot positions"].edges) == every
+
+
+def _with_urdf(robot: pa.Robot, old: str, new: str) -> pa.Robot:
+    """Returns the robot with a piece of its URDF replaced, at its first place."""
+    assert old in robot.description.urdf
+    path = robot.description.urdf_source
+    text = robot.description.urdf.replace(old, new, 1)
+    description = replace(robot.description, urdf=text, urdf_source=path)
+    from pupper_analysis.robot.build import build_robot
+
+    return build_robot(description, fixed_base=False, foot_depth=None)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "quantities", "where"),
+    [
+        ('<mass value="1.506"/>', '<mass value="1.507"/>', {"body masses", "com"}, "base_link"),
+        ('ixx="7.4e-05"', 'ixx="7.5e-05"', {"body inertias", "mass matrix"}, "leg_front_r_1"),
+        ('xyz="0 -0.0334 0.05419"', 'xyz="0 -0.0334 0.05519"', {"body coms"}, "leg_front_r_2"),
+        ('upper="2.51"', 'upper="2.5"', {"upper joint limits"}, "leg_front_r_1"),
+        ('lower="-1.22"', 'lower="-1.2"', {"lower joint limits"}, "leg_front_r_1"),
+        ('effort="3"', 'effort="3.5"', {"effort limits"}, "leg_front_r_1"),
+        (
+            'damping="0.01"',
+            'damping="0.02"',
+            {"joint damping", "forward dynamics"},
+            "leg_front_r_1",
+        ),
+        ('friction="0.01"', 'friction="0.02"', {"joint friction"}, "leg_front_r_1"),
+        ('<axis xyz="0 0 1"/>', '<axis xyz="0 0 -1"/>', {"joint axes"}, "leg_front_r_1"),
+        (
+            'xyz="0.06231 -0.06216 0.018"/>\n    <parent',
+            'xyz="0.0624 -0.06216 0.018"/>\n    <parent',
+            {"foot positions"},
+            "FR",
+        ),
+        ('xyz="0.09 0 0.032"', 'xyz="0.09 0.01 0.032"', {"accelerometer"}, "IMU"),
+    ],
+)
+def test_a_changed_number_is_found(old: str, new: str, quantities: set[str], where: str) -> None:
+    check = cross_check(_with_urdf(pa.load_variant("v3"), old, new))
+    assert not check.passed
+    failed = {quantity.name: quantity for quantity in check.quantities if not quantity.passed}
+    assert quantities <= set(failed)
+    # The models differ, and each engine agrees with the other on each model.
+    for quantity in failed.values():
+        assert quantity.whose.startswith("models")
+        assert quantity.edges["engines (URDF)"] < 1e-12
+        assert quantity.edges["engines (MJCF)"] < 1e-12
+    direct = next(failed[name] for name in failed if name in quantities)
+    assert direct.where.startswith(where)
+
+
+def test_an_engine_that_differs_is_told_from_a_model_that_differs() -> None:
+    robot = pa.load_variant("original")
+    pin_model = robot.pin_model.copy()
+    pin_model.inertias[1].mass += 0.1  # in Pinocchio's copy of the URDF alone
+    check = cross_check(replace(robot, pin_model=pin_model))
+    masses = next(quantity for quantity in check.quantities if quantity.name == "body masses")
+    assert not masses.passed
+    assert masses.edges["engines (URDF)"] > 1e-3
+    assert masses.edges["models (MuJoCo)"] == 0
+    assert masses.edges["engines (MJCF)"] == 0
+
+
+def test_deviation_of_a_mass_is_measured_in_full() -> None:
+    check = cross_check(_with_urdf(pa.load_variant("v3"), 'value="1.506"', 'value="1.509"'))
+    masses = next(quantity for quantity in check.quantities if quantity.name == "body masses")
+    assert masses.deviation == pytest.approx(0.003, rel=1e-9)
+    assert masses.relative == pytest.approx(0.003 / 1.509, rel=1e-9)
+
+
+def test_an_inertia_is_judged_on_its_own_scale() -> None:
+    """And not on that of the base's, which is a hundred times greater."""
+    robot = _with_urdf(pa.load_variant("v3"), 'ixx="7.4e-05"', 'ixx="7.5e-05"')
+    check = cross_check(robot)
+    found = next(quantity for quantity in check.quantities if quantity.name == "body inertias")
+    joint = robot.pin_model.getJointId("leg_front_r_1")
+    scale = np.abs(robot.pin_model.inertias[joint].inertia).max()
+    assert scale < 1e-2 * np.abs(robot.pin_model.inertias[1].inertia).max()
+    assert found.scale == pytest.approx(scale, rel=0.2)  # in the MJCF's axes, and 1e-6 less
+    assert found.relative == pytest.approx(found.deviation / found.scale, rel=1e-12)
+    assert found.relative > 0.3e-6 / scale
+
+
+def test_is_deterministic_and_depends_on_the_seed() -> None:
+    robot = pa.load_variant("v3")
+    one, same, other = (cross_check(robot, seed=seed, configurations=3) for seed in (1, 1, 2))
+    assert one.to_json() == same.to_json()
+    assert one.to_json() != other.to_json()
+
+
+def test_tolerance_decides() -> None:
+    robot = _with_urdf(pa.load_variant("v3"), 'value="1.506"', 'value="1.5060001"')
+    assert not cross_check(robot).passed
+    assert cross_check(robot, tolerance=1e-3).passed
+
+
+@pytest.mark.parametrize("options", [{"configurations": 0}, {"tolerance": 0.0}, {"tolerance": -1}])
+def test_bad_arguments(options: dict[str, float]) -> None:
+    with pytest.raises(pa.ConfigurationError, match=next(iter(options))):
+        cross_check(pa.load_variant("v3"), **options)  # type: ignore[arg-type]
+
+
+def test_armature_matters() -> None:
+    """Without the armature Pinocchio's mass matrix would differ: the check would see it."""
+    robot = pa.load_variant("v3")
+    model = copy.copy(robot.mj_model)
+    model.dof_armature[6:] *= 2
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    check = cross_check(replace(robot, mj_model=model))
+    failed = {quantity.name for quantity in check.quantities if not quantity.passed}
+    assert {"armature", "mass matrix", "forward dynamics"} <= failed
+    assert "gravity" not in failed
+    assert np.isfinite([quantity.relative for quantity in check.quantities]).all()
+
+
+def test_an_axis_of_another_length_is_a_direction(tmp_path: Path) -> None:
+    """Both engines take it so; yourdfpy would move a slide by its length times q."""
+    tip = (Frame("tip", "rod", (0.1, 0.0, 0.0)),)
+    text = urdf_text(arm(), tip)
+    one, two = (f'<axis xyz="{numbers((length, 0.0, 0.0))}"/>' for length in (1.0, 2.5))
+    assert one in text
+    text = text.replace(one, two)
+    assert text.count(two) == 1
+    files = write(tmp_path, text, mjcf_text(arm(), tip, free=False))
+    comparison = compared(files)
+    assert comparison.agree
+    assert comparison.engines == ()

@@ -1,0 +1,219 @@
+"""Which link of a folded body differs: found, told once, first, and never where it is not so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.links import fold, moments
+from pupper_analysis.checks.patterns.links import by_pattern
+from pupper_analysis.models.parameters import Body
+from tests.report.test_comparison import lines
+from tests.support.robots import (
+    Part,
+    Parts,
+    changed,
+    compared,
+    found,
+    mjcf_text,
+    quadruped,
+    turned_frames,
+    urdf_text,
+    write,
+)
+
+
+def rotor(leg: int, on: str, place: tuple[float, float, float], mass: float = 0.089) -> Part:
+    """A small link on a fixed joint, turned so that its axes are nobody's."""
+    quaternion = tuple(
+        np.array([1.0, 0.3, -0.2, 0.1 * leg]) / np.linalg.norm([1, 0.3, 0.2, 0.1 * leg])
+    )
+    return Part(
+        f"{on}_rotor", on, f"{on}_rotor_joint", "fixed", place, quaternion, mass=mass,
+        com=(0.004, -0.001, 0.002), inertia=(5e-5, 6e-5, 8e-5, 4e-6, -7e-6, 2e-6),
+    )  # fmt: skip
+
+
+def geared() -> Parts:
+    """The quadruped with a rotor on each thigh, and four and a sensor on its base."""
+    parts = quadruped()
+    for leg in range(4):
+        parts |= {f"thigh{leg}_rotor": rotor(leg, f"thigh{leg}", (0.01, 0.05, -0.02 * leg))}
+        x, y = (0.2 if leg < 2 else -0.2), (0.1 if leg % 2 else -0.1)
+        part = rotor(leg, "base", (x, y, 0.02))
+        parts |= {f"hip{leg}_rotor": replace(part, link=f"hip{leg}_rotor", joint=f"r{leg}")}
+    sensor = replace(rotor(0, "base", (0.1, 0.0, 0.05), 0.02), link="lidar", joint="to_lidar")
+    return {**parts, "lidar": sensor}
+
+
+def without(parts: Parts, *endings: str) -> Parts:
+    return {name: part for name, part in parts.items() if not name.endswith(endings)}
+
+
+def the_cause(comparison: Comparison, kind: str) -> str:
+    """Returns the message of the one cause of a kind."""
+    assert comparison.complete
+    assert not comparison.agree
+    (cause,) = (cause for cause in comparison.causes if cause.kind == kind)
+    return cause.message
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("links")
+
+
+@pytest.mark.parametrize("lacks", ["MJCF", "URDF"])
+def test_links_that_one_file_lacks_are_told_once_and_first(lacks: str, folder: Path) -> None:
+    full, bare = urdf_text(geared()), mjcf_text(without(geared(), "_rotor"))
+    if lacks == "URDF":
+        full, bare = urdf_text(without(geared(), "_rotor")), mjcf_text(geared())
+    comparison = compared(write(folder, full, bare))
+    message = the_cause(comparison, "links")
+    assert message.startswith(f"the {lacks} lacks mass that the ")
+    assert "0.712 kg in all, that of 8 *_rotor of 0.089 kg each" in message
+    assert lines(comparison)[0] == f"DISAGREE: {message}"
+    (cause,) = comparison.causes
+    assert len(cause.differences) == len(comparison.differences)
+
+
+def test_the_mended_file_agrees(folder: Path) -> None:
+    """What is named is what is missing: with the sensor, too, nothing is left of any body."""
+    bare = without(geared(), "_rotor", "lidar")
+    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
+    message = the_cause(comparison, "links")
+    assert "8 *_rotor of 0.089 kg each, lidar of 0.02 kg" in message
+    assert compared(write(folder, urdf_text(geared()), mjcf_text(geared()))).agree
+
+
+def test_some_of_the_links_of_a_pattern_are_counted(folder: Path) -> None:
+    bare = without(geared(), "thigh0_rotor", "thigh1_rotor", "hip2_rotor")
+    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(bare)))
+    assert "that of 3 of the 8 *_rotor of 0.089 kg each" in the_cause(comparison, "links")
+
+
+def test_frames_that_are_turned_do_not_hide_a_link(folder: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(mjcf_text(without(geared(), "_rotor")))
+    files = write(folder, urdf_text(geared()), turned_frames(model, seed=3))
+    assert "8 *_rotor of 0.089 kg each" in the_cause(compared(files), "links")
+
+
+@pytest.mark.parametrize("inertia", [True, False])
+def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -> None:
+    def tenfold(part: Part) -> Part:
+        moments = tuple((10.0 if inertia else 1.0) * value for value in part.inertia)
+        return replace(part, mass=10 * part.mass, inertia=moments)
+
+    parts = {n: tenfold(p) if n.endswith("_rotor") else p for n, p in geared().items()}
+    parts = {**parts, **{f"hip{leg}_rotor": geared()[f"hip{leg}_rotor"] for leg in range(4)}}
+    comparison = compared(write(folder, urdf_text(parts), mjcf_text(geared())))
+    message = the_cause(comparison, "scaled links")
+    assert message.startswith("mass and inertia of" if inertia else "the mass of")
+    for leg in range(4):
+        assert f"thigh{leg}_rotor (0.89 kg in the URDF, 0.089 kg in the MJCF)" in message
+    assert "0.1 times in the MJCF what the URDF has (a decimal point?)" in message
+    assert lines(comparison)[0] == f"DISAGREE: {message}"
+
+
+@pytest.mark.parametrize(("mass", "other", "told"), [(0.3, 3.0, True), (4.0, 2.5, False)])
+def test_a_decimal_point_in_the_masses_of_two_links_is_told(
+    mass: float, other: float, told: bool, folder: Path
+) -> None:
+    """Nothing else of them differs: by another factor, each difference says all that is known."""
+    names = ("thigh0", "thigh1")
+    urdf, mjcf = (
+        {n: replace(p, mass=value) if n in names else p for n, p in quadruped().items()}
+        for value in (mass, other)
+    )
+    comparison = compared(write(folder, urdf_text(urdf), mjcf_text(mjcf)))
+    assert [kind for kind, _ in found(comparison)] == ["mass", "mass"]
+    assert ("scaled links" in {cause.kind for cause in comparison.causes}) == told
+
+
+def test_products_that_are_dropped_where_the_base_is_a_fold(folder: Path) -> None:
+    """The fold of the base has products of its own, as its links have places."""
+    mjcf = {
+        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
+        for name, part in geared().items()
+    }
+    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(mjcf)))
+    message = the_cause(comparison, "products")
+    assert message.startswith("all products of inertia are 0 in the MJCF, of 18 bodies")
+    comparison = compared(write(folder, urdf_text(mjcf), mjcf_text(geared())))
+    assert the_cause(comparison, "products").startswith("all products of inertia are 0 in the URDF")
+
+
+def test_a_link_is_found_besides_dropped_products(folder: Path) -> None:
+    mjcf = {
+        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
+        for name, part in without(geared(), "lidar").items()
+    }
+    comparison = compared(write(folder, urdf_text(geared()), mjcf_text(mjcf)))
+    assert {cause.kind for cause in comparison.causes} == {"products", "links"}
+    assert "lidar of 0.02 kg" in the_cause(comparison, "links")
+
+
+@pytest.mark.slow
+def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:
+    """A body that differs at random is no missing link, though its mass be exactly one's."""
+    random = np.random.default_rng(5)
+    for _ in range(6):
+        base, less = geared()["base"], 0.089 * int(random.integers(1, 5))
+        com = tuple(np.array(base.com) + 1e-3 * random.normal(size=3))
+        other = {
+            "mass": base.mass - less,
+            "com": com,
+            "inertia": tuple(np.array(base.inertia) * random.uniform(0.98, 1.02, size=6)),
+        }
+        files = write(folder, urdf_text(geared()), mjcf_text(changed(geared(), "base", **other)))
+        comparison = compared(files)
+        assert ("mass", "base") in found(comparison)
+        kinds = {cause.kind for cause in comparison.causes}
+        assert not kinds & {"links", "scaled links"}, (other, comparison.causes)
+
+
+def test_a_rotor_that_moved_is_not_one_that_is_missing(folder: Path) -> None:
+    """Of the right mass, but elsewhere: com and inertia say so."""
+    parts = changed(geared(), "hip0_rotor", position=(-0.2, 0.1, 0.02))
+    files = write(folder, urdf_text(parts), mjcf_text(without(geared(), "hip0_rotor")))
+    assert "links" in {cause.kind for cause in compared(files).causes}
+    moved = write(folder, urdf_text(parts), mjcf_text(geared()))
+    assert "links" not in {cause.kind for cause in compared(moved).causes}
+
+
+def test_moments_add_up_as_in_mujoco() -> None:
+    """A body of two boxes is what MuJoCo makes of them."""
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><freejoint/><geom type="box" size="0.1 0.2 0.3" mass="2"/>'
+        '<geom type="box" size="0.05 0.1 0.02" mass="3" pos="0.4 -0.1 0.2"/></body></worldbody>'
+        "</mujoco>"
+    )
+
+    def box(mass: float, half: tuple[float, ...], place: tuple[float, ...]) -> Body:
+        x, y, z = np.square(half)
+        return Body(mass, np.array(place), np.diag([y + z, x + z, x + y]) * mass / 3)
+
+    both = fold(
+        box(2.0, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0)), box(3.0, (0.05, 0.1, 0.02), (0.4, -0.1, 0.2))
+    )
+    assert both.mass == pytest.approx(model.body_mass[1])
+    assert both.com == pytest.approx(model.body_ipos[1])
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[1])
+    turn = turn.reshape(3, 3)
+    assert both.inertia == pytest.approx(turn @ np.diag(model.body_inertia[1]) @ turn.T)
+    assert moments(both)[0] == 5.0
+
+
+def test_names_are_grouped_by_what_they_share() -> None:
+    names = ["FL_hip_rotor", "RR_thigh_rotor", "Head_upper", "Head_lower", "imu"]
+    assert by_pattern(names) == {
+        "*_rotor": ["FL_hip_rotor", "RR_thigh_rotor"],
+        "Head_*": ["Head_upper", "Head_lower"],
+        "imu": ["imu"],
+    }

@@ -1,0 +1,861 @@
+"""Mutation test: one thing is changed in one of two agreeing files, and must be named as cause.
+
+Each kind of change is made at randomly chosen places. It counts as found if the comparison says
+that the models differ, names the changed number first, and explains the whole deviation.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Difference
+
+Element = ElementTree.Element
+PLACES = 3  # randomly chosen places per kind and pair
+
+
+@dataclass
+class Files:
+    """A pair of files as trees, and the random choices of a mutation."""
+
+    urdf: Element
+    mjcf: Element
+    choose: random.Random
+
+    def moving_joint(self) -> Element:
+        return self.choose.choice([j for j in self.urdf.iter("joint") if j.get("type") != "fixed"])
+
+    def heavy_link(self) -> Element:
+        """A link with mass that moves by a joint of its own, or the base."""
+        fixed = {
+            child.get("link")
+            for joint in self.urdf.iter("joint")
+            if joint.get("type") == "fixed"
+            for child in joint.iter("child")
+        }
+        links = [link for link in self.urdf.iter("link") if link.find("inertial") is not None]
+        return self.choose.choice([link for link in links if link.get("name") not in fixed])
+
+    def mover(self, link: Element) -> str:
+        """The joint that moves a link; the base by its own name."""
+        name = link.get("name")
+        for joint in self.urdf.iter("joint"):
+            if joint.find("child").get("link") == name:
+                return joint.get("name")
+        return name
+
+    def mjcf_joints(self) -> list[Element]:
+        joints = [j for body in self.mjcf.iter("body") for j in body.findall("joint")]
+        return [joint for joint in joints if joint.get("type") != "free"]
+
+    def mjcf_joint(self) -> Element:
+        return self.choose.choice(self.mjcf_joints())
+
+    def mjcf_body(self) -> Element:
+        """A body with a hinge."""
+        bodies = list(self.mjcf.iter("body"))
+        return self.choose.choice([body for body in bodies if body.get("name") != "base_link"])
+
+
+Expected = tuple[set[str], set[str]]  # kinds, elements: of the first difference
+Mutation = Callable[[Files], Expected | None]
+MUTATIONS: dict[str, Mutation] = {}
+
+
+def mutation(function: Mutation) -> Mutation:
+    MUTATIONS[function.__name__] = function
+    return function
+
+
+def numbers(element: Element, name: str, default: str = "0 0 0") -> list[float]:
+    return [float(text) for text in element.get(name, default).split()]
+
+
+def write(element: Element, name: str, values: list[float]) -> None:
+    element.set(name, " ".join(repr(value) for value in values))
+
+
+# ------------------------------------------------------------------------------------- inertials
+
+
+def _inertia_entry(entry: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        link = files.heavy_link()
+        inertia = link.find("inertial/inertia")
+        if entry in ("ixx", "iyy", "izz"):
+            inertia.set(entry, repr(1.1 * float(inertia.get(entry))))
+        else:
+            least = min(float(inertia.get(name)) for name in ("ixx", "iyy", "izz"))
+            inertia.set(entry, repr(float(inertia.get(entry)) + 0.1 * least))
+        return {"inertia"}, {files.mover(link)}
+
+    return change
+
+
+for _entry in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz"):
+    MUTATIONS[f"inertia_{_entry}"] = _inertia_entry(_entry)
+
+
+def _com(axis: int) -> Mutation:
+    def change(files: Files) -> Expected:
+        link = files.heavy_link()
+        origin = link.find("inertial/origin")
+        xyz = numbers(origin, "xyz")
+        xyz[axis] += files.choose.choice([-1, 1]) * 0.004
+        write(origin, "xyz", xyz)
+        return {"com"}, {files.mover(link)}
+
+    return change
+
+
+def _joint_origin(axis: int) -> Mutation:
+    def change(files: Files) -> Expected:
+        joint = files.moving_joint()
+        origin = joint.find("origin")
+        xyz = numbers(origin, "xyz")
+        xyz[axis] += files.choose.choice([-1, 1]) * 0.003
+        write(origin, "xyz", xyz)
+        return {"position"}, {joint.get("name")}
+
+    return change
+
+
+def _joint_turn(axis: int) -> Mutation:
+    def change(files: Files) -> Expected:
+        joint = files.moving_joint()
+        origin = joint.find("origin")
+        rpy = numbers(origin, "rpy")
+        rpy[axis] += 0.05
+        write(origin, "rpy", rpy)
+        return {"rotation"}, {joint.get("name")}
+
+    return change
+
+
+for _index, _axis in enumerate("xyz"):
+    MUTATIONS[f"com_{_axis}"] = _com(_index)
+    MUTATIONS[f"joint_origin_{_axis}"] = _joint_origin(_index)
+    MUTATIONS[f"joint_rotation_{_axis}"] = _joint_turn(_index)
+
+
+@mutation
+def mass(files: Files) -> Expected:
+    link = files.heavy_link()
+    value = link.find("inertial/mass")
+    value.set("value", repr(1.05 * float(value.get("value"))))
+    return {"mass"}, {files.mover(link)}
+
+
+@mutation
+def grams_for_kilograms(files: Files) -> Expected:
+    link = files.heavy_link()
+    value = link.find("inertial/mass")
+    value.set("value", repr(1000 * float(value.get("value"))))
+    return {"mass"}, {files.mover(link)}
+
+
+@mutation
+def missing_base_mass(files: Files) -> Expected:
+    link = next(link for link in files.urdf.iter("link") if link.get("name") == "base_link")
+    link.remove(link.find("inertial"))
+    return {"mass"}, {"base_link"}
+
+
+@mutation
+def inertial_turned(files: Files) -> Expected | None:
+    link = files.heavy_link()
+    inertia = link.find("inertial/inertia")
+    moments = [float(inertia.get(name)) for name in ("ixx", "iyy", "izz")]
+    if max(moments) < 1.2 * min(moments):
+        return None  # a sphere may be turned
+    origin = link.find("inertial/origin")
+    write(origin, "rpy", [0.4, 0.3, 0.2])
+    return {"inertia"}, {files.mover(link)}
+
+
+@mutation
+def inertia_axes_swapped(files: Files) -> Expected | None:
+    link = files.heavy_link()
+    inertia = link.find("inertial/inertia")
+    one, two = inertia.get("ixx"), inertia.get("izz")
+    if abs(float(one) - float(two)) < 0.1 * float(one):
+        return None
+    inertia.set("ixx", two)
+    inertia.set("izz", one)
+    return {"inertia"}, {files.mover(link)}
+
+
+@mutation
+def mirrored_sign(files: Files) -> Expected | None:
+    """The y of a hip has the other sign, as when a leg is copied from the other side."""
+    joint = files.moving_joint()
+    origin = joint.find("origin")
+    xyz = numbers(origin, "xyz")
+    if abs(xyz[1]) < 1e-3:
+        return None
+    xyz[1] *= -1
+    write(origin, "xyz", xyz)
+    return {"position"}, {joint.get("name")}
+
+
+@mutation
+def swapped_legs(files: Files) -> Expected:
+    hips = [j for j in files.urdf.iter("joint") if j.find("parent").get("link") == "base_link"]
+    one, two = files.choose.sample([j for j in hips if j.get("type") != "fixed"], 2)
+    for tag in ("xyz",):
+        a, b = one.find("origin").get(tag), two.find("origin").get(tag)
+        one.find("origin").set(tag, b)
+        two.find("origin").set(tag, a)
+    return {"position"}, {one.get("name"), two.get("name")}
+
+
+def _weight(link: Element) -> float:
+    mass = link.find("inertial/mass")
+    return 0.0 if mass is None else float(mass.get("value"))
+
+
+@mutation
+def dropped_link(files: Files) -> Expected | None:
+    """A foot, or another link on a fixed joint, is missing with its mass."""
+    links = {link.get("name"): link for link in files.urdf.iter("link")}
+    feet = [
+        joint
+        for joint in files.urdf.iter("joint")
+        if joint.get("type") == "fixed" and _weight(links[joint.find("child").get("link")]) > 0
+    ]
+    if not feet:
+        return None
+    joint = files.choose.choice(feet)
+    parent = links[joint.find("parent").get("link")]
+    files.urdf.remove(links[joint.find("child").get("link")])
+    files.urdf.remove(joint)
+    return {"mass", "com"}, {files.mover(parent)}
+
+
+# ------------------------------------------------------------------------------------- joints
+
+
+@mutation
+def axis_sign(files: Files) -> Expected:
+    joint = files.moving_joint()
+    write(joint.find("axis"), "xyz", [-value for value in numbers(joint.find("axis"), "xyz")])
+    return {"axis"}, {joint.get("name")}
+
+
+@mutation
+def axis_direction(files: Files) -> Expected:
+    joint = files.moving_joint()
+    x, y, z = numbers(joint.find("axis"), "xyz")
+    write(joint.find("axis"), "xyz", [y, z, x])
+    return {"axis"}, {joint.get("name")}
+
+
+def _limit(name: str, kind: str, change: Callable[[float], float]) -> Mutation:
+    def apply(files: Files) -> Expected:
+        joint = files.moving_joint()
+        limit = joint.find("limit")
+        limit.set(name, repr(change(float(limit.get(name)))))
+        return {kind}, {joint.get("name")}
+
+    return apply
+
+
+MUTATIONS["lower_limit"] = _limit("lower", "lower limit", lambda value: value - 0.1)
+MUTATIONS["upper_limit"] = _limit("upper", "upper limit", lambda value: value + 0.1)
+MUTATIONS["effort"] = _limit("effort", "effort", lambda value: 1.2 * value)
+MUTATIONS["limit_in_degrees"] = _limit("upper", "upper limit", lambda value: math.degrees(value))
+
+
+@mutation
+def rotation_in_degrees(files: Files) -> Expected | None:
+    joint = files.moving_joint()
+    origin = joint.find("origin")
+    rpy = numbers(origin, "rpy")
+    if not any(rpy):
+        return None
+    write(origin, "rpy", [math.degrees(value) for value in rpy])
+    return {"rotation"}, {joint.get("name")}
+
+
+@mutation
+def joint_damping(files: Files) -> Expected:
+    joint = files.moving_joint()
+    joint.find("dynamics").set("damping", "0.08")
+    return {"damping"}, {joint.get("name")}
+
+
+@mutation
+def joint_friction(files: Files) -> Expected:
+    joint = files.moving_joint()
+    joint.find("dynamics").set("friction", "0.08")
+    return {"friction"}, {joint.get("name")}
+
+
+@mutation
+def limits_lost(files: Files) -> Expected:
+    joint = files.moving_joint()
+    joint.set("type", "continuous")
+    del joint.find("limit").attrib["lower"], joint.find("limit").attrib["upper"]
+    return {"lower limit", "upper limit"}, {joint.get("name")}
+
+
+@mutation
+def revolute_made_prismatic(files: Files) -> Expected:
+    joint = files.moving_joint()
+    joint.set("type", "prismatic")
+    return {"type"}, {joint.get("name")}
+
+
+@mutation
+def foot_frame(files: Files) -> Expected:
+    feet = [j for j in files.urdf.iter("joint") if "foot" in j.get("name")]
+    joint = files.choose.choice(feet)
+    origin = joint.find("origin")
+    xyz = numbers(origin, "xyz")
+    xyz[2] += 0.002
+    write(origin, "xyz", xyz)
+    # A foot with mass takes it along.
+    links = {link.get("name"): link for link in files.urdf.iter("link")}
+    foot = joint.find("child").get("link")
+    parent = links[joint.find("parent").get("link")]
+    if links[foot].find("inertial") is None:
+        return {"frame"}, {foot}
+    return {"frame", "com", "inertia"}, {foot, files.mover(parent)}
+
+
+# ------------------------------------------------------------------------------------- the MJCF
+
+
+@mutation
+def mjcf_mass(files: Files) -> Expected | None:
+    body = files.mjcf_body()
+    inertial = body.find("inertial")
+    if inertial is not None:
+        inertial.set("mass", repr(0.9 * float(inertial.get("mass"))))
+        return {"mass"}, {body.find("joint").get("name")}
+    geom = next((geom for geom in body.findall("geom") if geom.get("mass")), None)
+    if geom is None:
+        return None
+    geom.set("mass", repr(0.9 * float(geom.get("mass"))))
+    return {"mass"}, {body.find("joint").get("name")}
+
+
+@mutation
+def mjcf_body_position(files: Files) -> Expected:
+    body = files.mjcf_body()
+    x, y, z = numbers(body, "pos")
+    write(body, "pos", [x + 0.003, y - 0.002, z + 0.001])
+    return {"position"}, {body.find("joint").get("name")}
+
+
+@mutation
+def mjcf_body_rotation(files: Files) -> Expected:
+    body = files.mjcf_body()
+    w, x, y, z = numbers(body, "quat", "1 0 0 0")
+    c, s = math.cos(0.05), math.sin(0.05)  # 0.1 rad more about its own x
+    write(body, "quat", [w * c - x * s, w * s + x * c, y * c + z * s, z * c - y * s])
+    return {"rotation"}, {body.find("joint").get("name")}
+
+
+@mutation
+def mjcf_quaternion_order(files: Files) -> Expected | None:
+    """(x, y, z, w) is written for (w, x, y, z)."""
+    body = files.mjcf_body()
+    w, x, y, z = numbers(body, "quat", "1 0 0 0")
+    if body.get("quat") is None or max(abs(w), abs(x), abs(y), abs(z)) > 0.99:
+        return None
+    write(body, "quat", [x, y, z, w])
+    return {"rotation"}, {body.find("joint").get("name")}
+
+
+@mutation
+def mjcf_axis(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    kind = joint.get("class")
+    axis = {"HAA": [-1.0, 0, 0], "HFE": [0, -1.0, 0], "KFE": [0, -1.0, 0]}
+    write(joint, "axis", axis.get(str(kind), [0, 0, -1.0]))
+    return {"axis"}, {joint.get("name")}
+
+
+@mutation
+def mjcf_range(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    joint.set("range", "-0.2 0.3")
+    return {"lower limit", "upper limit"}, {joint.get("name")}
+
+
+@mutation
+def mjcf_force_range(files: Files) -> Expected:
+    motor = files.choose.choice(list(files.mjcf.find("actuator")))
+    motor.set("forcerange", "-7 7")
+    return {"effort"}, {motor.get("joint")}
+
+
+@mutation
+def mjcf_damping(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    joint.set("damping", "0.3")
+    return {"damping"}, {joint.get("name")}
+
+
+@mutation
+def mjcf_friction_loss(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    joint.set("frictionloss", "0.3")
+    return {"friction"}, {joint.get("name")}
+
+
+@mutation
+def mjcf_armature(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    joint.set("armature", "0.02")
+    return {"armature"}, {joint.get("name")}
+
+
+@mutation
+def mjcf_degrees(files: Files) -> Expected | None:
+    """The file is read in degrees: all its ranges shrink."""
+    if not any(
+        joint.get("range") for body in files.mjcf.iter("body") for joint in body.iter("joint")
+    ):
+        return None  # ranges in default classes are converted as well, but so are none here
+    files.mjcf.find("compiler").set("angle", "degree")
+    names = {j.get("name") for j in files.mjcf.iter("joint")}
+    return {"lower limit", "upper limit"}, {str(name) for name in names}
+
+
+@mutation
+def mjcf_mesh_that_weighs(files: Files) -> Expected | None:
+    """A drawn shape is given mass: its body gets heavier where inertias come from shapes."""
+    bodies = [
+        body
+        for body in files.mjcf.iter("body")
+        if body.find("inertial") is None and body.get("name") != "base_link"
+    ]
+    if not bodies:
+        return None
+    body = files.choose.choice(bodies)
+    ElementTree.SubElement(
+        body, "geom", type="box", size="0.02 0.02 0.02", contype="0", conaffinity="0", mass="0.05"
+    )
+    return {"mass"}, {body.find("joint").get("name")}
+
+
+@mutation
+def mjcf_inertia_from_geoms(files: Files) -> Expected | None:
+    """The compiler ignores the inertials, and takes the shapes' instead."""
+    if next(files.mjcf.iter("inertial"), None) is None:
+        return None
+    files.mjcf.find("compiler").set("inertiafromgeom", "true")
+    names = {str(joint.get("name")) for joint in files.mjcf.iter("joint")} | {"base_link"}
+    return {"mass", "com", "inertia"}, names
+
+
+@mutation
+def mjcf_free_joint_with_damping(files: Files) -> Expected:
+    """A default class that is meant for the hinges reaches <joint type="free">."""
+    base = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
+    base.find("joint").set("damping", "0.5")
+    return {"damping"}, {"base_link"}
+
+
+# ----------------------------------------------------------- what a URDF has no words for
+
+
+def _of_joint(kind: str, **attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        joint = files.mjcf_joint()
+        for name, value in attributes.items():
+            joint.set(name, value)
+        return {kind}, {joint.get("name")}
+
+    return change
+
+
+MUTATIONS["spring"] = _of_joint("spring", stiffness="2")
+MUTATIONS["weak_spring"] = _of_joint("spring", stiffness="1e-5")
+MUTATIONS["spring_at_an_angle"] = _of_joint("spring", stiffness="1500", springref="0.4")
+MUTATIONS["stiffness_polynomial"] = _of_joint("spring", stiffness="0 0 3")
+
+
+def _more_damping(files: Files) -> Expected:
+    joint = files.mjcf_joint()
+    # The linear coefficient stays that of the joint's default class.
+    classes = {d.get("class"): d.find("joint") for d in files.mjcf.iter("default")}
+    stated = classes.get(joint.get("class"))
+    linear = joint.get("damping") or (None if stated is None else stated.get("damping"))
+    if linear is None:
+        linear = classes["main"].get("damping", "0") if classes.get("main") is not None else "0"
+    joint.set("damping", f"{linear.split()[0]} 0.05 0.02")
+    return {"damping polynomial"}, {joint.get("name")}
+
+
+MUTATIONS["damping_polynomial"] = _more_damping
+
+
+@mutation
+def free_joint_with_spring(files: Files) -> Expected:
+    base = next(body for body in files.mjcf.iter("body") if body.get("name") == "base_link")
+    base.find("joint").set("stiffness", "30")
+    return {"spring"}, {"base_link"}
+
+
+@mutation
+def gravity_compensation(files: Files) -> Expected:
+    body = files.mjcf_body()
+    body.set("gravcomp", repr(files.choose.choice([1.0, 0.5, -0.2])))
+    return {"gravity compensation"}, {body.get("name")}
+
+
+@mutation
+def gravity_compensation_through_motors(files: Files) -> Expected:
+    """It is a motor's force then, and no passive one."""
+    body = files.mjcf_body()
+    body.set("gravcomp", "1")
+    for joint in files.mjcf.iter("joint"):
+        if joint.get("type") != "free" and joint.get("name"):
+            joint.set("actuatorgravcomp", "true")
+    return {"gravity compensation"}, {body.get("name")}
+
+
+def _fixed_tendon(**attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        section = ElementTree.SubElement(files.mjcf, "tendon")
+        tendon = ElementTree.SubElement(section, "fixed", name="t", **attributes)
+        names = sorted({str(joint.get("name")) for joint in files.mjcf_joints()})
+        for name, coefficient in zip(files.choose.sample(names, 2), ("1", "-0.5"), strict=True):
+            ElementTree.SubElement(tendon, "joint", joint=name, coef=coefficient)
+        return {"tendon"}, {"t"}
+
+    return change
+
+
+MUTATIONS["tendon_spring"] = _fixed_tendon(stiffness="4", springlength="0.1")
+MUTATIONS["tendon_with_slack"] = _fixed_tendon(stiffness="4", springlength="-0.1 0.1")
+MUTATIONS["tendon_damping"] = _fixed_tendon(damping="0.3")
+MUTATIONS["tendon_damping_polynomial"] = _fixed_tendon(damping="0 0.2")
+MUTATIONS["tendon_armature"] = _fixed_tendon(armature="0.003")
+MUTATIONS["tendon_friction_loss"] = _fixed_tendon(frictionloss="0.3")
+MUTATIONS["tendon_limits"] = _fixed_tendon(limited="true", range="-0.2 0.3")
+
+
+def _spatial_tendon(**attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        for body, name in ((files.mjcf_body(), "s1"), (files.mjcf_body(), "s2")):
+            ElementTree.SubElement(body, "site", name=name, pos="0.01 0.02 0.005")
+        section = ElementTree.SubElement(files.mjcf, "tendon")
+        ElementTree.SubElement(section, "spatial", **attributes)  # without a name
+        for end in ("s1", "s2"):
+            ElementTree.SubElement(section[0], "site", site=end)
+        return {"tendon"}, {"#0"}
+
+    return change
+
+
+def _between_two_bodies(change: Mutation) -> Mutation:
+    """A tendon between two sites of one body pulls at nothing."""
+
+    def apart(files: Files) -> Expected | None:
+        expected = change(files)
+        bodies = [b for b in files.mjcf.iter("body") if b.find("site[@name='s1']") is not None]
+        both = [b for b in bodies if b.find("site[@name='s2']") is not None]
+        if not both:
+            return expected
+        files.mjcf.remove(files.mjcf.find("tendon"))
+        for body in both:
+            for site in [s for s in body.findall("site") if s.get("name") in ("s1", "s2")]:
+                body.remove(site)
+        return None
+
+    return apart
+
+
+MUTATIONS["spatial_spring"] = _between_two_bodies(_spatial_tendon(stiffness="40"))
+MUTATIONS["spatial_armature"] = _between_two_bodies(_spatial_tendon(armature="0.3"))
+
+
+def _option(kind: str, **attributes: str) -> Mutation:
+    def change(files: Files) -> Expected:
+        option = files.mjcf.find("option")
+        if option is None:
+            option = ElementTree.SubElement(files.mjcf, "option")
+        for name, value in attributes.items():
+            option.set(name, value)
+        return {kind}, {"option"}
+
+    return change
+
+
+MUTATIONS["fluid_density"] = _option("fluid", density="1.2")
+MUTATIONS["fluid_viscosity"] = _option("fluid", viscosity="0.9")
+MUTATIONS["fluid_wind"] = _option("fluid", density="1.2", wind="5 0 1")
+MUTATIONS["gravity_of_the_moon"] = _option("gravity", gravity="0 0 -1.62")
+
+
+@mutation
+def fluid_around_an_ellipsoid(files: Files) -> Expected:
+    body = files.mjcf_body()
+    ElementTree.SubElement(
+        body, "geom", type="ellipsoid", size="0.05 0.02 0.03", mass="0", fluidshape="ellipsoid",
+        contype="0", conaffinity="0",
+    )  # fmt: skip
+    return _option("fluid", density="1000")(files)
+
+
+def _flag(word: str, kinds: set[str]) -> Mutation:
+    def change(files: Files) -> Expected:
+        option = files.mjcf.find("option")
+        if option is None:
+            option = ElementTree.SubElement(files.mjcf, "option")
+        ElementTree.SubElement(option, "flag", {word: "disable"})
+        names = {str(joint.get("name")) for joint in files.mjcf.iter("joint")}
+        return kinds, {"option", word} | names
+
+    return change
+
+
+MUTATIONS["flag_gravity"] = _flag("gravity", {"gravity"})
+MUTATIONS["flag_damper"] = _flag("damper", {"damping"})
+MUTATIONS["flag_limit"] = _flag("limit", {"flag"})
+MUTATIONS["flag_frictionloss"] = _flag("frictionloss", {"flag"})
+MUTATIONS["flag_actuation"] = _flag("actuation", {"flag"})
+
+
+def _motor(kinds: set[str], element: str, **attributes: str) -> Mutation:
+    """A motor with inertia or damping of its own; of those of a joint, one per joint counts."""
+
+    def change(files: Files) -> Expected:
+        joint = str(files.mjcf_joint().get("name"))
+        for motor in files.mjcf.find("actuator"):
+            if motor.get("joint") == joint:
+                for name, value in attributes.items():
+                    motor.set(name, value)
+                return kinds, {joint if element == "joint" else str(motor.get("name"))}
+        raise AssertionError(joint)
+
+    return change
+
+
+MUTATIONS["motor_armature"] = _motor({"armature"}, "joint", armature="0.04")
+MUTATIONS["motor_damping"] = _motor({"damping"}, "joint", damping="0.4")
+
+
+@mutation
+def motor_damping_polynomial(files: Files) -> Expected:
+    motor = files.choose.choice(list(files.mjcf.find("actuator")))
+    motor.set("damping", "0 0.3")
+    motor.set("name", "grease")
+    return {"actuator"}, {"grease"}
+
+
+@mutation
+def motor_armature_on_a_tendon(files: Files) -> Expected:
+    _fixed_tendon()(files)
+    ElementTree.SubElement(
+        files.mjcf.find("actuator"), "motor", name="winch", tendon="t", armature="0.01", gear="3"
+    )
+    return {"actuator"}, {"winch"}
+
+
+@mutation
+def loop_closed(files: Files) -> Expected:
+    """Two bodies are held together: a four-bar linkage."""
+    bodies = [b for b in files.mjcf.iter("body") if b.find("joint") is not None]
+    one, two = files.choose.sample(bodies, 2)
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(
+        section, "connect", name="rod", anchor="0 0 0.01",
+        body1=one.get("name"), body2=two.get("name"),
+    )  # fmt: skip
+    return {"equality"}, {"rod"}
+
+
+@mutation
+def base_welded_to_the_world(files: Files) -> Expected:
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(section, "weld", body1="base_link")
+    return {"equality"}, {"#0"}
+
+
+def _coupled_joints(files: Files) -> tuple[Element, Element]:
+    moving = [j for j in files.urdf.iter("joint") if j.get("type") != "fixed"]
+    one, two = files.choose.sample(moving, 2)
+    return one, two
+
+
+@mutation
+def joints_coupled_in_the_mjcf(files: Files) -> Expected:
+    one, two = (str(joint.get("name")) for joint in _coupled_joints(files))
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(section, "joint", name="gear", joint1=one, joint2=two)
+    return {"equality"}, {"gear"}
+
+
+@mutation
+def joints_coupled_in_the_urdf(files: Files) -> Expected:
+    one, two = _coupled_joints(files)
+    ElementTree.SubElement(one, "mimic", joint=str(two.get("name")), multiplier="2")
+    return {"mimic"}, {str(one.get("name"))}
+
+
+@mutation
+def joints_coupled_otherwise(files: Files) -> Expected:
+    """Both files couple the same joints, with different factors."""
+    one, two = _coupled_joints(files)
+    names = str(one.get("name")), str(two.get("name"))
+    ElementTree.SubElement(one, "mimic", joint=names[1], multiplier="2", offset="0.1")
+    section = ElementTree.SubElement(files.mjcf, "equality")
+    ElementTree.SubElement(
+        section, "joint", name="gear", joint1=names[0], joint2=names[1], polycoef="0.1 2.1 0 0 0"
+    )
+    return {"mimic", "equality"}, {names[0], "gear"}
+
+
+# ------------------------------------------------------------------------------------- the test
+
+
+@cache
+def sources(name: str) -> tuple[str, str]:
+    """The texts of an agreeing pair; the MJCF in one file, with paths to its meshes taken out."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        urdf, mjcf = pa.write_variant(name, folder)
+        root = ElementTree.parse(mjcf).getroot()
+        for parent in root.iter():
+            for child in list(parent):
+                if child.get("mesh") or child.tag == "mesh":
+                    parent.remove(child)
+        for key in root.findall("keyframe"):
+            root.remove(key)
+        return urdf.read_text(), ElementTree.tostring(root, encoding="unicode")
+
+
+def mutate(name: str, kind: str, seed: int, folder: Path) -> tuple[Comparison, Expected] | None:
+    urdf, mjcf = sources(name)
+    # The URDF as bytes: its declaration names the encoding.
+    choose = random.Random(f"{name} {kind} {seed}")
+    files = Files(ElementTree.fromstring(urdf.encode()), ElementTree.fromstring(mjcf), choose)
+    expected = None
+    for _ in range(20):  # some places do not suit
+        expected = MUTATIONS[kind](files)
+        if expected is not None:
+            break
+    if expected is None:
+        return None
+    paths = folder / "robot.urdf", folder / "robot.xml"
+    for path, root in zip(paths, (files.urdf, files.mjcf), strict=True):
+        path.write_text(ElementTree.tostring(root, encoding="unicode"))
+    return compare_models(*paths, configurations=3), expected
+
+
+def is_named_first(comparison: Comparison, expected: Expected) -> bool:
+    first: Difference | None = next(iter(comparison.differences), None)
+    return first is not None and first.kind in expected[0] and first.element in expected[1]
+
+
+def test_the_unchanged_pairs_agree(tmp_path: Path) -> None:
+    for name in ("v3", "original"):
+        urdf, mjcf = sources(name)
+        (tmp_path / "robot.urdf").write_text(urdf)
+        (tmp_path / "robot.xml").write_text(mjcf)
+        comparison = compare_models(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+        assert comparison.agree
+        assert comparison.complete
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("kind", MUTATIONS)
+def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) -> None:
+    tried = 0
+    for name in ("v3", "v3-long-leg", "original"):
+        for seed in range(PLACES):
+            outcome = mutate(name, kind, seed, tmp_path)
+            if outcome is None:
+                continue
+            tried += 1
+            comparison, expected = outcome
+            messages = [difference.message for difference in comparison.differences[:4]]
+            assert not comparison.agree, (name, expected)
+            assert is_named_first(comparison, expected), (name, expected, messages)
+            assert comparison.complete, (name, expected, comparison.left)
+            first = comparison.differences[0]
+            assert first.urdf_place is not None
+            assert first.mjcf_place is not None
+    assert tried >= PLACES, f"{kind} was tried at {tried} places"
+
+
+def test_there_are_many_kinds() -> None:
+    assert len(MUTATIONS) >= 70
+
+
+def test_a_renamed_joint_is_matched_by_structure_and_said_so(tmp_path: Path) -> None:
+    urdf, mjcf = sources("v3")
+    (tmp_path / "robot.urdf").write_text(urdf.replace('"leg_back_l_2"', '"left_hind_roll"'))
+    (tmp_path / "robot.xml").write_text(mjcf)
+    comparison = compare_models(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    assert comparison.guessed == {"left_hind_roll": "leg_back_l_2"}
+    assert comparison.agree
+
+
+def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
+    urdf, mjcf = sources("original")
+    root = ElementTree.fromstring(urdf.encode())
+    joint = next(joint for joint in root.iter("joint") if joint.get("name") == "RL_KFE")
+    joint.set("type", "fixed")
+    (tmp_path / "robot.urdf").write_text(ElementTree.tostring(root, encoding="unicode"))
+    (tmp_path / "robot.xml").write_text(mjcf)
+    comparison = compare_models(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    assert not comparison.agree
+    assert comparison.only_mjcf == ("RL_KFE",)
+    assert not comparison.differences  # with the knee fixed in both, they agree
+    assert comparison.complete
+
+
+@pytest.mark.slow
+def test_the_program_says_so_if_a_change_is_missed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is changed, so that nothing can be found."""
+    nothing: dict[str, Mutation] = {"nothing": lambda _: ({"mass"}, {"base_link"})}
+    for kinds, status in ((nothing, 1), ({"mass": MUTATIONS["mass"]}, 0)):
+        monkeypatch.setattr(sys.modules[__name__], "MUTATIONS", kinds)
+        monkeypatch.setattr(sys.modules[__name__], "PLACES", 1)
+        assert main() == status
+    assert "1 kinds: 0 of 3 found" in capsys.readouterr().out
+
+
+def main() -> int:
+    """Prints the score: ``python -m tests.checks.test_mutations``; returns 1 if any was missed."""
+    import tempfile
+
+    total = found = 0
+    for kind in MUTATIONS:
+        outcomes = []
+        for name in ("v3", "v3-long-leg", "original"):
+            for seed in range(PLACES):
+                with tempfile.TemporaryDirectory() as folder:
+                    outcome = mutate(name, kind, seed, Path(folder))
+                if outcome is not None:
+                    comparison, expected = outcome
+                    named = is_named_first(comparison, expected)
+                    outcomes.append(not comparison.agree and named and comparison.complete)
+        total, found = total + len(outcomes), found + sum(outcomes)
+        print(f"{kind:32s} {sum(outcomes)} of {len(outcomes)}")
+    print(f"{len(MUTATIONS)} kinds: {found} of {total} found, named first and explained in full")
+    return 0 if 0 < total == found else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,42 @@
+"""Samples of the two sweeps: one plausible slip in files that stand, and attributes at their ends.
+
+All of them: `benchmarks/one_slip.py` and `benchmarks/attributes.py`; what came of them is in
+docs/slips.md and docs/attributes.md.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.bases import BASES
+from tests.support.repository import ROOT
+
+sys.path.append(str(ROOT / "benchmarks"))
+
+import attributes
+import one_slip
+
+OWN = [name for name in BASES if name not in ("go1", "anymal", "hyq")]
+"""Robots whose files need nothing that may not be installed."""
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("name", OWN)
+def test_of_one_plausible_slip_nothing_is_said_that_is_not_so(name: str, tmp_path: Path) -> None:
+    for number in range(5):  # none of those in docs/slips.md, whose seed is 0
+        result = one_slip.case((name, 1, number, str(tmp_path)))
+        assert not one_slip.wrong(result), result
+
+
+@pytest.mark.longest
+def test_of_attributes_at_their_ends_nothing_is_said_that_is_not_so(tmp_path: Path) -> None:
+    cases = attributes.cases(str(tmp_path), ())
+    assert len(cases) > 5000
+    for index in np.random.default_rng(0).choice(len(cases), 40, replace=False):
+        key, argument = cases[index]
+        result = attributes.case(argument)
+        assert not one_slip.wrong(result), (key, result)

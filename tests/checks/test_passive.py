@@ -1,0 +1,643 @@
+"""What a URDF cannot state is found, does what physics says, and never hides behind AGREE."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import event, example, given, settings
+from hypothesis import strategies as st
+
+from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.differences import Effect
+from pupper_analysis.checks.engines import EXTRAS, cross_check
+from pupper_analysis.checks.passive import find as extras_module
+from pupper_analysis.checks.passive.extra import as_it_is, without
+from pupper_analysis.checks.passive.find import extras
+from pupper_analysis.checks.passive.mimics import split_mimics
+from pupper_analysis.checks.states import random_states
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.tolerances import Tolerances
+from tests.support.robots import (
+    Files,
+    all_changed,
+    arm,
+    changed,
+    compared,
+    found,
+    line_at,
+    matched,
+    mjcf_text,
+    pendulum,
+    quadruped,
+    urdf_text,
+    write,
+)
+from tests.support.variants import load
+
+GRAVITY, LENGTH, MASS = 9.81, 0.5, 2.0  # of the pendulum
+ROD = MASS * LENGTH**2 + 1e-3 + 0.01  # its moment of inertia about the hinge, with the rotor
+
+EFFORT = Tolerances().changed({"effort": 2.0})  # of whatever motors there are
+
+URDF = urdf_text(quadruped())
+MJCF = mjcf_text(quadruped())
+
+
+def with_(text: str, **edits: str) -> str:
+    """The text with ``old`` replaced by ``new``, once; ``old`` has to be there."""
+    for old, new in edits.items():
+        assert old in text, old
+        text = text.replace(old, new, 1)
+    return text
+
+
+def pair(folder: Path, mjcf: str, urdf: str = URDF, **options: Any) -> Comparison:
+    return compared(write(folder, urdf, mjcf), **options)
+
+
+def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np.ndarray]:
+    """The effects of the one difference of a pendulum; and the angles and speeds judged at."""
+    text = with_(mjcf_text(pendulum(), free=False), **edits)
+    files = write(folder, urdf_text(pendulum()), text)
+    match = matched(files)
+    explanation = explain(match.robot, reference=match.reference, mimics=match.mimics)
+    assert explanation.complete
+    (difference,) = (item for item in explanation.differences if item.kind != "effort")
+    states = random_states(match.robot, 10, seed=0)
+    return difference.effects, states.qpos[:, 0], states.qvel[:, 0]
+
+
+def only_acceleration(effects: dict[str, Effect], expected: np.ndarray) -> None:
+    assert set(effects) == {"forward dynamics"}
+    deviation = effects["forward dynamics"].deviation
+    assert deviation == pytest.approx(np.abs(expected).max(), rel=1e-9)
+    assert effects["forward dynamics"].share == pytest.approx(1, rel=1e-9)
+
+
+# ------------------------------------------------------------------------------------- closed forms
+
+SWING = '<joint name="swing"'
+
+
+def test_a_spring_pulls_back_to_its_rest(tmp_path: Path) -> None:
+    effects, angle, _ = swing(tmp_path, **{SWING: f'{SWING} stiffness="7" springref="0.3"'})
+    only_acceleration(effects, 7 * (angle - 0.3) / ROD)
+
+
+def test_a_spring_of_higher_order(tmp_path: Path) -> None:
+    """MuJoCo documentation, "Polynomial": the force is (k0 + k1 x + k2 x^2) x."""
+    effects, angle, _ = swing(tmp_path, **{SWING: f'{SWING} stiffness="7 2 3"'})
+    only_acceleration(effects, (7 + 2 * angle + 3 * angle**2) * angle / ROD)
+
+
+def test_damping_of_higher_order(tmp_path: Path) -> None:
+    effects, _, speed = swing(tmp_path, **{'damping="0.1"': 'damping="0.1 0.2 0.3"'})
+    only_acceleration(effects, (0.2 * np.abs(speed) + 0.3 * speed**2) * speed / ROD)
+
+
+@pytest.mark.parametrize("motor", [False, True])
+def test_gravity_compensation_lifts_a_share_of_the_weight(tmp_path: Path, motor: bool) -> None:
+    edits = {'<body name="bob"': '<body name="bob" gravcomp="0.4"'}
+    if motor:  # then it is a force of the actuators', which are switched off otherwise
+        edits[SWING] = f'{SWING} actuatorgravcomp="true"'
+    effects, angle, _ = swing(tmp_path, **edits)
+    only_acceleration(effects, 0.4 * MASS * GRAVITY * LENGTH * np.sin(angle) / ROD)
+
+
+def tendon(attributes: str) -> dict[str, str]:
+    fixed = f'<tendon><fixed {attributes}><joint joint="swing" coef="-3"/></fixed></tendon>'
+    return {"<actuator>": f"{fixed}<actuator>"}
+
+
+def test_the_spring_of_a_tendon(tmp_path: Path) -> None:
+    effects, angle, _ = swing(tmp_path, **tendon('stiffness="2" springlength="0.5"'))
+    only_acceleration(effects, 3 * 2 * (-3 * angle - 0.5) / ROD)
+
+
+def test_the_damping_of_a_tendon(tmp_path: Path) -> None:
+    effects, _, speed = swing(tmp_path, **tendon('damping="2"'))
+    only_acceleration(effects, 3 * 2 * 3 * speed / ROD)
+
+
+def test_the_armature_of_a_tendon(tmp_path: Path) -> None:
+    effects, _, _ = swing(tmp_path, **tendon('armature="0.02"'))
+    assert effects["mass matrix"].deviation == pytest.approx(3**2 * 0.02, rel=1e-9)
+    assert effects["mass matrix"].relative == pytest.approx(3**2 * 0.02 / ROD, rel=1e-9)
+
+
+def test_the_armature_of_a_motor_on_a_tendon(tmp_path: Path) -> None:
+    edits = tendon('name="t"')
+    edits["</actuator>"] = '<motor tendon="t" gear="5" armature="0.02"/></actuator>'
+    effects, _, _ = swing(tmp_path, **edits)
+    assert effects["mass matrix"].deviation == pytest.approx(3**2 * 5**2 * 0.02, rel=1e-9)
+
+
+def test_the_viscosity_of_a_fluid(tmp_path: Path) -> None:
+    """Stokes' drag on the sphere of the same inertia box: 3 pi d mu v, and pi d^3 mu omega.
+
+    MuJoCo documentation, "Fluid forces: Inertia model"; d is the mean edge of the box.
+    """
+    edits = {"<worldbody>": '<option viscosity="0.3"/><worldbody>'}
+    effects, _, speed = swing(tmp_path, **edits)
+    edge = np.sqrt(6 * 1e-3 / MASS)  # of the cube with the bob's moments: m a^2 / 6 each
+    torque = 3 * np.pi * edge * 0.3 * LENGTH**2 + np.pi * edge**3 * 0.3
+    only_acceleration(effects, torque * speed / ROD)
+
+
+def test_gravity_is_that_of_a_urdf_in_pinocchio(tmp_path: Path) -> None:
+    edits = {"<worldbody>": '<option gravity="0 0 -1.62"/><worldbody>'}
+    effects, angle, _ = swing(tmp_path, **edits)
+    expected = np.abs((GRAVITY - 1.62) * MASS * LENGTH * np.sin(angle)).max()
+    assert effects["gravity"].deviation == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("gravity", [9.8, 9.80665, 9.81])
+def test_gravities_in_use_are_no_difference_unless_strict(tmp_path: Path, gravity: float) -> None:
+    text = with_(MJCF, **{"<worldbody>": f'<option gravity="0 0 -{gravity}"/><worldbody>'})
+    assert pair(tmp_path, text).agree
+    strict = pair(tmp_path, text, tolerances=Tolerances.strict())
+    assert strict.agree == (gravity == 9.81)
+
+
+DC = '<dcmotor name="dc" joint="swing" gear="3" motorconst="0.5" resistance="2" {}/></actuator>'
+
+
+def test_a_dc_motor_brakes_without_a_command(tmp_path: Path) -> None:
+    """Its back-EMF K w drives K w / R through the winding: a torque of K^2 w / R."""
+    for command in ("", 'input="none"'):
+        effects, _, speed = swing(tmp_path, **{"</actuator>": DC.format(command)})
+        only_acceleration(effects, 3**2 * 0.5**2 / 2 * speed / ROD)
+
+
+def test_a_controlled_motor_is_left_to_its_controller(tmp_path: Path) -> None:
+    text = mjcf_text(pendulum(), free=False)
+    for motor in (
+        DC.format('input="pos" controller="10 0 0"'),
+        '<position joint="swing" kp="30" kv="2"/></actuator>',
+        '<velocity joint="swing" kv="2"/></actuator>',
+    ):
+        mjcf = with_(text, **{"</actuator>": motor})
+        comparison = pair(tmp_path, mjcf, urdf_text(pendulum()))
+        assert found(comparison) == [("effort", "swing")], motor  # it is not limited any more
+        assert max(comparison.deviations.values()) < 1e-12, motor
+
+
+def test_a_flex_between_bodies_of_the_robot(tmp_path: Path) -> None:
+    rope = (
+        '<deformable><flex name="rope" dim="1" body="shank0 shank1 shank2" '
+        'vertex="0 0 0 0 0 0 0 0 0" element="0 1 1 2"><edge stiffness="50" damping="2"/></flex>'
+        "</deformable>"
+    )
+    comparison = pair(tmp_path, mjcf_text(quadruped(), extra=rope))
+    assert found(comparison) == [("flex", "rope")]
+    assert comparison.complete
+    assert comparison.differences[0].effects["forward dynamics"].relative > 1e-3
+
+
+# ------------------------------------------------------------------------------------- one joint's
+
+
+def test_a_motor_at_a_joint_has_the_joints_armature_and_damping(tmp_path: Path) -> None:
+    """Its gear squared times its own; the mass matrices of both engines say so, too."""
+    plain = 'damping="0.1" frictionloss="0.2" armature="0.01"'
+    bare = 'damping="0.04" frictionloss="0.2" armature="0.002"'
+    motors = MJCF.replace(plain, bare)
+    for leg in range(4):
+        motor = f'name="m_hip{leg}" joint="hip{leg}"'
+        motors = with_(motors, **{motor: f'{motor} gear="2" damping="0.015" armature="0.002"'})
+    # 0.04 + 4 0.015 = 0.1 and 0.002 + 4 0.002 = 0.01; the torques' limits grow with the gear.
+    comparison = pair(tmp_path, motors, tolerances=EFFORT)
+    assert found(comparison) == []
+    assert comparison.agree
+    armature = {q.name: q for q in comparison.check.quantities}["armature"]
+    assert armature.scale == pytest.approx(0.02)
+    assert armature.relative < 1e-12
+    assert matched(Files(tmp_path / "robot.urdf", tmp_path / "robot.xml")).robot.pin_model.armature[
+        6:
+    ] == pytest.approx([0.01, 0.02] * 4)
+
+
+# ------------------------------------------------------------------------------------- the verdict
+
+PASSIVE = {
+    "spring": ('<joint name="knee1"', '<joint name="knee1" stiffness="{}" springref="-1.2"'),
+    "free spring": ("<freejoint/>", '<joint type="free" stiffness="{}"/>'),
+    "stiffness polynomial": ('<joint name="hip2"', '<joint name="hip2" stiffness="0 {} 0"'),
+    "damping polynomial": ('damping="0.1"', 'damping="0.1 0 {}"'),
+    "gravity compensation": ('<body name="shank3"', '<body name="shank3" gravcomp="{}"'),
+    "tendon spring": (
+        "<actuator>",
+        '<tendon><fixed stiffness="{}"><joint joint="hip0" coef="1"/>'
+        '<joint joint="knee2" coef="2"/></fixed></tendon><actuator>',
+    ),
+    "spatial spring": (
+        "<actuator>",
+        '<tendon><spatial stiffness="{}"><site site="foot0"/><site site="foot3"/></spatial>'
+        "</tendon><actuator>",
+    ),
+    "spatial damping": (
+        "<actuator>",
+        '<tendon><spatial damping="{}"><site site="foot1"/><site site="foot3"/></spatial>'
+        "</tendon><actuator>",
+    ),
+    "spatial armature": (
+        "<actuator>",
+        '<tendon><spatial armature="{}"><site site="foot1"/><site site="foot2"/></spatial>'
+        "</tendon><actuator>",
+    ),
+    "density": ("<worldbody>", '<option density="{}"/><worldbody>'),
+    "viscosity": ("<worldbody>", '<option viscosity="{}"/><worldbody>'),
+    "motor damping": ('joint="hip3"', 'joint="hip3" damping="{}"'),
+    "motor damping polynomial": ('name="m_knee3"', 'name="m_knee3" damping="0 {}"'),
+    "motor armature": ('name="m_knee0"', 'name="m_knee0" armature="{}"'),
+    "wrapped spring": (
+        "<worldbody>",
+        '<tendon><spatial stiffness="{}" springlength="0.3"><site site="foot0"/><geom geom="drum"/>'
+        '<site site="foot3"/></spatial></tendon><worldbody>'
+        '<geom name="drum" size="0.1" contype="0" conaffinity="0"/>',
+    ),
+    "wrapped damping": (
+        "<worldbody>",
+        '<tendon><spatial damping="{}"><site site="foot0"/><geom geom="reel"/>'
+        '<site site="foot2"/></spatial></tendon><worldbody>'
+        '<geom name="reel" type="cylinder" size="0.1 0.2" contype="0" conaffinity="0"/>',
+    ),
+    "pulley armature": (
+        "<actuator>",
+        '<tendon><spatial armature="{}"><site site="foot1"/><site site="foot2"/><pulley '
+        'divisor="2"/><site site="foot0"/><site site="foot3"/></spatial></tendon><actuator>',
+    ),
+    "tendon damping polynomial": (
+        "<actuator>",
+        '<tendon><fixed damping="0 {}"><joint joint="hip1" coef="3"/></fixed></tendon><actuator>',
+    ),
+    "damping of a tendon's motor": (
+        "<actuator>",
+        '<tendon><fixed name="pair"><joint joint="hip1" coef="1"/><joint joint="hip2" coef="-2"/>'
+        '</fixed></tendon><actuator><motor tendon="pair" gear="3" damping="{}"/>',
+    ),
+    "armature of a tendon's motor": (
+        "<actuator>",
+        '<tendon><spatial name="cord"><site site="foot1"/><site site="foot3"/></spatial></tendon>'
+        '<actuator><motor tendon="cord" gear="2" armature="{}"/>',
+    ),
+    "weld": (
+        "</worldbody>",
+        '</worldbody><equality><weld body1="base" solref="-{} -1"/></equality>',
+    ),
+    "connect": (
+        "</worldbody>",
+        '</worldbody><equality><connect body1="shank0" body2="shank1" anchor="0 0 0" '
+        'solref="-{} -1"/></equality>',
+    ),
+    "joint equality": (
+        "</worldbody>",
+        '</worldbody><equality><joint joint1="hip0" joint2="hip1" polycoef="0.1 1 0.2 0 0" '
+        'solref="-{} -1"/></equality>',
+    ),
+    "tendon equality": (
+        "</worldbody>",
+        '</worldbody><tendon><fixed name="both"><joint joint="knee1" coef="1"/>'
+        '<joint joint="knee3" coef="-1"/></fixed></tendon>'
+        '<equality><tendon tendon1="both" solref="-{} -1"/></equality>',
+    ),
+}
+
+SILENT = {
+    "exclude": (
+        "</worldbody>",
+        '</worldbody><contact><exclude body1="base" body2="shank0"/></contact>',
+    ),
+    "margins": (
+        "<worldbody>",
+        '<default><joint margin="0.2"/><geom margin="0.1" gap="0.1"/></default><worldbody>',
+    ),
+    "gravity compensation of nothing by motors": (
+        "<worldbody>",
+        '<default><joint actuatorgravcomp="true"/></default><worldbody>',
+    ),
+    "softness": (
+        "<worldbody>",
+        '<default><geom solref="0.1 2" solimp="0.1 0.2 0.3"/></default><worldbody>',
+    ),
+    "a free site": ("</worldbody>", '<site name="there"/></worldbody>'),
+}
+"""What does nothing to the unconstrained robot, or only changes how something else acts."""
+
+
+def accelerations(text: str, seed: int) -> np.ndarray:
+    """MuJoCo's own qacc (9, nv) of a text, without contacts, limits, dry friction and control."""
+    model = mujoco.MjModel.from_xml_string(text)
+    off = mujoco.mjtDisableBit
+    for bit in (off.mjDSBL_CONTACT, off.mjDSBL_LIMIT, off.mjDSBL_FRICTIONLOSS):
+        model.opt.disableflags |= bit.value
+    data, random, rows = mujoco.MjData(model), np.random.default_rng(seed), []
+    for _ in range(9):
+        data.qpos[:] = random.uniform(-1, 1, model.nq)
+        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+        data.qvel[:] = random.normal(size=model.nv)
+        mujoco.mj_forward(model, data)
+        rows.append(data.qacc.copy())
+    return np.array(rows)
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(
+    chosen=st.dictionaries(
+        st.sampled_from(sorted(PASSIVE)), st.floats(-9, 3).map(lambda x: 10.0**x), max_size=3
+    ),
+    silent=st.sets(st.sampled_from(sorted(SILENT)), max_size=2),
+    seed=st.integers(0, 1000),
+)
+@example(chosen={"spring": 1500.0}, silent=set(), seed=0)
+@example(chosen={"tendon spring": 3.0, "spatial armature": 0.2}, silent=set(), seed=0)
+@example(chosen={"gravity compensation": 0.5}, silent=set(SILENT), seed=0)
+@example(chosen={"connect": 1e-9, "weld": 1e-9}, silent=set(), seed=0)
+@example(chosen={}, silent=set(SILENT), seed=0)
+@example(chosen={}, silent=set(), seed=0)
+def test_never_agree_while_mujoco_accelerates_otherwise(
+    tmp_path_factory: pytest.TempPathFactory,
+    chosen: dict[str, float],
+    silent: set[str],
+    seed: int,
+) -> None:
+    text = MJCF
+    for kind, size in chosen.items():
+        old, new = PASSIVE[kind]
+        text = with_(text, **{old: new.format(repr(size))})
+    for kind in sorted(silent):
+        old, new = SILENT[kind]
+        text = with_(text, **{old: new})
+    plain = accelerations(MJCF, seed)
+    deviation = np.abs(accelerations(text, seed) - plain).max() / np.abs(plain).max()
+    comparison = pair(tmp_path_factory.getbasetemp(), text)
+    differs = bool(deviation > Tolerances().dynamics)
+    event(f"agree={comparison.agree}, differs={differs}")
+    assert not (comparison.agree and differs)
+    assert comparison.complete, comparison.objections
+    if not chosen:
+        assert comparison.agree
+        assert not differs
+
+
+FINDERS = {
+    "springs": ("spring", "qfrc_spring"),
+    "damping_polynomials": ("damping polynomial", "qfrc_damper"),
+    "gravity_compensation": ("gravity compensation", "qfrc_gravcomp"),
+    "tendons": ("spatial spring", "qfrc_spring"),
+    "fluid": ("density", "qfrc_fluid"),
+    "actuators": ("motor damping polynomial", "qfrc_damper"),
+}
+
+
+@pytest.mark.parametrize("finder", FINDERS)
+def test_what_is_not_found_is_said_to_be_left(
+    finder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The proof is MuJoCo's own dynamics: it does not rest on the finders."""
+    kind, force = FINDERS[finder]
+    old, new = PASSIVE[kind]
+    monkeypatch.setattr(extras_module, finder, lambda _: iter(()))
+    comparison = pair(tmp_path, with_(MJCF, **{old: new.format("5")}))
+    assert comparison.differences == ()
+    assert not comparison.agree
+    assert not comparison.complete
+    assert comparison.explained < 0.5
+    (objection,) = comparison.objections
+    assert objection.code == "deviation-unexplained"
+    assert force in [remains.values["field"] for remains in objection.values["remains"]]
+    assert comparison.engines == ()  # they were not given the same model
+
+
+@pytest.mark.parametrize("kind", PASSIVE)
+def test_the_engines_are_not_blamed(kind: str, tmp_path: Path) -> None:
+    old, new = PASSIVE[kind]
+    comparison = pair(tmp_path, with_(MJCF, **{old: new.format("0.5")}))
+    assert comparison.engines == ()
+    assert not comparison.agree
+    edges = {q.name: q.edges for q in comparison.check.quantities}["forward dynamics"]
+    assert edges["engines (MJCF)"] < 1e-12
+    assert edges["engines (URDF)"] < 1e-12
+    # What is a joint's is a difference of the models; what a URDF cannot state has its own side.
+    side = EXTRAS if kind not in ("motor damping", "motor armature") else "models (MuJoCo)"
+    assert edges[side] > 1e-6 or kind == "motor armature"
+
+
+def test_small_differences_that_add_up_are_no_agreement(tmp_path: Path) -> None:
+    """A com is off by 9 um, within the tolerance; but the pendulum is 1 mm long."""
+    tiny = {"com": (0.0, 0.0, -1e-3), "inertia": (1e-9, 1e-9, 1e-9, 0, 0, 0), "armature": 0.0}
+    urdf, other = pendulum(**tiny), pendulum(**{**tiny, "com": (0.0, 0.0, -1.009e-3)})
+    files = write(tmp_path, urdf_text(urdf), mjcf_text(other, free=False))
+    comparison = compared(files)
+    assert comparison.differences == ()
+    assert comparison.complete
+    assert not comparison.agree
+    assert ("tolerances-add-up", "gravity") in [
+        (told.code, told.subject.name) for told in comparison.objections
+    ]
+    assert compared(files, tolerances=Tolerances().changed({"dynamics": 0.05})).agree
+
+
+def test_the_cross_check_of_a_robot_sees_a_spring() -> None:
+    robot = load("v3")
+    model = copy.copy(robot.mj_model)
+    model.jnt_stiffness[3] = 2.0
+    check = cross_check(replace(robot, mj_model=model), configurations=3)
+    assert not check.passed
+    failed = {quantity.name: quantity for quantity in check.quantities if not quantity.passed}
+    assert {quantity.whose for quantity in failed.values()} == {EXTRAS}
+    assert "forward dynamics" in failed
+
+
+# ------------------------------------------------------------------------------------- couplings
+
+
+def coupled(folder: Path, mimic: str, equality: str) -> Comparison:
+    urdf = with_(URDF, **{'<axis xyz="0.0 1.0 0.0"/>': f'{mimic}\n<axis xyz="0.0 1.0 0.0"/>'})
+    return pair(folder, mjcf_text(quadruped(), extra=f"<equality>\n{equality}\n</equality>"), urdf)
+
+
+MIMIC = '<mimic joint="hip0" multiplier="2" offset="0.1"/>'  # of knee0
+SAME = {
+    "the same": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0 0 0"/>',
+    "read backwards": '<joint joint1="hip0" joint2="knee0" polycoef="-0.05 0.5 0 0 0"/>',
+}
+OTHER = {
+    "another factor": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2.01 0 0 0"/>',
+    "another offset": '<joint joint1="knee0" joint2="hip0" polycoef="-0.1 2 0 0 0"/>',
+    "backwards, wrongly": '<joint joint1="hip0" joint2="knee0" polycoef="0.1 2 0 0 0"/>',
+    "another joint": '<joint joint1="knee0" joint2="hip1" polycoef="0.1 2 0 0 0"/>',
+    "a parabola": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0.1 0 0"/>',
+}
+
+
+@pytest.mark.parametrize("how", SAME)
+def test_a_mimic_and_an_equality_that_say_the_same(how: str, tmp_path: Path) -> None:
+    comparison = coupled(tmp_path, MIMIC, SAME[how])
+    assert found(comparison) == []
+    assert comparison.agree
+
+
+@pytest.mark.parametrize("how", OTHER)
+def test_a_mimic_and_an_equality_that_do_not(how: str, tmp_path: Path) -> None:
+    comparison = coupled(tmp_path, MIMIC, OTHER[how])
+    assert not comparison.agree
+    assert set(found(comparison)) == {("equality", "#0"), ("mimic", "knee0")}
+    places = {"robot.urdf": tmp_path / "robot.urdf", "robot.xml": tmp_path / "robot.xml"}
+    by_kind = {difference.kind: difference for difference in comparison.differences}
+    assert line_at(by_kind["mimic"].urdf_place, places) == MIMIC
+    assert line_at(by_kind["equality"].mjcf_place, places) == OTHER[how]
+    assert by_kind["equality"].effects["forward dynamics"].relative > 1e-3
+
+
+def test_an_inactive_equality_is_none(tmp_path: Path) -> None:
+    extra = '<equality><joint joint1="hip0" joint2="hip1" active="false"/></equality>'
+    assert pair(tmp_path, mjcf_text(quadruped(), extra=extra)).agree
+
+
+def test_the_offset_of_an_equality_is_about_the_rest_position(tmp_path: Path) -> None:
+    """q - q0 = a0 + a1 (q' - q0'): MuJoCo's own residual is zero on the mimic's line."""
+    text = """<mujoco><compiler angle="radian"/><worldbody><body name="base">
+      <joint name="a" ref="0.3"/><geom size="1"/>
+      <body><joint name="b" ref="-0.2"/><geom size="1"/></body></body></worldbody>
+      <equality><joint joint1="b" joint2="a" polycoef="0.4 2 0 0 0"/></equality></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    reference = Reference(model, model, ("a", "b"), "base")
+    multiplier, offset = 2.0, 0.4 - 0.2 - 2 * 0.3
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.7, multiplier * 0.7 + offset
+    mujoco.mj_forward(model, data)
+    assert data.efc_pos[0] == pytest.approx(0, abs=1e-12)
+    same, left = split_mimics(extras(reference), reference, {"b": ("a", multiplier, offset)}, 1e-9)
+    assert (len(same), left) == (1, [])
+
+
+# ------------------------------------------------------------------------------------- scenes
+
+BALL = '<body name="ball"><freejoint/><geom size="0.1"/><site name="end"/></body>'
+MOCAP = '<body name="hand" mocap="true"/>'
+DOOR = (
+    '<body name="door" gravcomp="1"><joint name="hinge" axis="0 0 1" stiffness="3"/>'
+    '<geom size="1"/></body>'
+)
+
+
+def test_what_acts_on_other_objects_is_none_of_the_robots(tmp_path: Path) -> None:
+    extra = (
+        '<tendon><fixed stiffness="4"><joint joint="hinge" coef="1"/></fixed></tendon>'
+        '<equality><weld body1="ball" body2="hand"/></equality>'
+    )
+    text = mjcf_text(quadruped(), scene=BALL + MOCAP + DOOR, extra=extra)
+    comparison = pair(tmp_path, text)
+    assert found(comparison) == []
+    assert comparison.agree
+
+
+CLOTH = (
+    '<flexcomp name="cloth" type="grid" count="3 3 1" spacing=".05 .05 .05" dim="2" pos="4 4 4" '
+    'mass="1" radius=".01"><edge equality="true"/></flexcomp>'
+)
+
+
+def test_a_cloth_in_the_scene_is_none_of_the_robots(tmp_path: Path) -> None:
+    """Its edges are kept by an equality, which said that the robot is held."""
+    assert pair(tmp_path, mjcf_text(quadruped(), scene=CLOTH)).agree
+
+
+@pytest.mark.parametrize("inertial", ["", '<inertial pos="0 0 0" mass="3" diaginertia="1 1 1"/>'])
+def test_what_is_moved_by_hand_is_no_mass_of_a_fixed_base(inertial: str, tmp_path: Path) -> None:
+    target = f'<body name="hand" mocap="true">{inertial}<geom size="0.1"/></body>'
+    text = mjcf_text(arm(), free=False, scene=target)
+    assert pair(tmp_path, text, urdf_text(arm())).agree
+
+
+@pytest.mark.parametrize(
+    ("extra", "kind"),
+    [
+        ('<equality><weld body1="base" body2="hand"/></equality>', "equality"),
+        ('<equality><connect body1="ball" body2="base" anchor="0 0 0"/></equality>', "equality"),
+        (
+            '<tendon><spatial stiffness="4"><site site="end"/><site site="foot1"/></spatial>'
+            "</tendon>",
+            "tendon",
+        ),
+    ],
+)
+def test_what_ties_the_robot_to_other_objects_is_found(
+    extra: str, kind: str, tmp_path: Path
+) -> None:
+    """The object is taken out of the scene to compare; what held the robot must not vanish."""
+    text = mjcf_text(quadruped(), scene=BALL + MOCAP, extra=extra)
+    comparison = pair(tmp_path, text)
+    assert [difference.kind for difference in comparison.differences] == [kind]
+    assert comparison.complete
+    assert comparison.differences[0].effects["forward dynamics"].relative > 1e-3
+
+
+def test_a_fixed_robot_has_extras_too(tmp_path: Path) -> None:
+    text = mjcf_text(arm(), free=False)
+    text = with_(text, **{'<joint name="push"': '<joint name="push" stiffness="30"'})
+    comparison = pair(tmp_path, text, urdf_text(arm()))
+    assert found(comparison) == [("spring", "push")]
+    assert "stiffness 30 N/m, at rest at 0 m" in comparison.differences[0].message
+    assert comparison.complete
+
+
+# ------------------------------------------------------------------------------------- switches
+
+
+def test_flags_switch_off_what_is_written(tmp_path: Path) -> None:
+    def flagged(word: str, text: str = MJCF) -> Comparison:
+        option = f'<option><flag {word}="disable"/></option><worldbody>'
+        return pair(tmp_path, with_(text, **{"<worldbody>": option}))
+
+    spring = with_(MJCF, **{'<joint name="hip0"': '<joint name="hip0" stiffness="9"'})
+    assert flagged("spring", spring).agree
+    assert {kind for kind, _ in found(flagged("damper"))} == {"damping"}
+    assert found(flagged("gravity")) == [("gravity", "option")]
+    undamped = urdf_text(all_changed(quadruped(), damping=0.0))
+    option = '<option><flag damper="disable"/></option><worldbody>'
+    assert pair(tmp_path, with_(MJCF, **{"<worldbody>": option}), undamped).agree
+
+
+def test_the_integrator_makes_no_difference(tmp_path: Path) -> None:
+    """MuJoCo's ``discrete`` has the timestep in qacc."""
+    for integrator in ("Euler", "RK4", "implicit", "implicitfast", "discrete"):
+        option = f'<option integrator="{integrator}"/><worldbody>'
+        assert pair(tmp_path, with_(MJCF, **{"<worldbody>": option})).agree
+
+
+def test_taking_away_all_extras_leaves_a_bare_tree() -> None:
+    """Every passive force of MuJoCo's is then linear damping, and the original is untouched."""
+    text = MJCF
+    for kind in ("spring", "gravity compensation", "spatial spring", "viscosity"):
+        old, new = PASSIVE[kind]
+        text = with_(text, **{old: new.format("2")})
+    model = mujoco.MjModel.from_xml_string(text)
+    names = [f"{part}{leg}" for leg in range(4) for part in ("hip", "knee")]
+    reference = Reference(model, model, names, "base")
+    for bare, zero in ((without(model, extras(reference)), True), (as_it_is(model), False)):
+        data = mujoco.MjData(bare)
+        data.qpos[7:], data.qvel[:] = 0.3, 1.0
+        mujoco.mj_forward(bare, data)
+        damping = -bare.dof_damping * data.qvel
+        assert np.allclose(data.qfrc_passive, damping, rtol=0, atol=1e-15) == zero
+    assert model.opt.viscosity == 2.0
+    assert len(extras(reference)) == 4
+
+
+def test_what_no_body_has_is_compared_without_a_traceback(tmp_path: Path) -> None:
+    wrong = changed(quadruped(), "shank1", inertia=(-0.1, 0.1, 0.1, 0, 0, 0))
+    comparison = pair(tmp_path, MJCF, urdf_text(wrong))
+    assert found(comparison)[0] == ("inertia", "knee1")
+    assert comparison.complete
+    lighter = changed(quadruped(), "shank1", mass=-0.3)
+    assert ("mass", "knee1") in found(pair(tmp_path, MJCF, urdf_text(lighter)))

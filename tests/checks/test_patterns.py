@@ -1,0 +1,272 @@
+"""One slip is named in the first line, in place of twenty differences."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.checks.test_mutations import sources
+from tests.report.test_comparison import lines
+from tests.support.robots import (
+    Files,
+    Parts,
+    all_changed,
+    changed,
+    compared,
+    found,
+    mjcf_text,
+    numbers,
+    quadruped,
+    urdf_text,
+    write,
+)
+
+
+def first_line(files: Files) -> str:
+    comparison = compared(files)
+    assert not comparison.agree
+    assert comparison.complete
+    return lines(comparison)[0]
+
+
+def pair(folder: Path, mjcf: Parts) -> Files:
+    return write(folder, urdf_text(quadruped()), mjcf_text(mjcf))
+
+
+def with_euler(text: str, order: str, compiler: str) -> str:
+    """The quaternions of bodies as Euler angles in an order; and what the compiler says of it."""
+
+    def euler(match: re.Match[str]) -> str:
+        quaternion = [float(word) for word in match[1].split()]
+        # MuJoCo's small letters are axes that turn along, scipy's are fixed ones.
+        angles = Rotation.from_quat(quaternion, scalar_first=True).as_euler(order.swapcase())
+        return f'euler="{numbers(angles)}"'
+
+    text = re.sub(r'quat="([^"]*)"', euler, text)
+    return text.replace('<compiler angle="radian"/>', f"<compiler {compiler}/>")
+
+
+def test_euler_angles_that_are_meant_agree(tmp_path: Path) -> None:
+    text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian" eulerseq="XYZ"')
+    assert compared(write(tmp_path, urdf_text(quadruped()), text)).agree
+
+
+def test_another_euler_sequence(tmp_path: Path) -> None:
+    text = with_euler(mjcf_text(quadruped()), "XYZ", 'angle="radian"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert 'the MJCF\'s angles are meant otherwise: with eulerseq="XYZ" in place of "xyz"' in line
+
+
+def test_feet_turned_by_a_quarter_by_an_euler_sequence(tmp_path: Path) -> None:
+    """Ankles that are turned twice by 90 degrees: the order is all that is wrong."""
+    turn = Rotation.from_euler("xyz", [math.pi / 2, 0.0, math.pi / 2])
+    quaternion = tuple(turn.as_quat(scalar_first=True))
+    parts = {
+        name: replace(part, quaternion=quaternion) if name.startswith("shank") else part
+        for name, part in quadruped().items()
+    }
+    text = with_euler(mjcf_text(parts), "XYZ", 'angle="radian"')
+    line = first_line(write(tmp_path, urdf_text(parts), text))
+    assert 'with eulerseq="XYZ" in place of "xyz"' in line
+
+
+def test_degrees_for_radians(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped()).replace('angle="radian"', 'angle="degree"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert 'with angle="radian" in place of "degree" in its <compiler>' in line
+
+
+def test_limbs_that_are_exchanged(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped())
+    for kind in ("hip", "knee"):
+        for one, two in (("0", "1"), ("2", "3")):
+            text = text.replace(f'"{kind}{one}"', "@").replace(f'"{kind}{two}"', f'"{kind}{one}"')
+            text = text.replace("@", f'"{kind}{two}"')
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "limbs are exchanged between the files: hip0 and hip1, hip2 and hip3;" in line
+
+
+def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float = 1.0) -> Parts:
+    return {
+        name: replace(
+            part,
+            mass=mass * part.mass,
+            position=tuple(length * np.array(part.position)),
+            com=tuple(length * np.array(part.com)),
+            inertia=tuple(inertia * np.array(part.inertia)),
+        )
+        for name, part in parts.items()
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ({"mass": 1e3}, "all masses of the MJCF are 1000 times those of the URDF: g for kg"),
+        ({"mass": 0.1}, "all masses of the MJCF are 0.1 times those of the URDF: a decimal point?"),
+        ({"length": 1e3}, "all lengths of the MJCF are 1000 times those of the URDF: mm for m"),
+        ({"inertia": 1e6}, "all inertias of the MJCF are 1e+06 times those of the URDF: kg mm^2"),
+    ],
+)
+def test_units(tmp_path: Path, factors: dict[str, float], words: str) -> None:
+    assert words in first_line(pair(tmp_path, scaled(quadruped(), **factors)))
+
+
+def test_limits_in_degrees(tmp_path: Path) -> None:
+    urdf = {
+        name: replace(part, lower=math.degrees(part.lower), upper=math.degrees(part.upper))
+        for name, part in quadruped().items()
+    }
+    line = first_line(write(tmp_path, urdf_text(urdf), mjcf_text(quadruped())))
+    assert line.endswith("0.0174533 times those of the URDF: degrees for radians in the URDF?")
+
+
+def test_left_and_right_of_pupper_are_exchanged(tmp_path: Path) -> None:
+    urdf, mjcf = sources("v3")
+    for end in ("front", "back"):
+        for joint in (1, 2, 3):
+            left, right = (f'"leg_{end}_{side}_{joint}"' for side in "lr")
+            urdf = urdf.replace(left, "@").replace(right, left).replace("@", right)
+    line = first_line(write(tmp_path, urdf, mjcf))
+    assert "leg_back_l_1 and leg_back_r_1, leg_front_l_1 and leg_front_r_1" in line
+    assert line.endswith("44 of the 44 differences are gone")
+
+
+def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:
+    line = first_line(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
+    assert line.startswith("DISAGREE: body of knee2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
+    assert "(ten times: a decimal point?)" in line
+
+
+def test_products_of_inertia_that_are_dropped(tmp_path: Path) -> None:
+    mjcf = {
+        name: replace(part, inertia=(*part.inertia[:3], 0.0, 0.0, 0.0))
+        for name, part in quadruped().items()
+    }
+    line = first_line(pair(tmp_path, mjcf))
+    assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", ["URDF", "MJCF"])
+def test_coms_that_are_left_out(file: str, tmp_path: Path) -> None:
+    """As in a URDF of a LEAP Hand: each com is its link's origin."""
+    bare = all_changed(quadruped(), com=(0.0, 0.0, 0.0))
+    urdf, mjcf = (bare, quadruped()) if file == "URDF" else (quadruped(), bare)
+    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf_text(mjcf)))
+    assert comparison.complete
+    assert {kind for kind, _ in found(comparison)} == {"com"}
+    (cause,) = comparison.causes
+    assert len(cause.differences) == 9
+    said = (
+        f"DISAGREE: the coms of 9 bodies are their links' origins in the {file}, and elsewhere in"
+    )
+    assert lines(comparison)[0].startswith(said)
+
+
+def test_the_base_of_another_robot(tmp_path: Path) -> None:
+    other = {"mass": 11.0, "com": (0.03, 0.0, 0.01), "inertia": (0.1, 0.2, 0.25, 0.0, 0.0, 0.0)}
+    comparison = compared(pair(tmp_path, changed(quadruped(), "base", **other)))
+    assert set(found(comparison)) == {(kind, "base") for kind in ("mass", "com", "inertia")}
+    (cause,) = comparison.causes
+    assert cause.differences == (0, 1, 2)
+    assert lines(comparison)[0].startswith(
+        "DISAGREE: body of base: nothing of its inertial is the same: mass 6 kg in the URDF, 11 kg"
+    )
+
+
+def test_the_inertial_of_another_link_is_recognised(tmp_path: Path) -> None:
+    thigh = quadruped()["thigh3"]
+    mine = {"mass": thigh.mass, "com": thigh.com, "inertia": thigh.inertia}
+    line = first_line(pair(tmp_path, changed(quadruped(), "shank1", **mine)))
+    assert "it is that of hip3 in the URDF" in line
+
+
+def test_no_pattern_where_there_is_none(tmp_path: Path) -> None:
+    mjcf = changed(changed(quadruped(), "base", mass=6.1), "shank0", mass=0.25, upper=0.1)
+    assert compared(pair(tmp_path, mjcf)).causes == ()
+    assert compared(pair(tmp_path, all_changed(quadruped(), friction=0.3))).causes == ()
+
+
+def offset_joint(text: str, joint: str, pos: str) -> str:
+    """An MJCF in which a joint is not in its body's origin."""
+    assert f'<joint name="{joint}"' in text
+    return text.replace(f'<joint name="{joint}"', f'<joint pos="{pos}" name="{joint}"')
+
+
+def test_an_axis_alone_that_is_elsewhere(tmp_path: Path) -> None:
+    """The body stays; its com and its child have moved as seen from its joint alone."""
+    text = offset_joint(mjcf_text(quadruped()), "hip1", "0 0 0.004")
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    assert {("position", "hip1"), ("position", "knee1"), ("com", "hip1")} <= set(found(comparison))
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "joint hip1: its axis is elsewhere in the MJCF, 4 mm away, and all" in line
+
+
+def test_an_axis_that_is_turned_about_another_of_its_points(tmp_path: Path) -> None:
+    """The axes meet, though not in the URDF's origin: that is nothing apart."""
+    text = mjcf_text(quadruped())
+    axis = re.search(r'<joint name="hip1"[^>]*axis="([^"]*)"', text)
+    assert axis is not None
+    old = np.array([float(word) for word in axis[1].split()])
+    across = np.cross(old, (0.3, 0.5, 0.8))
+    new = Rotation.from_rotvec(0.2 * across / np.linalg.norm(across)).apply(old)
+    turned = axis[0].replace(axis[1], numbers(new))
+    text = offset_joint(text.replace(axis[0], turned), "hip1", numbers(0.1 * old))
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "joint hip1: its axis is elsewhere in the MJCF, turned by 11.46 deg, and all" in line
+
+
+def test_a_body_that_is_elsewhere_takes_its_axis_along(tmp_path: Path) -> None:
+    part = quadruped()["thigh1"]
+    place = tuple(np.add(part.position, (0.0, 0.0, 0.004)))
+    comparison = compared(pair(tmp_path, changed(quadruped(), "thigh1", position=place)))
+    assert found(comparison) == [("position", "hip1")]
+    assert comparison.causes == ()
+
+
+def geared(text: str, gears: tuple[float, ...]) -> str:
+    """An MJCF whose motors have gears, and what the URDF says for a range before them."""
+    names = [f"{kind}{leg}" for leg in range(4) for kind in ("hip", "knee")]
+    for name, gear in zip(names, gears, strict=True):
+        text = text.replace(f'joint="{name}" ctrlrange', f'joint="{name}" gear="{gear}" ctrlrange')
+    return text
+
+
+def test_efforts_before_the_gear_are_told_first(tmp_path: Path) -> None:
+    """As Cassie's: 4.5 N m in the URDF and at ctrl, 112.5 N m at the joint."""
+    mjcf = changed(quadruped(), "base", mass=7.0)  # a kilogram goes before efforts, but not first
+    text = geared(mjcf_text(mjcf), (25, 16) * 4)
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    line = first_line(write(tmp_path, urdf_text(quadruped()), text))
+    assert "the URDF's efforts of 8 joints are the motors', before their gears" in line
+    assert "20 times 25 is 500 on hip0" in line
+    assert [cause.kind for cause in comparison.causes] == ["gears"]
+    assert {comparison.differences[n].kind for n in comparison.causes[0].differences} == {"effort"}
+
+
+def test_efforts_that_no_gear_explains(tmp_path: Path) -> None:
+    """The MJCF's forces are the joints' already: the URDF's are wrong, or another motor's."""
+    mjcf = {
+        name: replace(part, effort=1.7 * part.effort) if part.joint else part
+        for name, part in quadruped().items()
+    }
+    comparison = compared(pair(tmp_path, mjcf))
+    assert comparison.causes == ()
+    other = geared(mjcf_text(mjcf), (25,) * 8)
+    assert compared(write(tmp_path, urdf_text(quadruped()), other)).causes == ()
+
+
+def test_an_effort_of_zero_is_no_difference_between_engines(tmp_path: Path) -> None:
+    """Pinocchio reads 0 N m, MuJoCo none: the file states none."""
+    urdf = urdf_text(changed(quadruped(), "shank2", effort=0.0))
+    comparison = compared(write(tmp_path, urdf, mjcf_text(quadruped())))
+    assert comparison.engines == ()
+    assert found(comparison) == [("effort", "knee2")]

@@ -1,0 +1,209 @@
+"""Large robots: what is compared of them, that it is right, and how the work grows.
+
+Time and memory are measured by `benchmarks/size.py`; here operations are counted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.checks.attribution import _entries
+from pupper_analysis.checks.behaviour import Behaviour
+from pupper_analysis.checks.engines import URDF_MUJOCO, URDF_READ, cross_check
+from pupper_analysis.checks.size import MOST_IN_PINOCCHIO, affordable, size_notes, some_of
+from pupper_analysis.checks.states import random_states
+from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import trees
+from pupper_analysis.models.mujoco_tree import MujocoTree
+from pupper_analysis.robot.structure import Structure
+from tests.support.cases import some
+from tests.support.repository import benchmark
+from tests.support.variants import load
+
+size = benchmark("size")
+
+Written = Callable[..., tuple[Path, Path]]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Written:
+    def write(legs: int, joints: int, heavier: int = 0) -> tuple[Path, Path]:
+        files = tmp_path / f"{legs}x{joints}.urdf", tmp_path / f"{legs}x{joints}.xml"
+        for file, text in zip(files, size.pair(legs, joints, heavier), strict=True):
+            file.write_text(text)
+        return files
+
+    return write
+
+
+@pytest.fixture
+def workspaces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The degrees of freedom of each set of Pinocchio's data that is made."""
+    made: list[int] = []
+    workspace = Structure.workspace
+
+    def counted(self: Structure) -> object:
+        if not self._spare:
+            made.append(self.model.nv)
+        return workspace(self)
+
+    monkeypatch.setattr(Structure, "workspace", counted)
+    return made
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+@pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
+def test_a_tree_in_mujoco_is_the_one_in_pinocchio(name: str, fixed: bool) -> None:
+    robot = load(name, fixed_base=fixed)
+    tree = trees(robot)[0]
+    reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
+    states, entries = random_states(robot, 5, seed=1), _entries(robot, tree, reference)
+    one, two = Behaviour(robot, states), Behaviour(robot, states, entries)
+    joint = robot.joint_names[4]
+    other = replace(
+        tree,
+        gravity=np.array([0.3, -0.2, -9.0]),
+        bodies={**tree.bodies, joint: replace(tree.bodies[joint], mass=0.7, com=np.ones(3) * 0.03)},
+        joints={**tree.joints, joint: replace(tree.joints[joint], damping=0.4, armature=0.02)},
+    )
+    for values in (tree, other, tree):  # what was changed in place is changed back
+        first, second = one(values), two(values)
+        square = first["mass matrix"].reshape(5, robot.nv, robot.nv)
+        elements = square[:, entries.rows, entries.columns]
+        # The other elements are zero: nothing is left out.
+        assert np.sum(np.abs(square)) == pytest.approx(np.sum(np.abs(elements)), rel=1e-9)
+        first["mass matrix"] = elements
+        assert set(first) == set(second)
+        for quantity, expected in first.items():
+            scale = np.abs(expected).max()
+            np.testing.assert_allclose(
+                second[quantity], expected, rtol=0, atol=1e-10 * scale, err_msg=quantity
+            )
+
+
+def test_limits_and_efforts_are_kept() -> None:
+    tree = trees(load("v3"))[0]
+    model = MujocoTree(tree).model
+    for name, joint in tree.joints.items():
+        found = model.joint(name)
+        effort = model.jnt_actfrcrange[found.id, 1]
+        np.testing.assert_array_equal(found.range, [joint.lower, joint.upper])
+        assert effort == joint.effort
+        assert found.damping == joint.damping
+
+
+def test_trees_that_differ_in_numbers_share_data(written: Written, workspaces: list[int]) -> None:
+    result = pa.compare_models(*written(10, 4, heavier=8))
+    assert len(result.differences) == 8
+    assert result.complete
+    # Of the URDF, of the MJCF, and of all trees that are made of their numbers.
+    assert len(workspaces) <= 3
+
+
+@pytest.mark.slow
+def test_a_large_robot_is_compared_without_pinocchios_data(
+    written: Written, workspaces: list[int]
+) -> None:
+    result = pa.compare_models(*written(60, 4, heavier=3))
+    assert workspaces == []
+    masses = [d for d in result.differences if d.kind == "mass"]
+    assert (
+        {d.element for d in result.differences}
+        == {"j0_0", "j0_1", "j0_2"}
+        == {d.element for d in masses}
+    )
+    assert all((d.urdf, d.mjcf) == (0.1, 0.11) for d in masses)
+    assert result.complete
+    assert not result.engines
+    assert any(
+        "246 degrees of freedom would take 0.5 GB" in str(note) for note in result.check.notes
+    )
+    edges = result.check.quantities[0].edges
+    assert set(edges) == {"models (MuJoCo)", "models (reader)", "readers (URDF)", "extras (MJCF)"}
+
+
+@pytest.mark.slow
+def test_a_large_robot_that_agrees(written: Written) -> None:
+    urdf, mjcf = written(60, 4)
+    result = pa.compare_models(urdf, mjcf)
+    assert result.agree
+    assert result.check.passed
+    # What the comparison is proven by can fail: one link in one file, read by both engines.
+    text = urdf.read_text().replace('xyz="0 0 -.02"', 'xyz="0 0.001 -.02"', 1)
+    urdf.write_text(text)
+    worse = pa.compare_models(urdf, mjcf)
+    assert [(d.kind, d.element) for d in worse.differences] == [("com", "j0_0")]
+    assert {URDF_READ, URDF_MUJOCO} >= set(worse.check.quantities[1].between) - {"MJCF in MuJoCo"}
+
+
+def test_ordinary_robots_are_compared_in_full() -> None:
+    robot = load("v3")
+    frames = {str(n): ("a", "b") for n in range(500)}
+    assert affordable(robot, 20) == 20
+    assert some_of(robot, frames) == frames
+    assert list(size_notes(robot, 20, frames)) == []
+    assert cross_check(robot, configurations=3).configurations == 3
+    assert robot.nv < MOST_IN_PINOCCHIO
+
+
+def test_of_a_very_large_robot_less_is_compared_and_said(written: Written) -> None:
+    small = load("v3")
+
+    class Large:
+        nv = 2006
+
+    large = Large()
+    frames = {str(n): ("a", "b") for n in range(500)}
+    assert affordable(large, 20) == 2  # type: ignore[arg-type]
+    assert affordable(large, 1) == 1  # type: ignore[arg-type]
+    kept = some_of(large, frames)  # type: ignore[arg-type]
+    assert len(kept) == 100
+    assert {"0", "499"} <= set(kept)
+    notes = list(map(str, size_notes(large, 20, frames)))  # type: ignore[arg-type]
+    assert "258.3 GB" in notes[0]
+    assert "2 of 20 states" in notes[1]
+    assert "100 of 500 frames" in notes[2]
+    assert affordable(small, 10**5) == 10**5
+
+
+def _calls(work: Callable[[], object]) -> int:
+    """Counts the calls of Python functions in some work."""
+    count = 0
+
+    def hook(_frame: FrameType, event: str, _argument: object) -> None:
+        nonlocal count
+        count += event == "call"
+
+    before = sys.getprofile()
+    sys.setprofile(hook)
+    try:
+        work()
+    finally:
+        sys.setprofile(before)
+    return count
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("heavier", some([5, 0], 2))
+def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> None:
+    one, two = written(52, 4, heavier), written(104, 4, heavier)
+    pa.compare_models(*written(3, 4, heavier))  # imports
+    small, large = (_calls(lambda files=files: pa.compare_models(*files)) for files in (one, two))
+    assert large < 2.2 * small
+
+
+def test_twice_the_file_is_twice_the_audit(tmp_path: Path) -> None:
+    counts = []
+    for number in (10, 100, 200):
+        file = tmp_path / f"{number}.xml"
+        file.write_text(size.bodies(number))
+        counts.append(_calls(lambda file=file: pa.audit_model(file)))
+    assert counts[2] < 2.2 * counts[1]

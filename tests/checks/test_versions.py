@@ -1,0 +1,683 @@
+"""Two versions of a model: every change is found, with its lines, and nothing else is one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import pickle
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.checks.versions.behaviour import Trial
+from pupper_analysis.matching.trees import trees
+from pupper_analysis.models.git import refuse_uncommitted
+from pupper_analysis.models.parameters import from_pinocchio, renamed, to_pinocchio, with_fixed
+from tests.support.commands import Answer, answer
+from tests.support.repository import ROOT
+from tests.support.robots import (
+    FEET,
+    Parts,
+    arm,
+    changed,
+    mjcf_text,
+    pendulum,
+    quadruped,
+    turned_about,
+    turned_frames,
+    urdf_text,
+)
+from tests.support.variants import load
+
+ROBOT = quadruped()
+TEXT = {"urdf": urdf_text, "xml": mjcf_text}
+
+
+def written(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
+    files = folder / f"old.{kind}", folder / f"new.{kind}"
+    for file, text in zip(files, (old, new), strict=True):
+        file.write_text(text)
+    return files
+
+
+def diff_of(folder: Path, old: Parts, new: Parts, kind: str, **options: Any) -> pa.ModelDiff:
+    return pa.diff_models(*written(folder, TEXT[kind](old), TEXT[kind](new), kind), **options)
+
+
+def kinds(diff: pa.ModelDiff) -> list[tuple[str, str]]:
+    return [(change.kind, change.element) for change in diff.changes]
+
+
+def line_at(place: str) -> str:
+    file, _, line = place.rpartition(":")
+    return Path(file).read_text().splitlines()[int(line) - 1]
+
+
+@pytest.mark.parametrize("name", ["urdf/pupper_v3.urdf", "mjcf/pupper_v3.xml"])
+def test_a_file_is_the_same_as_itself(name: str) -> None:
+    diff = pa.diff_models(ROOT / name, ROOT / name)
+    assert diff.same
+    assert diff.changes == ()
+    assert diff.complete
+    assert max(diff.deviations.values()) == 0
+    assert diff.mass[0] == pytest.approx(3.17, abs=1e-3)
+    assert all(old == new > 0 for old, new in diff.torques.values() if old > 1e-9)
+    assert set(diff.torques) == set(load("v3").joint_names)
+
+
+CHANGES: dict[str, tuple[str, dict[str, Any], list[tuple[str, str]], str]] = {
+    "mass": ("base", {"mass": 6.5}, [("mass", "base")], "6.5"),
+    "com": ("thigh1", {"com": (0.01, 0.02, -0.04)}, [("com", "hip1")], "-0.04"),
+    "inertia": (
+        "shank2",
+        {"inertia": (0.002, 0.002, 3e-4, 0, 0, 0)},
+        [("inertia", "knee2")],
+        "0.002",
+    ),
+    "position": ("shank0", {"position": (0, 0.08, -0.25)}, [("position", "knee0")], "-0.25"),
+    "axis": ("thigh3", {"axis": (-1.0, 0.0, 0.0)}, [("axis", "hip3")], "-1.0 0.0 0.0"),
+    "lower": ("thigh0", {"lower": -0.7}, [("lower limit", "hip0")], "-0.7"),
+    "upper": ("thigh0", {"upper": 0.7}, [("upper limit", "hip0")], "0.7"),
+    "damping": ("shank1", {"damping": 0.3}, [("damping", "knee1")], "0.3"),
+    "friction": ("shank1", {"friction": 0.35}, [("friction", "knee1")], "0.35"),
+}
+FELT = {"mass", "com", "inertia", "position", "axis", "damping"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_change_is_found_at_its_lines(tmp_path: Path, name: str, kind: str) -> None:
+    link, values, expected, text = CHANGES[name]
+    diff = diff_of(tmp_path, ROBOT, changed(ROBOT, link, **values), kind)
+    assert not diff.same
+    assert kinds(diff) == expected
+    (change,) = diff.changes
+    assert change.old_place.startswith(f"{tmp_path}/old.{kind}:")
+    assert text in line_at(change.new_place)
+    assert text not in line_at(change.old_place)
+    assert bool(change.effects) is (name in FELT)
+    assert diff.complete, diff.left
+    if name in FELT:
+        assert max(diff.deviations.values()) > 1e-6
+        assert all(effect.share == pytest.approx(1.0) for effect in change.effects.values())
+    else:
+        assert max(diff.deviations.values()) == 0
+
+
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+def test_efforts(tmp_path: Path, kind: str) -> None:
+    diff = diff_of(tmp_path, ROBOT, changed(ROBOT, "thigh1", effort=30.0), kind)
+    found = {change.kind: change for change in diff.changes}
+    assert (found["effort"].old, found["effort"].new) == (21.0, 30.0)
+    assert "30.0" in line_at(found["effort"].new_place)
+    assert set(found) == ({"effort"} if kind == "urdf" else {"effort", "motor"})
+
+
+def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
+    other = changed(ROBOT, "base", mass=9.0)
+    diff = diff_of(tmp_path, ROBOT, other, "urdf")
+    assert (diff.changes[0].old, diff.changes[0].new) == (6.0, 9.0)
+    assert diff.changes[0].message == (
+        "body of base: mass 6 kg in the old file, 9 kg in the new file (+50 %)"
+    )
+    assert diff.mass[1] - diff.mass[0] == pytest.approx(3.0, abs=1e-12)
+    back = diff_of(tmp_path, other, ROBOT, "urdf")
+    assert back.mass == diff.mass[::-1]
+
+
+def test_several_changes_are_sorted_and_explain_all(tmp_path: Path) -> None:
+    new = changed(changed(ROBOT, "base", mass=6.6), "shank0", position=(0, 0.08, -0.21))
+    new = changed(changed(new, "thigh2", upper=0.8), "shank3", damping=0.1001)
+    for kind in TEXT:
+        diff = diff_of(tmp_path, ROBOT, new, kind)
+        assert kinds(diff)[-2:] == [("upper limit", "hip2"), ("damping", "knee3")]
+        assert set(kinds(diff)[:2]) == {("mass", "base"), ("position", "knee0")}
+        assert diff.complete
+        assert max(diff.left.values()) < 1e-12
+
+
+def test_other_link_frames_are_no_change(tmp_path: Path) -> None:
+    text = mjcf_text(ROBOT)
+    model = mujoco.MjModel.from_xml_string(text)
+    turned = turned_frames(model, seed=3)
+    for name in [f"m_{model.joint(j).name}" for j in range(1, model.njnt)]:
+        turned = turned.replace("<motor joint", f'<motor name="{name}" joint', 1)
+    diff = pa.diff_models(*written(tmp_path, text, turned, "xml"))
+    assert kinds(diff) == []
+    assert diff.complete
+    assert max(diff.deviations.values()) < 1e-9
+
+
+def test_moved_lines_and_other_digits_are_no_change(tmp_path: Path) -> None:
+    text = urdf_text(ROBOT)
+    other = text.replace(">\n", ">\n\n").replace('value="6.0"', 'value="6.00000000000"')
+    assert pa.diff_models(*written(tmp_path, text, other, "urdf")).same
+
+
+def test_tolerances(tmp_path: Path) -> None:
+    new = changed(ROBOT, "base", mass=6.0006)
+    assert not diff_of(tmp_path, ROBOT, new, "urdf").same
+    assert diff_of(tmp_path, ROBOT, new, "urdf", tolerances=pa.Tolerances(mass=1e-3)).same
+
+
+def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:
+    """All that is on the base moves with it; a joint whose zero is moved with its limits, too."""
+    moved = changed(ROBOT, "base", com=(0.01, 0.002, 0.045))
+    for leg in range(4):
+        x, y, z = ROBOT[f"thigh{leg}"].position
+        moved = changed(moved, f"thigh{leg}", position=(x, y, z + 0.05))
+    (change,) = diff_of(tmp_path, ROBOT, moved, "urdf").changes
+    assert (change.kind, change.element) == ("base frame", "base")
+    assert "that of the old file is at (0, 0, 0.05) m, in that of the new file" in change.message
+    thigh = ROBOT["thigh1"]
+    turned = turned_about(thigh, thigh.axis, 0.3)
+    new = changed(ROBOT, "thigh1", quaternion=turned, lower=thigh.lower - 0.3, upper=0.6)
+    diff = diff_of(tmp_path, ROBOT, new, "urdf")
+    assert kinds(diff) == [("zero", "hip1")]
+    assert "q of the old file = q of the new file + 0.3 rad" in diff.changes[0].message
+    assert diff.complete
+
+
+def test_a_renamed_joint_is_told_and_its_numbers_are_compared(tmp_path: Path) -> None:
+    new = changed(ROBOT, "shank2", joint="shin2", mass=0.3)
+    for kind in TEXT:
+        diff = diff_of(tmp_path, ROBOT, new, kind)
+        assert ("name", "knee2") in kinds(diff)
+        assert ("mass", "knee2") in kinds(diff)
+        (mass,) = (change for change in diff.changes if change.kind == "mass")
+        assert 'mass="0.3"' in line_at(mass.new_place) or 'value="0.3"' in line_at(mass.new_place)
+        assert diff.complete
+        assert ("joint", "knee2") not in kinds(diff)
+
+
+def test_names_can_be_given(tmp_path: Path) -> None:
+    """Where neither name nor place tells."""
+    new = changed(ROBOT, "shank2", joint="shin2", position=(0.0, 0.9, 0.9))
+    files = written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
+    assert ("joint", "shin2") in kinds(pa.diff_models(*files))
+    diff = pa.diff_models(*files, names={"knee2": "shin2"})
+    assert kinds(diff) == [("name", "knee2"), ("position", "knee2")]
+    with pytest.raises(pa.UnknownNameError, match=r"old.urdf: no joint .* 'elbow'"):
+        pa.diff_models(*files, names={"elbow": "shin2"})
+    with pytest.raises(pa.UnknownNameError, match=r"new.urdf: no joint .* 'knee2'"):
+        pa.diff_models(*files, names={"knee2": "knee2"})
+
+
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+def test_a_joint_that_has_gone_is_told_and_the_rest_compared_at_zero(
+    tmp_path: Path, kind: str
+) -> None:
+    new = changed(ROBOT, "shank2", kind="fixed", mass=0.3)
+    diff = diff_of(tmp_path, ROBOT, new, kind)
+    assert ("joint", "knee2") in kinds(diff)
+    told = next(change for change in diff.changes if change.kind == "joint")
+    assert "is in the old file alone" in told.message
+    assert ("mass", "hip2") in kinds(diff)  # of thigh and shank together
+    assert diff.mass[1] - diff.mass[0] == pytest.approx(0.3 - ROBOT["shank2"].mass)
+    assert diff.complete
+    back = diff_of(tmp_path, new, ROBOT, kind)
+    told = next(change for change in back.changes if change.kind == "joint")
+    assert "is in the new file alone" in told.message
+    same = changed(ROBOT, "shank2", kind="fixed")
+    others = [kind for kind, _ in kinds(diff_of(tmp_path, ROBOT, same, kind))]
+    assert set(others) <= {"joint", "motor"}
+
+
+def test_what_only_an_mjcf_states(tmp_path: Path) -> None:
+    text = mjcf_text(ROBOT, extra='<option gravity="0 0 -9.81"/>')
+    new = text.replace("-9.81", "-3.71").replace('armature="0.01"', 'armature="0.02"', 1)
+    new = new.replace('<joint name="knee3"', '<joint stiffness="4" name="knee3"')
+    new = new.replace("<freejoint/>", '<joint type="free" damping="0.5"/>')
+    new = new.replace(
+        '<motor name="m_hip2" joint="hip2"', '<motor name="m_hip2" joint="hip2" gear="3"'
+    )
+    diff = pa.diff_models(*written(tmp_path, text, new, "xml"))
+    found = {(change.kind, change.element): change for change in diff.changes}
+    assert found["gravity", "option"].message == (
+        "gravity: (0, 0, -9.81) m/s^2 in the old file, (0, 0, -3.71) m/s^2 in the new file"
+    )
+    assert found["armature", "hip0"].effects["mass matrix"].relative > 0
+    assert found["damping", "base"].effects.keys() == {"forward dynamics"}
+    assert "none in the old file, 4" in found["spring", "knee3"].message.replace("stiffness ", "")
+    assert "gear (1) in the old file, gear (3) in the new file" in found["motor", "m_hip2"].message
+    assert ("effort", "hip2") in found
+    assert len(found) == 6
+    assert 'gear="3"' in line_at(found["motor", "m_hip2"].new_place)
+    assert "stiffness" in line_at(found["spring", "knee3"].new_place)
+
+
+def test_motors_of_other_kinds(tmp_path: Path) -> None:
+    """By the names of what they act on, whatever its number."""
+    extra = (
+        '<tendon><fixed name="cable"><joint joint="hip0" coef="1"/></fixed></tendon>'
+        '<actuator><motor name="winch" tendon="cable" gear="2"/>'
+        '<motor name="thruster" site="foot2" gear="0 0 1 0 0 0"/></actuator>'
+    )
+    text = mjcf_text(ROBOT, extra=extra)
+    more = text.replace('<site name="foot0"', '<site name="mark"/><site name="foot0"')
+    assert pa.diff_models(*written(tmp_path, text, more, "xml")).same
+    new = text.replace('site="foot2"', 'site="foot3"').replace('gear="2"', 'gear="2.5"')
+    diff = pa.diff_models(*written(tmp_path, text, new, "xml"))
+    assert [change.message for change in diff.changes] == [
+        "motor winch: gear (2) in the old file, gear (2.5) in the new file",
+        "motor thruster: at site foot2 in the old file, at site foot3 in the new file",
+    ]
+
+
+def test_a_base_that_is_fixed_now(tmp_path: Path) -> None:
+    text = mjcf_text(ROBOT)
+    diff = pa.diff_models(*written(tmp_path, text, mjcf_text(ROBOT, free=False), "xml"))
+    assert kinds(diff) == [("type", "base")]
+    assert diff.changes[0].message == "base base: free in the old file, fixed in the new file"
+
+
+def test_a_mimic_joint(tmp_path: Path) -> None:
+    text = urdf_text(ROBOT)
+    mimic = '<mimic joint="hip0" multiplier="2" offset="0.1"/>'
+    old = text.replace('<axis xyz="0.0 1.0 0.0"/>', f'<axis xyz="0.0 1.0 0.0"/>{mimic}', 1)
+    new = old.replace('multiplier="2"', 'multiplier="3"')
+    diff = pa.diff_models(*written(tmp_path, old, new, "urdf"))
+    assert kinds(diff) == [("mimic", "knee0")]
+    assert "(hip0, 2, 0.1) in the old file, (hip0, 3, 0.1) in the new file" in (
+        diff.changes[0].message
+    )
+    gone = pa.diff_models(*written(tmp_path, old, text, "urdf"))
+    assert (gone.changes[0].kind, gone.changes[0].new) == ("mimic", None)
+    assert pa.diff_models(*written(tmp_path, old, old, "urdf")).same
+
+
+# ------------------------------------------------------------------------------------- physics
+
+
+def test_torques_against_gravity_are_those_of_a_pendulum(tmp_path: Path) -> None:
+    """m g l |sin q| at the greatest of the positions that are tried, for old and new alike."""
+    old, new = pendulum(), pendulum(mass=3.0, com=(0.0, 0.0, -0.7))
+    diff = diff_of(tmp_path, old, new, "urdf")
+    one, two = diff.torques["swing"]
+    assert two / one == pytest.approx(3.0 * 0.7 / (2.0 * 0.5), rel=1e-12)
+    files = written(tmp_path, urdf_text(old, []), urdf_text(new, []), "urdf")
+    model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
+    tree = from_pinocchio(model, "base", ["swing"], {})
+    positions = Trial(tree).joints["swing"]
+    assert len(positions) == 10
+    assert np.ptp(positions) > 1.0
+    assert one == pytest.approx(2.0 * 9.81 * 0.5 * np.abs(np.sin(positions)).max(), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_behaviour_is_that_of_configurations(name: str) -> None:
+    """By the public convention, whose base velocities are in the world's axes."""
+    robot = load(name)
+    tree, _ = trees(robot)
+    trial = Trial(tree)
+    behaviour = trial.behaviour(tree)
+    places, speeds = trial.base
+    order = [6 + list(tree.joints).index(joint) for joint in robot.joint_names]
+    for number in (0, 9):
+        quaternion = places[number, [6, 3, 4, 5]]
+        joints = [trial.joints[joint][number] for joint in robot.joint_names]
+        rates = [trial.rates[joint][number] for joint in robot.joint_names]
+        qpos = np.concatenate([places[number, :3], quaternion, joints])
+        turn = pa.Configuration(robot, qpos).base_rotation()
+        qvel = np.concatenate([turn @ speeds[number, :3], speeds[number, 3:], rates])
+        config = pa.Configuration(robot, qpos, qvel)
+        mass = behaviour["mass matrix"][number][np.ix_(order, order)]
+        np.testing.assert_allclose(mass, config.mass_matrix()[6:, 6:], atol=1e-12)
+        np.testing.assert_allclose(
+            behaviour["gravity"][number][order], config.gravity()[6:], atol=1e-12
+        )
+        # With a constant public velocity, that in the base's axes turns with them.
+        drift = np.zeros(robot.nv)
+        drift[:3] = -np.cross(speeds[number, 3:], speeds[number, :3])
+        bias = behaviour["bias forces"][number] + behaviour["mass matrix"][number] @ drift
+        np.testing.assert_allclose(bias[order], config.bias_forces()[6:], atol=1e-12)
+        np.testing.assert_allclose(behaviour["com"][number], config.center_of_mass(), atol=1e-12)
+        force = np.zeros(robot.nv)
+        for index, joint in enumerate(robot.joint_names):
+            damping = tree.joints[joint].damping
+            force[6 + index] = trial.efforts[joint][number] - damping * rates[index]
+        np.testing.assert_allclose(
+            behaviour["forward dynamics"][number][order],
+            config.forward_dynamics(force)[6:],
+            rtol=1e-9,
+        )
+        for index, joint in enumerate(tree.joints):
+            position = behaviour["joint positions"][number][index]
+            np.testing.assert_allclose(position, config.joint_position(joint), atol=1e-12)
+
+
+def test_a_fixed_joint_is_pinocchios(tmp_path: Path) -> None:
+    """A joint fixed at zero in the tree, and in Pinocchio's own reduced model."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf_text(arm(), FEET))
+    model = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer())
+    names = ["turn", "lift", "push"]
+    tree = with_fixed(from_pinocchio(model, "base", names, {"rod": "rod"}), "lift")
+    q = pin.neutral(model)
+    reduced = pin.buildReducedModel(model, [model.getJointId("lift")], q)
+    ours = to_pinocchio(tree)
+    assert sorted(ours.names) == sorted([*reduced.names[:1], "__free__", "turn", "push"])
+    for name in ("turn", "push"):
+        one, two = ours.inertias[ours.getJointId(name)], reduced.inertias[reduced.getJointId(name)]
+        assert one.isApprox(two, 1e-12)
+        here = ours.jointPlacements[ours.getJointId(name)]
+        assert here.isApprox(reduced.jointPlacements[reduced.getJointId(name)], 1e-12)
+
+
+def test_renamed_joints_are_the_same_robot(tmp_path: Path) -> None:
+    tree, _ = trees(load("v3"))
+    other = renamed(renamed(tree, {"leg_front_l_2": "x"}), {"x": "leg_front_l_2"})
+    assert other.joints.keys() == tree.joints.keys()
+    assert [joint.parent for joint in other.joints.values()] == [
+        joint.parent for joint in tree.joints.values()
+    ]
+    middle = renamed(tree, {"leg_front_l_2": "x"})
+    assert middle.joints["leg_front_l_3"].parent == "x"
+    assert "x" in middle.bodies
+
+
+def test_hanging_torques_of_a_longer_leg(tmp_path: Path) -> None:
+    """Farther out, the shank asks more of the hip; of the knee, and of other legs, as before."""
+    far = replace(ROBOT["shank1"], position=(0.0, 0.16, -0.4))
+    diff = diff_of(tmp_path, ROBOT, {**ROBOT, "shank1": far}, "urdf")
+    assert diff.torques["knee1"][0] == pytest.approx(diff.torques["knee1"][1], rel=1e-12)
+    assert diff.torques["hip1"][1] > diff.torques["hip1"][0]
+    assert diff.torques["hip2"][0] == pytest.approx(diff.torques["hip2"][1], rel=1e-12)
+    assert math.isclose(*diff.mass)
+
+
+# ------------------------------------------------------------------------------------- git
+
+
+@pytest.fixture
+def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with a robot in a folder, whose MJCF has an include and a mesh."""
+    monkeypatch.setenv("GIT_CONFIG_GLOBAL", os.devnull)
+    for name in ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"):
+        monkeypatch.delenv(name, raising=False)
+    robots = tmp_path / "robots"
+    (robots / "parts").mkdir(parents=True)
+    (robots / "robot.urdf").write_text(urdf_text(ROBOT))
+    text = mjcf_text(ROBOT, scene='<include file="parts/floor.xml"/>')
+    text = text.replace(
+        "<worldbody>", '<asset><mesh name="m" file="../meshes/m.obj"/></asset><worldbody>'
+    )
+    text = text.replace(
+        '<site name="foot0"', '<geom type="mesh" mesh="m" mass="0.01"/><site name="foot0"'
+    )
+    (robots / "robot.xml").write_text(text)
+    (robots / "parts" / "floor.xml").write_text(
+        '<mujocoinclude><geom type="plane" size="1 1 1"/></mujocoinclude>'
+    )
+    (tmp_path / "meshes").mkdir()
+    corners = ["0 0 0", "0.1 0 0", "0 0.1 0", "0 0 0.1"]
+    faces = ["1 3 2", "1 2 4", "2 3 4", "1 4 3"]
+    lines = [f"v {c}" for c in corners] + [f"f {f}" for f in faces]
+    (tmp_path / "meshes" / "m.obj").write_text("\n".join(lines) + "\n")
+    git(tmp_path, "init", "--quiet")
+    git(tmp_path, "add", ".")
+    who = ["-c", "user.name=a", "-c", "user.email=a@example.com"]
+    git(tmp_path, *who, "commit", "--quiet", "--message", "robot")
+    monkeypatch.chdir(robots)
+    return robots
+
+
+def git(folder: Path, *arguments: str) -> None:
+    subprocess.run(["git", *arguments], cwd=folder, check=True)
+
+
+def run(folder: Path, *arguments: str) -> Answer:
+    return answer("diff", *arguments, folder=folder)
+
+
+@pytest.mark.parametrize("given", ["HEAD:robots/robot.urdf", "HEAD:./robot.urdf"])
+def test_a_revision(repository: Path, given: str) -> None:
+    assert run(repository, given, "robot.urdf").returncode == 0
+    text = (repository / "robot.urdf").read_text()
+    (repository / "robot.urdf").write_text(text.replace('value="6.0"', 'value="6.5"'))
+    line = text[: text.index('value="6.0"')].count("\n") + 1
+    result = run(repository, given, "robot.urdf")
+    assert result.returncode == 1
+    assert f"DIFFERENT {given} and robot.urdf: 1 change" in result.stdout
+    assert f"HEAD:robots/robot.urdf:{line}   robot.urdf:{line}" in result.stdout
+
+
+def test_a_revision_has_its_own_includes_and_meshes(repository: Path) -> None:
+    """Not those of the working tree, which may be others or gone."""
+    assert run(repository, "HEAD:./robot.xml", "robot.xml").returncode == 0
+    (repository / "parts" / "floor.xml").unlink()
+    assert run(repository, "HEAD:./robot.xml", "HEAD:robots/robot.xml").returncode == 0
+    assert "note" not in run(repository, "HEAD:./robot.xml", "HEAD:./robot.xml").stdout
+    result = run(repository.parent, "HEAD:robots/robot.xml", "HEAD:./robots/robot.xml")
+    assert result.returncode == 0
+
+
+@pytest.mark.parametrize("link", ["/etc/hosts", "../../outside.xml"])
+def test_links_that_lead_out_of_a_revision_are_not_followed(repository: Path, link: str) -> None:
+    (repository / "odd.xml").symlink_to(link)
+    _commit(repository)
+    assert run(repository, "@:./robot.urdf", "robot.urdf").returncode == 0
+
+
+def test_a_file_that_archives_do_not_have(repository: Path) -> None:
+    (repository / ".gitattributes").write_text("*.urdf export-ignore\n")
+    _commit(repository)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
+
+
+def test_a_folder_of_a_revision_is_told_by_its_name(repository: Path) -> None:
+    result = run(repository, "HEAD:.", "robot.urdf")
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: HEAD:: it is a folder")
+
+
+def _commit(repository: Path) -> None:
+    git(repository, "add", ".")
+    git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "odd")
+
+
+def test_a_file_that_is_called_like_a_revision(repository: Path) -> None:
+    (repository / "HEAD:robot.urdf").write_text(urdf_text(changed(ROBOT, "base", mass=9.0)))
+    assert run(repository, "HEAD:robot.urdf", "robot.urdf").returncode == 1
+
+
+REFUSED = {
+    "no such path": ("HEAD:./none.urdf", "git does not have it: path 'robots/none.urdf' does not"),
+    "no such revision": ("v9:./robot.urdf", "git does not have it: "),
+    "an option": ("--output=x:robot.urdf", "No such option"),
+    "an option's name": ("-x:robot.urdf", "o such option"),
+    "no such file": ("none.urdf", "no such file"),
+    "no path": ("HEAD:", "no such file"),
+    "another format": ("HEAD:./robot.xml", "another format than HEAD:./robot.xml; crosscheck"),
+}
+
+
+@pytest.mark.parametrize(("given", "said"), REFUSED.values(), ids=REFUSED)
+def test_what_is_refused(repository: Path, given: str, said: str) -> None:
+    result = run(repository, given, "robot.urdf")
+    assert result.returncode == cli.BAD_INPUT
+    assert result.stdout == ""
+    assert said in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_a_revision_is_no_option_of_git(repository: Path) -> None:
+    with pytest.raises(pa.ModelError, match="'--output=x' is no revision") as caught:
+        pa.diff_models("--output=x:robot.urdf", "robot.urdf")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_an_error_in_a_revision_tells_of_it_by_its_name(repository: Path) -> None:
+    text = (repository / "robot.urdf").read_text().replace('value="6.0"', 'value="heavy"')
+    (repository / "robot.urdf").write_text(text)
+    line = text[: text.index('value="heavy"')].count("\n") + 1
+    git(repository, "add", ".")
+    git(repository, "-c", "user.name=a", "-c", "user.email=a@b.c", "commit", "-qm", "heavy")
+    result = run(repository, "HEAD:./robot.urdf", "HEAD~1:./robot.urdf")
+    assert result.returncode == cli.BAD_INPUT
+    assert result.stderr.startswith(f"error: HEAD:robots/robot.urdf:{line}: ")
+
+
+def test_outside_a_repository_and_without_git(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(pa.ModelError, match="not a git repository"):
+        pa.diff_models("HEAD:a.urdf", "b.urdf")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(pa.ModelError, match="no git to ask"):
+        pa.diff_models("HEAD:a.urdf", "b.urdf")
+
+
+RUNS = {
+    "filter.x.clean": "sh -c 'touch {}; cat'",
+    "filter.x.smudge": "sh -c 'touch {}; cat'",
+    "core.fsmonitor": "touch {}",
+    "core.sshCommand": "touch {}",
+    "diff.external": "touch {}",
+    "core.pager": "touch {}",
+}
+"""What a repository's configuration may have git run."""
+
+
+def test_nothing_of_a_repository_is_run(repository: Path, tmp_path: Path) -> None:
+    """Filters, hooks, monitors, transports: the folder may be somebody else's."""
+    proof = tmp_path / "run"
+    for key, command in RUNS.items():
+        git(repository, "config", key, command.format(proof))
+    (tmp_path / ".git" / "info" / "attributes").write_text("* filter=x\n")
+    for hook in ("post-index-change", "post-checkout", "reference-transaction"):
+        file = tmp_path / ".git" / "hooks" / hook
+        file.write_text(f"#!/bin/sh\ntouch {proof}\n")
+        file.chmod(0o755)
+    git(repository, "status", "--porcelain")
+    assert proof.exists(), "git itself runs none of them: this test is worth nothing"
+    proof.unlink()
+    os.utime(repository / "robot.urdf")  # so that git looks at it again
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
+    refuse_uncommitted(repository / "robot.urdf")
+    text = (repository / "robot.urdf").read_text()
+    (repository / "robot.urdf").write_text(text + "\n")
+    with pytest.raises(pa.OutputError, match="not committed"):
+        refuse_uncommitted(repository / "robot.urdf")
+    assert not proof.exists()
+
+
+def test_what_is_committed(repository: Path) -> None:
+    urdf = repository / "robot.urdf"
+    text = urdf.read_bytes()
+    urdf.write_bytes(text.replace(b"\n", b"\r\n"))  # as a checkout on Windows has it
+    refuse_uncommitted(urdf)
+    urdf.write_bytes(text + b"\n")
+    git(repository, "add", "robot.urdf")  # staged is not committed
+    with pytest.raises(pa.OutputError):
+        refuse_uncommitted(urdf)
+    (repository / "new.urdf").write_bytes(text)  # nobody's, as far as git knows
+    refuse_uncommitted(repository / "new.urdf")
+    git(repository, "add", "new.urdf")
+    with pytest.raises(pa.OutputError):
+        refuse_uncommitted(repository / "new.urdf")
+
+
+def test_a_file_of_git_lfs(repository: Path) -> None:
+    """Its pointer is committed; the file is where Git LFS keeps it, or is not there."""
+    urdf = repository / "robot.urdf"
+    text = urdf.read_bytes()
+    name = hashlib.sha256(text).hexdigest()
+    pointer = f"version https://git-lfs.github.com/spec/v1\noid sha256:{name}\nsize {len(text)}\n"
+    urdf.write_text(pointer)
+    _commit(repository)
+    urdf.write_bytes(text)
+    refuse_uncommitted(urdf)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == cli.BAD_INPUT
+    store = repository.parent / ".git" / "lfs" / "objects" / name[:2] / name[2:4]
+    store.mkdir(parents=True)
+    (store / name).write_bytes(text)
+    assert run(repository, "HEAD:./robot.urdf", "robot.urdf").returncode == 0
+
+
+# ------------------------------------------------------------------------------------- command
+
+
+def test_what_is_printed(tmp_path: Path) -> None:
+    new = changed(changed(ROBOT, "shank0", mass=0.4), "thigh3", upper=0.8)
+    written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
+    result = run(tmp_path, "old.urdf", "new.urdf", "--json", "diff.json")
+    assert result.returncode == 1
+    shown = result.stdout
+    assert "DIFFERENT old.urdf and new.urdf: 2 changes" in shown
+    assert "1. body of knee0: mass 0.2 kg in the old file, 0.4 kg in the new file" in shown
+    assert "alone it changes " in shown
+    assert "no effect on the dynamics of the tree of joints" in shown
+    assert "now 11.3" in shown
+    content = json.loads((tmp_path / "diff.json").read_text())
+    old, added = content["torques"]["knee0"]
+    assert added == pytest.approx(2 * old, rel=1e-9)  # the shank alone hangs on it
+    row = next(line for line in shown.splitlines() if line.startswith("knee0"))
+    assert row.split() == ["knee0", f"{old:.4g}", f"{added:.4g}", "+100", "%"]
+    assert not any(line.startswith("knee1") for line in shown.splitlines())
+    assert content["same"] is False
+
+
+def test_the_same(tmp_path: Path) -> None:
+    written(tmp_path, urdf_text(ROBOT), urdf_text(ROBOT), "urdf")
+    result = run(tmp_path, "old.urdf", "new.urdf")
+    assert result.returncode == 0
+    assert result.stdout == "SAME old.urdf and new.urdf: no change\n"
+
+
+def test_options(tmp_path: Path) -> None:
+    new = changed(ROBOT, "base", mass=6.0006)
+    written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
+    assert run(tmp_path, "old.urdf", "new.urdf", "--tolerance", "mass=1e-3").returncode == 0
+    for option, said in (
+        (("--tolerance", "mas=1"), "no kind 'mas'"),
+        (("--map", "x"), "NAME=VALUE"),
+        (("--map", "x=y"), "no joint (of a mapping) 'x'"),
+        (("--package", "x=nowhere"), "is not a folder"),
+    ):
+        result = run(tmp_path, "old.urdf", "new.urdf", *option)
+        assert result.returncode == cli.BAD_INPUT
+        assert said in result.stderr
+
+
+def test_a_robot_without_joints(tmp_path: Path) -> None:
+    """A quadrotor, say: its body is compared all the same."""
+    alone = {"base": ROBOT["base"]}
+    diff = diff_of(tmp_path, alone, changed(alone, "base", mass=7.0), "urdf")
+    assert kinds(diff) == [("mass", "base")]
+    assert diff.complete
+    assert diff.torques == {}
+    assert "joint positions" not in diff.deviations
+
+
+def test_what_is_undefined_is_left_out_and_said(tmp_path: Path) -> None:
+    """A last link without mass has no acceleration; all else of it can be compared."""
+    old = changed(ROBOT, "shank2", mass=0.0)
+    diff = diff_of(tmp_path, old, old, "urdf")
+    assert diff.same
+    assert diff.complete
+    assert "forward dynamics" not in diff.deviations
+    assert tuple(map(str, diff.notes)) == (
+        "forward dynamics: not compared, for links without mass make it undefined in the old file",
+    )
+    assert kinds(diff_of(tmp_path, old, changed(old, "base", mass=7.0), "urdf")) == [
+        ("mass", "base")
+    ]
+
+
+def test_two_robots_that_have_nothing_in_common() -> None:
+    with pytest.raises(pa.ModelError, match="no joint of it is one of"):
+        pa.diff_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "urdf/pupper_skeleton.urdf")

@@ -1,0 +1,285 @@
+"""The command line: what it prints, what it writes, and its exit status."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import mujoco
+import pytest
+
+import pupper_analysis as pa
+from tests.support.commands import answer
+from tests.support.repository import ROOT
+
+SCRIPTS = ROOT / "scripts"
+
+
+def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(SCRIPTS / script), *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        cwd=cwd,
+        check=False,
+    )
+
+
+@pytest.mark.slow
+def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -> None:
+    result = run(
+        "analyze_variant.py",
+        "long-leg",
+        "v3-heavy",
+        "--output",
+        str(tmp_path / "out"),
+        "--json",
+        str(tmp_path / "all.json"),
+        "-v",
+    )
+    assert result.returncode == 0, result.stderr
+    for part in (
+        "long-leg",
+        "v3-heavy",
+        "Joints",
+        "com at zero angles",
+        "Errors of the solved stand (PlaCo",
+        "Foot Jacobians",
+        "Motor torques",
+        "Contact forces",
+        "feed-forward",
+        "Height deviation",
+        "Cross-check",
+        "Comparison",
+        "1.475",
+        "1.500",
+        "2 of 2 verified",
+    ):
+        assert part in result.stdout, part
+    figures = {path.name for path in (tmp_path / "out").iterdir()}
+    assert figures == {
+        "pose_long-leg.png",
+        "pose_v3-heavy.png",
+        "torques.png",
+        "heights.png",
+        "gains.png",
+        "variants.png",
+    }
+    content = json.loads((tmp_path / "all.json").read_text())
+    assert set(content["variants"]) == {"long-leg", "v3-heavy"}
+    ratios = {row["name"]: row for row in content["comparison"]}
+    assert ratios["long-leg"]["thigh_ratio"] == pytest.approx(1.5)
+    assert ratios["long-leg"]["thigh_shape_ratio"] == pytest.approx(1.5)
+    assert ratios["v3-heavy"]["mass_ratio"] == pytest.approx(4.676 / 3.170)
+    assert content["variants"]["v3-heavy"]["verified"] is True
+
+
+@pytest.mark.slow
+def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
+    page = answer("analyze", "v3", "v3-long-leg", "--no-figures", folder=tmp_path)
+    assert page.returncode == 0
+    lines = page.stdout.splitlines()
+    assert len(lines) < 40
+    robot = pa.load_variant("v3")
+    held = pa.stand_statics(robot, pa.held_stand(robot))
+    peak = f"{held.motor_utilisation.max():.1%} of its limit"
+    assert lines[0].startswith("VERIFIED v3: 3.170 kg; peak torque ")
+    assert lines[0].endswith(peak)
+    assert "stands 131.5 mm high, in MuJoCo 131.5 mm" in lines[1]
+    assert "commanded the same joints without feed-forward 124.1 mm" in lines[1]
+    assert "leg_back_l_2 touches the ground" in page.stdout
+    assert "on what was assumed: -v" in page.stdout
+    assert lines[-2:] == ["2 of 2 verified", lines[-1]]
+    assert lines[-1].startswith("every table: -v; every number: --json FILE")
+    quiet = answer("analyze", "original", "--no-figures", "-q", folder=tmp_path)
+    assert quiet.stdout == "1 of 1 verified\n"
+    both = answer("analyze", "-q", "-v", folder=tmp_path)
+    assert both.returncode == 2
+    assert both.stderr == "error: -v, -q: give one of them, or none\n"
+
+
+@pytest.mark.slow
+def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
+    result = run(
+        "analyze_variant.py",
+        *("--base", "v3", "--leg-scale", "1.2", "--torso-mass-scale", "1.3"),
+        *("--height", "0.15", "--roll", "0.05", "--pitch", "-0.05", "--yaw", "0.1"),
+        "--no-figures",
+        "--verbose",
+        cwd=tmp_path,
+    )
+    assert result.returncode == 0, result.stderr + result.stdout
+    assert "v3-leg1.2-torso1.3" in result.stdout
+    assert "height 0.1500 m, roll 2.9 deg, pitch -2.9 deg, yaw 5.7 deg" in result.stdout
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_write_makes_files_that_load(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    result = run("analyze_variant.py", "v3-long-leg", "--no-figures", "--write", str(folder))
+    assert result.returncode == 0, result.stderr
+    assert (folder / "urdf" / "v3-long-leg.urdf").is_file()
+    model = mujoco.MjModel.from_xml_path(str(folder / "mjcf" / "v3-long-leg.xml"))
+    assert model.body_mass.sum() == pytest.approx(3.642)
+
+
+@pytest.mark.slow
+def test_list() -> None:
+    result = run("analyze_variant.py", "--list")
+    assert result.returncode == 0
+    for text in ("original", "long-leg", "heavy", "v3", "v3-long-leg", "v3-heavy", "4.676"):
+        assert text in result.stdout
+
+
+@pytest.mark.parametrize("script", ["analyze_variant.py", "view_pupper.py", "stand_pupper.py"])
+def test_help_teaches(script: str) -> None:
+    result = run(script, "--help")
+    assert result.returncode == 0
+    assert "Usage:" in result.stdout
+    assert "--help" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nobody"], "known variants: original, long-leg, heavy, v3"),
+        (["original", "nobody"], "'nobody'"),
+        (["--base", "v4"], "valid: skeleton, v3"),
+        (["--leg-scale", "0"], "greater than 0"),
+        (["--leg-scale", "-1"], "greater than 0"),
+        (["--leg-scale", "nan"], "leg_scale nan"),
+        (["--torso-mass-scale", "inf"], "torso_mass_scale inf"),
+        (["--leg-scale", "long"], "'long' is not a valid float"),
+        (["--frobnicate"], "No such option"),
+        (["original", "--height", "0.5"], "FL by 292 mm"),
+        (["original", "--height", "-0.1"], "not above the ground"),
+        (["v3", "--roll", "nan"], "roll"),
+        (["v3", "--pitch", "1.2"], "out of reach"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_status_2(
+    arguments: list[str], message: str, tmp_path: Path
+) -> None:
+    result = run("analyze_variant.py", *arguments, "--json", "all.json", cwd=tmp_path)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["--output", "--json"])
+def test_a_place_that_cannot_be_written(option: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    result = run("analyze_variant.py", "original", option, str(tmp_path / "file" / "x"))
+    assert result.returncode == 2
+    assert "file" in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert result.stdout == ""
+
+
+@pytest.mark.slow
+def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    from click.testing import CliRunner
+
+    from pupper_analysis import cli
+    from pupper_analysis.simulation import verify as simulation
+
+    monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
+    result = CliRunner().invoke(cli.analyze, ["original", "--no-figures"])
+    assert result.exit_code == 1
+    assert "FAILED original: " in result.stdout
+    assert "FAILED original: a joint is off by" in result.stdout
+    assert "0 of 1 verified" in result.stdout
+
+
+@pytest.mark.slow
+def test_view_headless() -> None:
+    result = run("view_pupper.py", "--fixed-base", "--headless")
+    assert result.returncode == 0, result.stderr
+    assert "nq=12, nv=12, nu=12" in result.stdout
+    assert 'data.sensor("body_gyro")' in result.stdout
+
+
+@pytest.mark.slow
+def test_stand_headless() -> None:
+    result = run("stand_pupper.py", "--headless")
+    assert result.returncode == 0, result.stderr
+    assert "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)" in result.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("script", "arguments"),
+    [("stand_pupper.py", ["--headless", "--seconds", "nan"]), ("view_pupper.py", ["--fix"])],
+)
+def test_bad_input_of_the_other_scripts(script: str, arguments: list[str]) -> None:
+    result = run(script, *arguments)
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr
+
+
+def test_version_and_colors() -> None:
+    assert answer("-V").stdout == answer("--version").stdout
+    assert pa.__version__ in answer("-V").stdout
+
+
+def test_colors_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "")
+    file = str(ROOT / "urdf" / "pupper_v3.urdf")
+    colored = answer("audit", file).stdout
+    plain = answer("--no-color", "audit", file).stdout
+    assert "\x1b[" in colored
+    assert "\x1b[3" not in plain
+    assert "SOUND" in plain
+
+
+def test_the_shell_completes() -> None:
+    """As docs/output.md says: click answers to this variable, whatever the shell."""
+    done = subprocess.run(
+        [str(Path(sys.executable).with_name("pupper-analysis"))],
+        env={
+            **os.environ,
+            "_PUPPER_ANALYSIS_COMPLETE": "bash_complete",
+            "COMP_WORDS": "pupper-analysis cross",
+            "COMP_CWORD": "1",
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "plain,crosscheck\n"
+
+
+def test_every_command_that_reads_a_urdf_takes_packages() -> None:
+    """By the same option; `check` and `study` read files in which it is said."""
+    from pupper_analysis.cli import group
+
+    context = click.Context(group)
+    reading = {"urdf", "source", "file", "old"}
+    found = set()
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        assert command is not None
+        names = {str(parameter.name) for parameter in command.params}
+        if names & reading and name not in ("study", "check"):
+            found.add(name)
+            assert "packages" in names, name
+    assert {"audit", "crosscheck", "sync", "convert", "diff", "stand", "push", "live"} <= found
+
+
+def test_a_stand_is_told_where_a_package_is(tmp_path: Path) -> None:
+    files = ("--urdf", "x.urdf", "--mjcf", "x.xml")
+    done = answer("stand", *files, "--package", "p=nowhere", folder=tmp_path)
+    assert done.returncode == 2
+    assert "p: nowhere is not a folder" in done.stderr

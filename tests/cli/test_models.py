@@ -1,0 +1,250 @@
+"""``pupper-analysis crosscheck``: exit status, options, output for machines, and bad input."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from pupper_analysis import cli
+from tests.support.commands import Answer, answer
+from tests.support.robots import all_changed, changed, mjcf_text, quadruped, urdf_text, write_parts
+
+
+def run(folder: Path, *arguments: str) -> Answer:
+    return answer("crosscheck", *arguments, folder=folder)
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a URDF, an MJCF that agrees, one that differs, and one with other names."""
+    folder = tmp_path_factory.mktemp("models")
+    robot = quadruped()
+    write_parts(folder, robot, robot)
+    heavier = changed(all_changed(robot, damping=0.3), "base", mass=7.5)
+    (folder / "heavier.xml").write_text(mjcf_text(heavier))
+    (folder / "slightly.xml").write_text(mjcf_text(changed(robot, "base", mass=6.0001)))
+    (folder / "renamed.urdf").write_text(urdf_text(changed(robot, "shank1", joint="lf kfe")))
+    (folder / "folder").mkdir()
+    (folder / "names.toml").write_text('"lf kfe" = "knee1"\n')
+    (folder / "bad.toml").write_text("lf = 1\n")
+    (folder / "noise.toml").write_text("= = =\n")
+    (folder / "text.urdf").write_text("a robot\n")
+    (folder / "cut.xml").write_text(mjcf_text(robot)[:400])
+    return folder
+
+
+def test_models_that_agree_are_exit_status_0(models: Path) -> None:
+    result = run(models, "robot.urdf", "robot.xml")
+    assert result.returncode == 0, result.stderr
+    assert "AGREE robot.urdf and robot.xml: no difference within the tolerances" in result.stdout
+    assert result.stderr == ""
+
+
+def test_models_that_differ_are_exit_status_1(models: Path, tmp_path: Path) -> None:
+    output = tmp_path / "all.json"
+    result = run(models, "robot.urdf", "heavier.xml", "--json", str(output))
+    assert result.returncode == 1
+    assert result.stderr == ""
+    verdict = "DISAGREE robot.urdf and heavier.xml: body of base: mass 6 kg in the URDF, 7.5 kg"
+    assert result.stdout.startswith(verdict)
+    assert "robot.urdf:5   heavier.xml:7" in result.stdout
+    content = json.loads(output.read_text())
+    assert content["agree"] is False
+    assert content["complete"] is True
+    assert content["differences"][0]["kind"] == "mass"
+    assert len(content["differences"]) == 9
+
+
+def test_github(models: Path) -> None:
+    result = run(models, "robot.urdf", "heavier.xml", "--format", "github")
+    assert result.returncode == 1
+    commands = result.stdout.splitlines()
+    assert len(commands) == 9
+    assert commands[0].startswith("::error file=robot.urdf,line=5,title=mass of base::body of base")
+    assert "(+25 %25)" in commands[0]
+    assert all(command.startswith("::error file=robot.urdf,line=") for command in commands)
+    quiet = run(models, "robot.urdf", "robot.xml", "--format", "github")
+    assert (quiet.returncode, quiet.stdout.strip()) == (0, "")
+
+
+def test_junit(models: Path) -> None:
+    result = run(models, "robot.urdf", "heavier.xml", "--format", "junit")
+    assert result.returncode == 1
+    root = ElementTree.fromstring(result.stdout.encode())
+    assert root[0].get("name") == "robot.urdf against heavier.xml"
+    assert int(root.get("tests", "0")) == len(list(root.iter("testcase"))) > 20
+    assert int(root.get("failures", "0")) == len(list(root.iter("failure"))) > 9
+
+
+def test_strict_and_tolerance(models: Path) -> None:
+    pair = ("robot.urdf", "slightly.xml")
+    assert run(models, *pair).returncode == 0
+    assert run(models, *pair, "--strict").returncode == 1
+    assert run(models, *pair, "--tolerance", "mass=1e-6").returncode == 1
+    strict = run(models, *pair, "--strict", "--tolerance", "mass=1e-3")
+    assert strict.returncode == 0, strict.stdout
+
+
+def test_strict_minds_names(models: Path, tmp_path: Path) -> None:
+    """A name that was guessed is a note, an error under --strict, and none once it is given."""
+    text = (models / "robot.urdf").read_text().replace('"knee2"', '"lh_kfe"')
+    (tmp_path / "robot.urdf").write_text(text)
+    pair = ("robot.urdf", str(models / "robot.xml"))
+    loose = run(tmp_path, *pair)
+    assert loose.returncode == 0
+    assert "by part of the name (confirm with --map): lh_kfe=knee2" in loose.stdout
+    strict = run(tmp_path, *pair, "--strict")
+    assert strict.returncode == 1
+    assert ": joint knee2: it is called lh_kfe in the URDF, knee2 in the" in strict.stdout
+    assert run(tmp_path, *pair, "--strict", "--map", "lh_kfe=knee2").returncode == 0
+
+
+def test_tolerances_may_be_repeated(models: Path) -> None:
+    options = ("--tolerance", "mass=0.5", "--tolerance", "damping=0.9")
+    result = run(models, "robot.urdf", "heavier.xml", *options)
+    assert result.returncode == 0, result.stdout
+
+
+@pytest.mark.parametrize("option", [("--map", "lf kfe=knee1"), ("--map-file", "names.toml")])
+def test_names_are_mapped(models: Path, option: tuple[str, str]) -> None:
+    guessed = run(models, "renamed.urdf", "robot.xml")
+    assert guessed.returncode == 0
+    assert "by part of the name (confirm with --map): lf kfe=knee1" in guessed.stdout
+    mapped = run(models, "renamed.urdf", "robot.xml", *option)
+    assert mapped.returncode == 0
+    assert "matched by structure" not in mapped.stdout
+
+
+def test_all_prints_more(models: Path) -> None:
+    short = run(models, "robot.urdf", "heavier.xml").stdout
+    full = run(models, "robot.urdf", "heavier.xml", "--all").stdout
+    assert "hip2" in full
+    assert len(full) >= len(short)
+
+
+def test_a_package_may_be_given(models: Path) -> None:
+    result = run(models, "robot.urdf", "robot.xml", "--package", "parts=folder")
+    assert result.returncode == 0, result.stderr
+
+
+def test_help_teaches(models: Path) -> None:
+    result = run(models, "--help")
+    assert result.returncode == 0
+    for word in ("--map", "--tolerance", "--format", "Exit status: 0", "Examples:"):
+        assert word in result.stdout
+
+
+BAD: dict[str, tuple[list[str], str]] = {
+    "missing URDF": (["nobody.urdf", "robot.xml"], "nobody.urdf: there is no such file"),
+    "missing MJCF": (["robot.urdf", "nobody.xml"], "nobody.xml: there is no such file"),
+    "a folder": (["folder", "robot.xml"], "folder: it is a folder"),
+    "no XML": (["text.urdf", "robot.xml"], "text.urdf:1: not well-formed XML"),
+    "cut off": (["robot.urdf", "cut.xml"], "not well-formed XML"),
+    "swapped": (["robot.xml", "robot.urdf"], "robot.xml:1: a URDF's root element is <robot>"),
+    "two URDFs": (["robot.urdf", "robot.urdf"], "an MJCF's root element is <mujoco>"),
+    "one file": (["robot.urdf"], "Missing argument 'MJCF'"),
+    "map without =": (["robot.urdf", "robot.xml", "--map", "hip0"], "map: 'hip0' is not of the"),
+    "map to nothing": (["robot.urdf", "robot.xml", "--map", "hip0="], "map: 'hip0=' is not of"),
+    "map of an unknown name": (
+        ["robot.urdf", "robot.xml", "--map", "hop=hip0"],
+        "'hop'; there are: hip0, knee0,",
+    ),
+    "map to an unknown name": (
+        ["robot.urdf", "robot.xml", "--map", "hip0=hop"],
+        "'hop'; there are: hip0, knee0,",
+    ),
+    "map of two to one": (
+        ["robot.urdf", "robot.xml", "--map", "hip0=hip1", "--map", "hip1=hip1"],
+        "hip1",
+    ),
+    "map twice": (
+        ["robot.urdf", "robot.xml", "--map", "hip0=hip0", "--map", "hip0=hip1"],
+        "hip0",
+    ),
+    "no map file": (["robot.urdf", "robot.xml", "--map-file", "no.toml"], "no.toml: not a TOML"),
+    "bad map file": (["robot.urdf", "robot.xml", "--map-file", "bad.toml"], "bad.toml: lf = 1"),
+    "noise map file": (["robot.urdf", "robot.xml", "--map-file", "noise.toml"], "not a TOML file"),
+    "tolerance without =": (["robot.urdf", "robot.xml", "--tolerance", "1"], "tolerance: '1'"),
+    "tolerance text": (
+        ["robot.urdf", "robot.xml", "--tolerance", "mass=low"],
+        "'low' in 'mass=low' is not a number",
+    ),
+    "tolerance of nothing": (
+        ["robot.urdf", "robot.xml", "--tolerance", "weight=1"],
+        "no kind 'weight'; valid: mass, com,",
+    ),
+    "tolerance negative": (
+        ["robot.urdf", "robot.xml", "--tolerance", "mass=-1"],
+        "mass=-1.0 is not positive",
+    ),
+    "tolerance nan": (["robot.urdf", "robot.xml", "--tolerance", "mass=nan"], "is not positive"),
+    "package without =": (["robot.urdf", "robot.xml", "--package", "parts"], "package: 'parts'"),
+    "package nowhere": (["robot.urdf", "robot.xml", "--package", "parts=nowhere"], "nowhere"),
+    "foot": (["robot.urdf", "robot.xml", "--frame", "toe"], "'toe'; there are: foot0, foot1"),
+    "format": (["robot.urdf", "robot.xml", "--format", "html"], "'html' is not one of"),
+    "option": (["robot.urdf", "robot.xml", "--frobnicate"], "No such option"),
+    "JSON in a folder": (["robot.urdf", "robot.xml", "--json", "folder"], "it is a folder"),
+    "JSON below a file": (["robot.urdf", "robot.xml", "--json", "robot.xml/x"], "not a folder"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_status_2(
+    models: Path,
+    tmp_path: Path,
+    case: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """In this process, to save the time of its start; what C++ prints is captured as well."""
+    arguments, message = BAD[case]
+    before = {path: path.stat().st_mtime_ns for path in models.rglob("*")}
+    output = [] if "--json" in arguments else ["--json", str(tmp_path / "all.json")]
+    monkeypatch.chdir(models)
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(cli.group, ["crosscheck", *arguments, *output])
+    out, err = capfd.readouterr()
+    assert leaving.value.code == 2
+    assert message in err
+    assert err.startswith("error: ")
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert list(tmp_path.iterdir()) == []
+    assert {path: path.stat().st_mtime_ns for path in models.rglob("*")} == before
+
+
+@pytest.mark.parametrize("case", ["missing URDF", "swapped", "tolerance of nothing"])
+def test_bad_input_of_the_program_itself(models: Path, case: str) -> None:
+    arguments, message = BAD[case]
+    result = run(models, *arguments)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+    assert "Traceback" not in result.stderr
+    assert result.stdout == ""
+
+
+UNUSUAL: dict[str, Callable[[str], str]] = {
+    "floating joint": lambda text: text.replace('"hip1" type="revolute"', '"hip1" type="floating"'),
+    "planar joint": lambda text: text.replace('"hip1" type="revolute"', '"hip1" type="planar"'),
+    "limits in degrees": lambda text: text.replace('upper="-0.5"', 'upper="-28.65"'),
+}
+
+
+@pytest.mark.parametrize("case", UNUSUAL)
+def test_an_unusual_urdf_is_no_crash(models: Path, tmp_path: Path, case: str) -> None:
+    text = (models / "robot.urdf").read_text()
+    changed_text = UNUSUAL[case](text)
+    assert changed_text != text
+    (tmp_path / "robot.urdf").write_text(changed_text)
+    result = run(tmp_path, "robot.urdf", str(models / "robot.xml"))
+    assert "Traceback" not in result.stderr
+    assert result.returncode == 1
+    if "joint" in case:
+        assert "and was fixed at rest; what it carries is compared there" in result.stdout
+    else:
+        assert "(degrees for radians?)" in result.stdout

@@ -1,0 +1,357 @@
+"""The command line as a process: its output fails, signals end it, errors nobody foresaw."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from pupper_analysis import cli
+from pupper_analysis.cli.process import Ended, PatientStream, endings
+from pupper_analysis.errors import ConfigurationError
+from tests.support.cases import some
+from tests.support.commands import run_command
+from tests.support.repository import ROOT
+
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+COMMAND = (sys.executable, "-m", "pupper_analysis")
+
+
+@pytest.fixture(autouse=True)
+def heeded_interrupts() -> Iterator[None]:
+    """Gives the tests Python's own handler, whatever started them."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def start(*command: str, **options: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(  # type: ignore[call-overload, no-any-return]
+        command,
+        **{
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.PIPE,
+            "env": ENVIRONMENT,
+            "text": True,
+            # A parent in the background of a shell ignores SIGINT, and its children would, too.
+            "preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            **options,
+        },
+    )
+
+
+class Full(io.RawIOBase):
+    """A stream on a full disk."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: object) -> int:
+        raise OSError(self.number, os.strerror(self.number))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("number", "status"), some([(errno.ENOSPC, 2), (errno.EIO, 2), (errno.EPIPE, 0)], 2)
+)
+def test_results_are_written_where_standard_output_fails(
+    number: int,
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    full = io.TextIOWrapper(io.BufferedWriter(Full(number), buffer_size=16))  # type: ignore[type-var]
+    monkeypatch.setattr(sys, "stdout", full)
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(cli.group, ["workspace", "v3", "--json", str(tmp_path / "out.json")])
+    assert leaving.value.code == status
+    assert json.loads((tmp_path / "out.json").read_text())
+    said = capsys.readouterr().err
+    problem = f"error: cannot write standard output: {os.strerror(number)}\n"
+    assert said == ("" if status == 0 else problem)
+    monkeypatch.undo()
+
+
+def test_a_stream_that_works_is_written_to() -> None:
+    below = io.BytesIO()
+    stream = PatientStream(below)  # type: ignore[arg-type]
+    assert stream.write(b"abc") == 3
+    assert below.getvalue() == b"abc"
+    assert stream.failure is None
+    assert not stream.isatty()
+
+
+@pytest.mark.slow
+def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
+    process = start(
+        *COMMAND, "workspace", "v3", "--json", "out.json", "--figure", "out.png", cwd=tmp_path
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    with process.stderr:
+        assert process.stderr.read() == ""
+    assert process.wait(60) == 0
+    assert json.loads((tmp_path / "out.json").read_text())
+    assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", some(["ascii", "latin-1", "cp1252"], 3))
+def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
+    process = start(
+        *COMMAND,
+        "stand",
+        "v3",
+        env={**ENVIRONMENT, "PYTHONIOENCODING": encoding},
+        encoding=encoding,
+    )
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert "\\u" in out or "≤" in out or "±" in out
+
+
+@pytest.mark.slow
+@pytest.mark.slow
+def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> None:
+    """It would be nowhere; and no file may get the closed stream's number, and what is printed."""
+    script = """
+        import os, sys
+        from pupper_analysis import cli
+        from pupper_analysis.cli.process import patient_output
+        with patient_output():
+            file = os.open(sys.argv[1], os.O_RDWR | os.O_CREAT)
+            assert file > 2, file
+        cli.run(cli.group, ["stand", "original", "--json", "-"])
+    """
+    words = [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "file")]
+    result = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", *words],
+        stderr=subprocess.PIPE, text=True, env=ENVIRONMENT, check=False,
+    )  # fmt: skip
+    assert result.returncode == cli.BAD_INPUT, result.stderr
+    assert result.stderr == (
+        "error: cannot write -: standard output is closed; give the name of a file\n"
+    )
+
+
+def test_closed_standard_output_is_no_error(tmp_path: Path) -> None:
+    code = "import os, sys; os.close(1); os.close(2); os.execv(sys.executable, sys.argv[1:])"
+    command = (sys.executable, "-c", code, *COMMAND, "workspace", "v3", "--json", "out.json")
+    process = start(*command, cwd=tmp_path)
+    assert process.communicate(timeout=60) == ("", "")
+    assert process.returncode == 0
+    assert json.loads((tmp_path / "out.json").read_text())
+
+
+# ------------------------------------------------------------------------------------- signals
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize(
+    ("number", "status", "word"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_a_signal_is_one_line(
+    number: signal.Signals, status: int, word: str, tmp_path: Path
+) -> None:
+    process = start(*COMMAND, "analyze", "--json", "out.json", cwd=tmp_path)
+    time.sleep(3.0)
+    process.send_signal(number)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == status
+    assert err.splitlines() == [word]
+    assert not (tmp_path / "out.json").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.cli.stances"])
+def test_ctrl_c_while_it_is_loaded_is_one_line(module: str, tmp_path: Path) -> None:
+    """A signal at a known moment of the start: while a module is imported."""
+    code = f"""
+        import os, signal, sys
+        class At:
+            def find_spec(self, name, path=None, target=None):
+                if name == {module!r}:
+                    os.kill(os.getpid(), signal.SIGINT)
+        sys.meta_path.insert(0, At())
+        sys.argv = ["pupper-analysis", "stand", "v3"]
+        from pupper_analysis.__main__ import main
+        main()
+    """
+    process = start(sys.executable, "-c", textwrap.dedent(code))
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert err == "interrupted\n"
+
+
+@pytest.mark.parametrize("made_of_it", [None, ImportError, SystemError, SystemExit])
+def test_a_signal_that_is_swallowed_counts(
+    made_of_it: type[BaseException] | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Libraries make other errors of KeyboardInterrupt, or nothing."""
+
+    @click.command()
+    def command() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except Ended:
+            if made_of_it is not None:
+                raise made_of_it("something") from None
+
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(command, [])
+    assert leaving.value.code == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
+def test_no_result_is_written_after_a_signal(tmp_path: Path) -> None:
+    from pupper_analysis.cli.shared import write_json
+
+    @click.command()
+    def command() -> None:
+        with contextlib.suppress(Ended):
+            signal.raise_signal(signal.SIGINT)
+        write_json(tmp_path / "out.json", {})
+
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(command, [])
+    assert leaving.value.code == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_handlers_come_back() -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    with endings():
+        assert signal.getsignal(signal.SIGTERM) is not before[1]
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+# ------------------------------------------------------------------------------------- errors
+
+
+@click.command()
+def broken() -> None:
+    raise ZeroDivisionError("of\nsomething")
+
+
+def test_an_unforeseen_error_is_one_line_and_exit_status_3(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(broken, [])
+    assert leaving.value.code == 3
+    err = capsys.readouterr().err
+    assert err.startswith("error: unforeseen: ZeroDivisionError: of\\nsomething. This is a bug")
+    assert err.count("\n") == 1
+    assert "--debug" in err
+
+
+def test_what_the_system_lacks_is_no_bug(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    @click.command()
+    def many() -> None:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    @click.command()
+    def here() -> None:
+        tmp_path.joinpath("gone").mkdir()
+        monkeypatch.chdir(tmp_path / "gone")
+        tmp_path.joinpath("gone").rmdir()
+        Path.cwd()
+
+    for command, said in ((many, "Too many open files"), (here, "the current folder is gone")):
+        with pytest.raises(SystemExit) as leaving:
+            cli.run(command, [])
+        assert leaving.value.code == cli.BAD_INPUT
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_names_that_are_no_text_and_windows_that_are_none(tmp_path: Path) -> None:
+    """On Linux a file's name is bytes; an environment may ask for any window."""
+    odd = tmp_path / os.fsdecode(b"\xff.urdf")
+    odd.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
+    for words in (
+        ["audit", "--format", "sarif", odd],
+        ["convert", odd, "-o", tmp_path / "made.xml"],
+        ["stand", "original", "--figure", tmp_path / "a.png"],
+    ):
+        result = subprocess.run(
+            [*COMMAND, *words],
+            capture_output=True, env=ENVIRONMENT | {"MPLBACKEND": "nonsense"}, check=False,
+        )  # fmt: skip
+        assert result.returncode in (0, 1), result.stderr
+        assert b"bug" not in result.stderr
+
+
+def test_debug_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(broken, ["--debug"])
+    assert leaving.value.code == 3
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert 'raise ZeroDivisionError("of' in err
+
+
+def test_debug_is_known_before_and_after_the_command(capfd: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["--debug", "audit", "--list-rules"], ["audit", "--list-rules", "--debug"]):
+        assert run_command(capfd, *arguments)[0] == 0
+    assert "--debug" in run_command(capfd, "--help")[1]
+
+
+def test_an_error_with_a_name_in_lines_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    @click.command()
+    def named() -> None:
+        raise ConfigurationError("x", "\n::error::forged\x1b[31m\u009b\u202e")
+
+    with pytest.raises(SystemExit):
+        cli.run(named, [])
+    err = capsys.readouterr().err
+    assert err == "error: x: \\n::error::forged\\x1b[31m\\x9b\\u202e\n"
+
+
+def test_a_signal_that_a_library_swallows_is_raised_again() -> None:
+    code = """
+        import os, signal, time
+        from pupper_analysis.cli.process import Ended, endings
+
+        swallowed = 0
+        with endings() as ending:
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+            except BaseException:
+                swallowed += 1
+            try:
+                try:
+                    time.sleep(30)
+                finally:
+                    time.sleep(1)  # what is tidied up is not disturbed
+                    swallowed += 1
+            except Ended:
+                ending.caught = True
+                swallowed += 1
+        time.sleep(1)  # nor what comes after
+        print(swallowed)
+    """
+    process = start(sys.executable, "-c", textwrap.dedent(code))
+    assert process.communicate(timeout=25) == ("3\n", "")
+    assert process.returncode == 0

@@ -1,0 +1,60 @@
+"""Lengths and angles on the command line, with and without their units."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.cli.shared import point, quantity
+from tests.support.commands import run_command
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        ("length", "0.2", 0.2),
+        ("length", "20mm", 0.02),
+        ("length", "2 cm", 0.02),
+        ("length", "-0.2m", -0.2),
+        ("length", "1e-2m", 0.01),
+        ("angle", "0.2", 0.2),
+        ("angle", "0.2rad", 0.2),
+        ("angle", "-90deg", -math.pi / 2),
+    ],
+)
+def test_a_quantity(kind: str, text: str, value: float) -> None:
+    assert quantity(kind, text) == pytest.approx(value, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"), [("length", "3deg"), ("angle", "3m"), ("length", "m"), ("angle", "5 degrees")]
+)
+def test_what_is_none(kind: str, text: str) -> None:
+    with pytest.raises(ValueError, match="could not convert"):
+        quantity(kind, text)
+
+
+def test_a_point() -> None:
+    assert point("offset", "1cm,-2mm") == pytest.approx((0.01, -0.002))
+
+
+def test_what_is_typed_with_units_is_the_same(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    tasks = []
+    for number, arguments in enumerate(
+        (
+            ("--pitch", "0.1", "--height", "0.14", "--swing", "FL=0.01", "--offset", "0.01,0"),
+            ("--pitch", f"{math.degrees(0.1)}deg", "--height", "14cm", "--swing", "FL=10mm",
+             "--offset", "1cm,0"),
+        )
+    ):  # fmt: skip
+        path = tmp_path / f"{number}.json"
+        run_command(capfd, "stand", "v3", *arguments, "--json", str(path))
+        task = json.loads(path.read_text())["stand"]["task"]
+        tasks.append([task["pitch"], task["height"], task["swing"]["FL"], *task["offset"]])
+    assert tasks[0] == pytest.approx(tasks[1], rel=1e-12)
+    assert tasks[0] == pytest.approx([0.1, 0.14, 0.01, 0.01, 0.0])

@@ -1,0 +1,250 @@
+"""``pupper-analysis workspace``, ``payload``, ``best`` and ``path``, and the options they share."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from pupper_analysis import (
+    Ground,
+    Objective,
+    StandTask,
+    base_workspace,
+    best_stance,
+    cli,
+    fastest_path,
+    payload_limit,
+    solve_stand,
+    stand_statics,
+    sunk_stand,
+)
+from pupper_analysis.analysis.path import way_to
+from pupper_analysis.cli.stance_fields import TYPED
+from pupper_analysis.cli.stance_options import RobotAndTask, derived_variant
+from pupper_analysis.report.figures.pose import pose_figure
+from pupper_analysis.report.figures.workspace import workspace_figure
+from tests.support.commands import check_refusal, run_command
+from tests.support.variants import load
+
+THREE_LEGS = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
+OURS = ("stand", "workspace", "payload", "best", "path", "push")
+
+
+@pytest.mark.longest
+def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path, figure = tmp_path / "all.json", tmp_path / "workspace.png"
+    output = ("--json", str(path), "--figure", str(figure))
+    status, out, err = run_command(capfd, "workspace", "original", "--offset", "0.01,0", *output)
+    assert status == 0, err
+    assert "How far the base can go" in out
+    content = json.loads(path.read_text())
+    assert content["start"]["task"]["offset"] == [0.01, 0.0]
+    robot = load("original")
+    alike = base_workspace(robot, StandTask(offset=(0.01, 0.0)))
+    for direction, interval in content["intervals"].items():
+        assert interval["low"] == alike.intervals[direction].low, direction
+        assert interval["high"] == alike.intervals[direction].high, direction
+    workspace_figure(robot, alike, tmp_path / "alike.png")
+    np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
+
+
+@pytest.mark.slow
+def test_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    arguments = ("original", "--at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
+    status, out, err = run_command(capfd, "payload", *arguments, "--json", str(path))
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    assert content["payload"]["point"] == [0.01, 0.0, 0.08]
+    robot = load("original")
+    stand = solve_stand(robot, StandTask(yaw=0.1))
+    limit = payload_limit(robot, stand, (0.01, 0.0, 0.08), kp=30.0)
+    assert content["payload"]["mass"] == limit.mass
+    assert content["trial"]["mass"] == pytest.approx(0.95 * limit.mass)
+    assert content["trial"]["held"]
+    assert "payload at (10, 0, 80) mm" in out
+    assert "nudged: it stays up" in out
+
+
+def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")
+    assert status == 1, err
+    assert "0.00 kg, then the servos are too soft" in out
+
+
+@pytest.mark.longest
+def test_best_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path, figure = tmp_path / "all.json", tmp_path / "best.png"
+    output = ("--json", str(path), "--figure", str(figure))
+    status, out, err = run_command(
+        capfd, "best", "margin", "original", "--self-clearance", "0.002", *output
+    )
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    best = content["best"]
+    assert best["objective"] == "margin"
+    assert best["value"] > best["nominal_value"]
+    assert content["loaded"] is None
+    # The statics are those of the sunk stance: longer legs move the com by a hundredth of that.
+    assert content["stance"]["statics"]["com_margin"] == pytest.approx(best["value"], abs=2e-4)
+    assert content["stance"]["stand"]["qpos"] == best["stand"]["qpos"]
+    assert "best of" in out
+    assert "HOLDS in MuJoCo" in out
+    robot = load("original")
+    found = best_stance(robot, Objective.MARGIN, task=StandTask(self_clearance=0.002)).stand
+    held = stand_statics(robot, sunk_stand(robot, found.task))
+    pose_figure(robot, found, held, tmp_path / "alike.png")
+    np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
+
+
+@pytest.mark.longest
+def test_best_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    status, out, err = run_command(
+        capfd, "best", "payload", "v3", "--at", "0,0,0.08", "--json", str(path)
+    )
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    assert content["loaded"]["payload"]["mass"] == content["best"]["value"]
+    assert content["loaded"]["payload"]["point"] == [0.0, 0.0, 0.08]
+    assert content["loaded"]["trial"]["held"]
+    assert "payload at (0, 0, 80) mm" in out
+
+
+@pytest.mark.slow
+def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    csv, npz, file = tmp_path / "way.csv", tmp_path / "way.npz", tmp_path / "all.json"
+    output = ("--csv", str(csv), "--npz", str(npz), "--json", str(file))
+    status, out, err = run_command(
+        capfd, "path", "original", *THREE_LEGS, "--seconds", "3", *output
+    )
+    assert status == 0, err
+    assert "TRACKED" in out
+    assert ["time", "3", "s"] in [line.split() for line in out.splitlines()]
+    assert f"written: {csv}\nwritten: {npz}\nwritten: {file}\n" in out
+    assert json.loads(file.read_text())["binding"] is None
+    rows = csv.read_text().splitlines()
+    with np.load(npz) as content:
+        arrays = dict(content)
+    assert len(rows) == 1 + len(arrays["time"]) > 100
+    robot = load("original")
+    goal = solve_stand(robot, StandTask(swing={"RR": 0.01}, com="inside", com_margin=0.01))
+    np.testing.assert_allclose(arrays["qpos"][-1][2:7], goal.qpos[2:7], atol=1e-9)
+    np.testing.assert_allclose(arrays["qpos"][-1], goal.qpos, atol=0.05)  # its feet have rolled
+    np.testing.assert_allclose(arrays["qpos"][0], solve_stand(robot).qpos, atol=1e-9)
+
+
+@pytest.mark.longest
+def test_fastest_path(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "all.json"
+    arguments = ("original", "--height", "0.14", "--fastest", "--json", str(file))
+    status, out, err = run_command(capfd, "path", *arguments)
+    assert status == 0, err
+    content = json.loads(file.read_text())
+    robot = load("original")
+    fastest = fastest_path(robot, way_to(robot, solve_stand(robot, StandTask(height=0.14))))
+    assert content["path"]["time"][-1] == pytest.approx(fastest.seconds)
+    assert content["reserve"] == fastest.reserve
+    assert content["lower_bound"] == pytest.approx(fastest.lower_bound)
+    assert content["binding"]["names"] == list(fastest.binding.names)
+    assert f"least time {fastest.seconds:.3g} s" in out
+    assert str(fastest.binding) in out
+
+
+def test_the_way_keeps_moved_feet_and_ground() -> None:
+    robot = load("v3")
+    task = StandTask(0.12, foot_offsets={"FL": (0.01, 0.0)}, ground=Ground(0.05), com=(0.005, 0.0))
+    way = way_to(robot, solve_stand(robot, task))
+    assert len(way) == 2
+    for stance in way:
+        assert stance.ground == task.ground
+        assert stance.foot_offsets == task.foot_offsets
+    assert way[1].height == 0.12
+    assert way[1].com == pytest.approx((0.005, 0.0), abs=1e-9)
+
+
+def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
+    """Of the same name, kind, default and help: one list."""
+    names = {*RobotAndTask.__dataclass_fields__, *TYPED} - {"stance"}
+    shared = []
+    for command in OURS:
+        options = {option.name: option for option in cli.group.commands[command].params}
+        assert names <= set(options), command
+        shared.append([options[name].to_info_dict() for name in sorted(names)])
+    assert all(info == shared[0] for info in shared)
+    analyze = {option.name: option for option in cli.group.commands["analyze"].params}
+    common = sorted(names & set(analyze))
+    stand = {option.name: option for option in cli.group.commands["stand"].params}
+    base = [one for one in TYPED.values() if one.slider and one.slider.folder == "Base"]
+    assert len(common) == 5 + len(base)
+    for name in common:
+        assert analyze[name].to_info_dict() == stand[name].to_info_dict()
+
+
+def examples(command: click.Command) -> list[list[str]]:
+    text = (command.help or "").replace("\\\n", " ")
+    return [
+        shlex.split(line)[1:]
+        for line in text.splitlines()
+        if line.strip().startswith("pupper-analysis ")
+    ]
+
+
+@pytest.mark.parametrize("name", sorted(cli.group.commands))
+def test_examples_of_the_help_are_understood(name: str) -> None:
+    command = cli.group.commands[name]
+    for arguments in examples(command):
+        assert arguments[0] == name
+        command.make_context(name, arguments[1:])
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_the_help_teaches_with_examples(name: str) -> None:
+    assert len(examples(cli.group.commands[name])) >= 3
+    assert "Exit status:" in (cli.group.commands[name].help or "")
+
+
+BAD = {
+    "no time": (["path", "v3", "--height", "0.12"], "give one of them"),
+    "two times": (["path", "v3", "--seconds", "2", "--fastest"], "give one of them"),
+    "no way": (["path", "v3", "--fastest"], "nothing moves"),
+    "CSV in a folder": (["path", "v3", "--seconds", "2", "--csv", "."], "it is a folder"),
+    "no duration": (["path", "v3", "--seconds", "-2"], "seconds"),
+    "no point": (["payload", "v3", "--at", "1,2"], "not of the form X,Y,Z"),
+    "no objective": (["best", "speed"], "'speed' is not one of"),
+    "out of reach": (["workspace", "v3", "--height", "0.3"], "height 0.1919 m"),
+    "heavy legs": (["payload", "v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
+    "two robots": (["workspace", "v3", "--base", "v3"], "give a variant's name, or --base"),
+    "figure in a folder": (["workspace", "v3", "--figure", "."], "it is a folder"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_status_2(
+    case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments, message = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    check_refusal(capfd, tmp_path, [*arguments, "--json", "all.json"], message)
+
+
+def test_a_derived_variant_keeps_what_is_not_given() -> None:
+    for given, legs, torso in (
+        (("v3", None, None), 1.0, 1.0),
+        (("v3", 1.2, None), 1.2, 1.0),
+        (("v3", None, 1.5), 1.0, 1.5),
+    ):
+        found = derived_variant(*given)
+        assert found is not None
+        assert (found.base, found.leg_scale, found.torso_mass_scale) == ("v3", legs, torso)
+    skeleton = derived_variant(None, 1.5, None)
+    assert skeleton is not None
+    assert (skeleton.base, skeleton.torso_mass_scale) == ("skeleton", 1.0)
+    assert derived_variant(None, None, None) is None

@@ -1,0 +1,197 @@
+"""``pupper-analysis stand``: what it prints and writes, its exit status, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from pupper_analysis import (
+    StandTask,
+    VariantSpec,
+    load_variant,
+    minimum_stiffness,
+    solve_stand,
+    stand_statics,
+    sunk_stand,
+    write_variant,
+)
+from pupper_analysis.analysis.path import study_path
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.report.figures.pose import pose_figure
+from tests.support.commands import check_refusal, run_command
+from tests.support.printing import printed
+
+
+@pytest.mark.slow
+def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    arguments = ("v3", "--swing", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
+    figure = tmp_path / "stance.png"
+    status, out, err = run_command(
+        capfd, "stand", *arguments, "--figure", str(figure), "--json", str(path)
+    )
+    assert status == 0, err
+    assert "FL lifted 20 mm" in out
+    assert "HOLDS with gravity feed-forward in MuJoCo" in out
+    assert "on position commands alone: FL touches the ground" in out
+    robot, task = load_variant("v3"), StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
+    alike, held = tmp_path / "alike.png", stand_statics(robot, sunk_stand(robot, task))
+    pose_figure(robot, solve_stand(robot, task), held, alike)
+    np.testing.assert_array_equal(imread(figure), imread(alike))
+    content = json.loads(path.read_text())
+    forces = content["statics"]["contact_forces"]
+    assert set(forces) == {"FR", "RR", "RL"}
+    weight = 3.170 * 9.81
+    assert sum(force[2] for force in forces.values()) == pytest.approx(weight, rel=1e-3)
+    assert content["statics"]["com_margin"] > 0.01
+    assert content["settled"]["base_height"] < content["stand"]["qpos"][2]
+    assert set(content["sunk"]["depths"]) == {"FR", "RR", "RL"}
+    assert content["verification"]["height_loss"] == pytest.approx(0, abs=1e-5)
+    assert content["minimum_stiffness"] is None
+
+
+def test_every_option_reaches_the_task(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    status, out, err = run_command(
+        capfd,
+        "stand",
+        "v3-heavy",
+        *("--height", "0.12", "--roll", "0.02", "--pitch", "-0.03", "--yaw", "0.04"),
+        *("--com", "0.005,-0.004", "--com-margin", "0.02", "--joint-margin", "0.05"),
+        *("--move", "RL=-0.01,0.02", "--step", "FR=0.01", "--slope", "0.02", "--uphill", "1.5"),
+        *("--json", str(path)),
+    )
+    assert status == 0, err
+    assert "HOLDS in MuJoCo" in out
+    task = json.loads(path.read_text())["stand"]["task"]
+    assert (task["height"], task["roll"], task["pitch"], task["yaw"]) == (0.12, 0.02, -0.03, 0.04)
+    assert task["com"] == [0.005, -0.004]
+    assert (task["com_margin"], task["joint_margin"]) == (0.02, 0.05)
+    assert task["foot_offsets"] == {"RL": [-0.01, 0.02]}
+    assert task["ground"] == {"slope": 0.02, "uphill": 1.5, "heights": {"FR": 0.01}}
+
+
+def test_failure_in_simulation_is_exit_status_1(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pupper_analysis.simulation import verify as simulation
+
+    monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
+    status, out, _ = run_command(capfd, "stand", "original")
+    assert status == 1
+    assert "FAILS in MuJoCo: a joint is off by" in out
+
+
+def test_sag_is_that_of_the_simulation() -> None:
+    robot = load_variant("long-leg")
+    result = study_stance(robot, StandTask(yaw=0.1))
+    assert result.settled is not None
+    settled = result.settled
+    loss = result.stand.qpos[2] - settled.base_height
+    assert settled.servo_sag + settled.contact_sag == pytest.approx(loss)
+    assert f"settles at {settled.base_height:.5f} m" in printed(result)
+
+
+def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    urdf, mjcf = write_variant("heavy", tmp_path)
+    files = ["--urdf", str(urdf), "--mjcf", str(mjcf)]
+    feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}={foot}_foot")]
+    status, own, err = run_command(capfd, "stand", *files, *feet, "--height", "0.15")
+    assert status == 0, err
+    status, ours, _ = run_command(capfd, "stand", "heavy", "--height", "0.15")
+    assert status == 0
+    own_lines = [line for line in own.splitlines() if not line.startswith("note:")]
+    assert len(own_lines) < len(own.splitlines())
+    assert own_lines[1:] == ours.splitlines()[1:]  # all but the name
+
+
+@pytest.mark.slow
+def test_servos_stiffness_margins_and_a_derived_variant(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "all.json"
+    status, out, err = run_command(
+        capfd,
+        *("stand", "--leg-scale", "1.1", "--torso-mass-scale", "1.2", "--minimum-stiffness"),
+        *("--kp", "80", "--kd", "1.5", "--self-clearance", "0.002", "--ground-clearance", "0.005"),
+        *("--offset", "0.01,0", "--json", str(path)),
+    )
+    assert status == 0, err
+    content = json.loads(path.read_text())
+    assert content["name"] == "skeleton-leg1.1-torso1.2"
+    assert content["verification"]["kp"] == [80.0] * 12
+    assert content["verification"]["kd"] == [1.5] * 12
+    assert content["stand"]["self_clearance"]["distance"] > 0.002 - 1e-6
+    assert content["stand"]["ground_clearance"]["distance"] > 0.005 - 1e-6
+    assert content["stand"]["task"]["offset"] == [0.01, 0.0]
+    robot = load_variant(VariantSpec(leg_scale=1.1, torso_mass_scale=1.2))
+    least = minimum_stiffness(robot, solve_stand(robot, StandTask(offset=(0.01, 0.0))))
+    assert content["minimum_stiffness"] == pytest.approx(least, rel=1e-2)
+    assert f"carry it without feed-forward: {content['minimum_stiffness']:.2f} N m/rad" in out
+    assert "nearest links" in out
+
+
+@pytest.mark.slow
+def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
+    robot = load_variant("v3-long-leg")
+    result = study_stance(robot, StandTask(), kp=4.0, kd=0.1, stiffness=True)
+    assert result.settled is None
+    assert result.minimum_stiffness is not None
+    assert 4.0 < result.minimum_stiffness < 6.0
+
+
+@pytest.mark.slow
+def test_motors_too_weak_are_said_so() -> None:
+    """Reached and in balance, but held by no motor of 3 N m."""
+    robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
+    result = study_stance(robot, StandTask())
+    assert not result.passed
+    assert set(result.overloaded) == {name for name in robot.joint_names if name.endswith("_3")}
+    assert "OVERLOADED" in printed(result)
+    there = study_path(robot, StandTask(yaw=0.1), 2.0)
+    assert not there.passed
+    assert any("of its limit" in str(failure) for failure in there.tracking.failures)
+    assert not study_stance(load_variant("v3"), StandTask()).overloaded
+
+
+BAD = {
+    "name and files": (["v3", "--urdf", "a.urdf"], "give a variant's name, or"),
+    "name and base": (["v3", "--base", "v3"], "give a variant's name, or --base and its scales"),
+    "base and files": (["--base", "v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
+    "no such base": (["--base", "v4"], "valid: skeleton, v3"),
+    "no scale": (["--leg-scale", "0"], "greater than 0"),
+    "no MJCF": (["--urdf", "a.urdf"], "needs both"),
+    "a map alone": (["--map", "a=b"], "needs both"),
+    "no such file": (["--urdf", "a.urdf", "--mjcf", "a.xml", "--foot", "a=b"], "a.urdf"),
+    "no damping": (["v3", "--kp", "-3"], "kp"),
+    "too near": (["v3", "--self-clearance", "0.05"], "Possible with all else as asked: self_"),
+    "no such robot": (["spot"], "'spot'"),
+    "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
+    "too steep": (["v3", "--slope", "0.9"], "ground slope 34.8 deg"),
+    "below the ground": (["v3", "--height", "-0.1"], "not above the ground"),
+    "not finite": (["v3", "--roll", "nan"], "roll"),
+    "no such foot": (["v3", "--swing", "XX=0.02"], "no foot 'XX'; there are: FR, FL, RR, RL"),
+    "two lifted": (["v3", "--swing", "FL=0.02", "--swing", "FR=0.02"], "only 2 feet carry"),
+    "no height": (["v3", "--swing", "FL"], "'FL' is not of the form NAME=VALUE"),
+    "no number": (["v3", "--step", "FL=high"], "'high' in 'FL=high' is no length"),
+    "no place": (["v3", "--com", "middle"], "'middle'"),
+    "one coordinate": (["v3", "--move", "FL=0.01"], "not of the form X,Y"),
+    "slides": (["v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
+    "figure in a folder": (["v3", "--figure", "."], "it is a folder"),
+    "JSON in a folder": (["v3", "--json", "."], "it is a folder"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_exit_status_2(
+    case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments, message = BAD[case]
+    monkeypatch.chdir(tmp_path)
+    output = [] if "--json" in arguments else ["--json", "all.json"]
+    check_refusal(capfd, tmp_path, ["stand", *arguments, *output], message)

@@ -1,0 +1,157 @@
+"""``pupper-analysis sync``: exit status, what is printed, questions in a terminal, bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+
+from pupper_analysis import cli
+from tests.support.commands import Answer, answer
+from tests.support.robots import changed, quadruped, write_parts
+
+ROBOT = quadruped()
+DIFFERENT = changed(changed(ROBOT, "base", mass=7.5), "thigh1", effort=25.0, armature=0.5)
+
+
+def run(folder: Path, *arguments: str) -> Answer:
+    return answer("sync", "robot.urdf", "robot.xml", *arguments, folder=folder)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_parts(tmp_path, ROBOT, changed(DIFFERENT, "thigh1", armature=0.01))
+    return tmp_path
+
+
+def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
+    before = (folder / "robot.xml").read_bytes()
+    result = run(folder)
+    assert result.returncode == 1
+    assert result.stderr == ""
+    assert "1. body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in result.stdout
+    assert "   robot.urdf:5   robot.xml:7" in result.stdout
+    assert "2. joint hip1: effort 21 N m in the URDF, 25 N m in the MJCF" in result.stdout
+    assert "Nothing was changed. --take urdf takes the URDF's values" in result.stdout
+    assert '--take urdf:"body of base: mass"' in result.stdout
+    assert (folder / "robot.xml").read_bytes() == before
+
+
+def test_all_is_written_and_said(folder: Path) -> None:
+    output = folder / "all.json"
+    result = run(folder, "--take", "urdf", "--backup", "--json", str(output))
+    assert (result.returncode, result.stderr) == (0, "")
+    lines = result.stdout.splitlines()
+    assert lines[0] == "AGREE URDF and MJCF: attributes written: 2"
+    assert lines[2:4] == ["What was written", "robot.xml:7: body base > inertial: mass: 7.5 -> 6"]
+    assert lines[4].endswith("motor m_hip1: ctrlrange: -25.0 25.0 -> -21 21")
+    assert lines[5].startswith("the old file is kept: ")
+    assert lines[6] == f"written: {output}"
+    content = json.loads(output.read_text())
+    assert content["edits"][0] == {
+        "file": "robot.xml",
+        "line": 7,
+        "element": "body base > inertial",
+        "attribute": "mass",
+        "old": "7.5",
+        "new": "6",
+    }
+    assert content["agree"] is True
+    assert answer("crosscheck", "robot.urdf", "robot.xml", "--strict", folder=folder)[0] == 0
+    again = run(folder)
+    assert (again.returncode, again.stdout) == (0, "AGREE URDF and MJCF: attributes written: 0\n")
+
+
+def test_a_dry_run_prints_a_diff(folder: Path) -> None:
+    before = (folder / "robot.urdf").read_bytes()
+    result = run(folder, "--take", "mjcf:mass", "--dry-run")
+    assert result.returncode == 1
+    assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
+    assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
+    assert "\nWhat is left\njoint hip1: effort: nothing was chosen for it" in result.stdout
+    told = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
+    assert result.stdout.startswith(told)
+    assert (folder / "robot.urdf").read_bytes() == before
+
+
+def test_what_cannot_be_stated_is_left(tmp_path: Path) -> None:
+    write_parts(tmp_path, ROBOT, DIFFERENT)
+    result = run(tmp_path, "--take", "mjcf")
+    assert result.returncode == 1
+    assert "\nWhat is left\njoint hip1: armature: a URDF has no armature" in result.stdout
+    told = "DISAGREE URDF and MJCF: attributes written: 2\n  differences left: 1\n"
+    assert result.stdout.startswith(told)
+
+
+def test_the_sixth_digit_is_left_unless_asked_for(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, ROBOT, changed(ROBOT, "base", mass=6.00001))
+    before = files.mjcf.read_bytes()
+    assert run(tmp_path, "--take", "urdf").returncode == 0
+    assert files.mjcf.read_bytes() == before
+    assert run(tmp_path, "--fine").returncode == 1
+    tolerances = ["--tolerance", "mass=1e-4", "--tolerance", "dynamics=1e-4"]
+    assert run(tmp_path, "--fine", *tolerances).returncode == 0
+    assert run(tmp_path, "--fine", "--take", "urdf").returncode == 0
+    assert 'mass="6"' in files.mjcf.read_text()
+
+
+def asked(folder: Path, keys: str, monkeypatch: pytest.MonkeyPatch) -> Answer:
+    """Runs it in what it takes for a terminal, in which keys are pressed."""
+    waiting = iter(keys)
+    monkeypatch.setattr(click, "getchar", lambda: next(waiting))
+    monkeypatch.setattr("pupper_analysis.cli.sync._is_terminal", lambda: True)
+    result = run(folder)
+    assert list(waiting) == []
+    return result
+
+
+def test_in_a_terminal_each_difference_is_asked_for(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = asked(folder, "xum", monkeypatch)
+    assert result.returncode == 0
+    assert '   robot.urdf:5: <mass value="6.0"/>' in result.stdout
+    assert '   robot.xml:7: <inertial pos="0.01 0.002 -0.005" mass="7.5"' in result.stdout
+    assert "body base > inertial: mass: 7.5 -> 6" in result.stdout
+    assert "joint hip1 > limit: effort: 21.0 -> 25" in result.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("keys", "written"), [("sq", 0), ("q", 0), ("M", 2), ("sU", 1), ("us", 1), ("ss", 0)]
+)
+def test_keys(folder: Path, monkeypatch: pytest.MonkeyPatch, keys: str, written: int) -> None:
+    result = asked(folder, keys, monkeypatch)
+    assert result.returncode == (0 if written == 2 else 1)
+    assert result.stdout.count(" -> ") == written
+    if not written:
+        assert "Nothing was changed." in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--take", "left"], "take: 'left' is not of the form urdf, mjcf, urdf:WHICH or mjcf"),
+        (["--take", "urdf:tail"], "no difference is called 'tail'"),
+        (["--map", "a"], "'a' is not of the form NAME=VALUE"),
+        (["--tolerance", "mass=0"], "mass=0.0 is not positive"),
+        (["--package", "a=/nowhere"], "/nowhere is not a folder"),
+        (["--json", "robot.urdf/a.json"], "robot.urdf is not a folder"),
+    ],
+)
+def test_bad_input_is_exit_status_2(folder: Path, arguments: list[str], said: str) -> None:
+    before = (folder / "robot.xml").read_bytes()
+    result = run(folder, *arguments)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert said in result.stderr
+    assert (folder / "robot.xml").read_bytes() == before
+
+
+def test_help_has_examples_and_statuses() -> None:
+    text = answer("sync", "--help").stdout
+    assert "Examples:" in text
+    assert "Exit status: 0 they agree afterwards" in text
+    assert "sync" in answer("--help").stdout
+    assert "sync" in cli.group.commands

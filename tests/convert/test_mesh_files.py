@@ -1,0 +1,226 @@
+"""Mesh files that convert takes, and those that it leaves: archives, claims, what is too large."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import zipfile
+from pathlib import Path
+
+import pytest
+import trimesh
+
+import pupper_analysis as pa
+from pupper_analysis.convert import mesh_files
+from pupper_analysis.convert.mesh_files import UnreadableError, obj_of
+from tests.convert.test_model import _shape, compiled
+from tests.support.robots import arm, urdf_text
+
+BOX = trimesh.creation.box((0.1, 0.2, 0.3))
+
+
+def glb(document: dict[str, object]) -> bytes:
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIIII", b"glTF", 2, 20 + len(text), len(text), 0x4E4F534A) + text
+
+
+def nested(levels: int) -> str:
+    """COLLADA of 3 kB: a box that stands twice in a node, that twice in another, and so on."""
+    file = trimesh.exchange.dae.export_collada(BOX).decode()
+    shape = file[file.index("<instance_geometry") :].split('"')[1]
+    inner = f'<node id="n0"><instance_geometry url="{shape}"/></node>'
+    for level in range(levels):
+        twice = 2 * f'<instance_node url="#n{level}"/>'
+        inner += f'<node id="n{level + 1}">{twice}</node>'
+    begin = file.index("<library_visual_scenes")
+    scene = f'<node id="root"><instance_node url="#n{levels}"/></node>'
+    return (
+        f"{file[:begin]}<library_nodes>{inner}</library_nodes><library_visual_scenes>"
+        f'<visual_scene id="s">{scene}</visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#s"/></scene></COLLADA>'
+    )
+
+
+def hostile(folder: Path) -> dict[str, str]:
+    """{a mesh file that is made in the folder: why it is left out}."""
+    BOX.export(folder / "box.obj")
+    with zipfile.ZipFile(folder / "box.zip", "w") as archive:
+        archive.write(folder / "box.obj", "box.obj")
+    BOX.export(folder / "box.3mf")
+    with (folder / "large.stl").open("wb") as file:
+        file.truncate(mesh_files.MOST_BYTES + 1)
+    accessor = {"componentType": 5126, "count": 10**9, "type": "VEC3"}  # 12 GB of zeros
+    mesh = {"primitives": [{"attributes": {"POSITION": 0}}]}
+    claims = {"asset": {"version": "2.0"}, "accessors": [accessor], "meshes": [mesh]}
+    (folder / "claims.glb").write_bytes(glb({**claims, "nodes": [{"mesh": 0}]}))
+    (folder / "broken.dae").write_text("<COLLADA/>")
+    (folder / "text.ply").write_text("no mesh")
+    (folder / "nested.dae").write_text(nested(30))
+    os.mkfifo(folder / "pipe.dae")
+    return {
+        "box.zip": "formats that are not read",
+        "box.3mf": "formats that are not read",
+        "large.stl": "larger than",
+        "claims.glb": "vertices",
+        "nested.dae": "parts",
+        "broken.dae": "broken",
+        "text.ply": "broken",
+        "pipe.dae": "no such file",
+    }
+
+
+def test_archives_claims_and_what_is_too_large_are_left_out(tmp_path: Path) -> None:
+    """A zip of 780 kB was unpacked to 11.5 GB: any suffix was given to a reader of all formats."""
+    expected = hostile(tmp_path)
+    shapes = "".join(
+        _shape("visual", f'<mesh filename="{name}"/>', "0 0 0") for name in (*expected, "box.obj")
+    )
+    text = urdf_text(arm(), ()).replace("</link>", shapes + "</link>", 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    for name, why in expected.items():
+        (said,) = [text for text in map(str, found.left) if name in text]
+        assert why in said
+    assert compiled(tmp_path / "arm.xml").nmesh == 1  # box.obj
+
+
+def test_instances_of_a_mesh_count_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = trimesh.Scene()
+    for number in range(10):
+        scene.add_geometry(
+            BOX,
+            geom_name="box",
+            transform=trimesh.transformations.translation_matrix([number, 0, 0]),
+        )
+    scene.export(tmp_path / "many.glb")
+    whole = trimesh.load(io.BytesIO(obj_of(tmp_path / "many.glb")), file_type="obj")
+    assert len(whole.faces) == 10 * len(BOX.faces)
+    monkeypatch.setattr(mesh_files, "MOST_VERTICES", 9 * len(BOX.vertices))
+    with pytest.raises(UnreadableError, match="vertices"):
+        obj_of(tmp_path / "many.glb")
+
+
+def test_what_takes_minutes_to_compile_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An OBJ of two million vertices took 100 s and 2 GB; what is touched with is less detailed."""
+    BOX.export(tmp_path / "box.obj")
+    (tmp_path / "fan.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + " 1 2 3" * 10 + "\n")
+    monkeypatch.setattr(mesh_files, "MOST_TRIANGLES", 20)
+    monkeypatch.setattr(mesh_files, "MOST_TOUCHING", 7)
+    kinds = {"visual": "box.obj", "collision": "box.obj"}
+    shapes = [_shape(kind, f'<mesh filename="{name}"/>', "0 0 0") for kind, name in kinds.items()]
+    shapes.append(_shape("visual", '<mesh filename="fan.obj"/>', "0 0 0"))
+    (tmp_path / "arm.urdf").write_text(
+        urdf_text(arm(), ()).replace("</link>", "".join(shapes) + "</link>", 1)
+    )
+    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    reasons = {
+        (file, told.values["why"].code)
+        for told in found.left
+        if told.code == "meshes-left"
+        for file in told.values["files"]
+    }
+    assert reasons == {
+        ("box.obj", "mesh-has-too-many-vertices"),
+        ("fan.obj", "mesh-has-too-many-triangles"),
+    }
+    assert compiled(tmp_path / "arm.xml").nmesh == 1  # the box that is looked at
+    (lost,) = found.failures
+    assert (lost.code, lost.values["files"]) == ("collision-meshes-lost", ("box.obj",))
+
+
+def test_a_lost_shape_that_touches_is_a_failure(tmp_path: Path) -> None:
+    """An STL that claims more triangles than it has was left out, and the conversion agreed."""
+    whole = BOX.export(file_type="stl")
+    for claimed, passes in ((len(BOX.faces), True), (len(BOX.faces) + 5, False)):
+        content = whole[:80] + struct.pack("<I", claimed) + whole[84:]
+        file = f"{claimed}.stl"  # MuJoCo keeps what it has read of a name in this second
+        (tmp_path / file).write_bytes(content)
+        shape = _shape("collision", f'<mesh filename="{file}"/>', "0 0 0")
+        (tmp_path / "arm.urdf").write_text(
+            urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
+        )
+        found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml", force=True)
+        assert found.agree
+        assert found.passed == passes
+        assert [told.code for told in found.failures] == ["collision-meshes-lost"] * (not passes)
+
+
+def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
+    plate = trimesh.Trimesh(
+        [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 0]], [[0, 1, 2], [1, 3, 2]]
+    )
+    plate.export(tmp_path / "plate.stl")
+    shape = _shape("visual", '<mesh filename="plate.stl"/>', "0 0 0")
+    text = urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1)
+    (tmp_path / "arm.urdf").write_text(text)
+    found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
+    assert found.passed
+    assert not [text for text in map(str, found.left) if "mesh" in text]
+    assert compiled(tmp_path / "arm.xml").nmesh == 1
+
+
+def test_files_that_a_mesh_names_are_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    files = trimesh.exchange.gltf.export_gltf(trimesh.Scene(BOX))
+    for name, content in files.items():
+        (tmp_path / "in" / name).write_bytes(content)
+    model = tmp_path / "in" / "model.gltf"
+    assert obj_of(model)
+    buffer = next(name for name in files if name.endswith(".bin"))
+    (tmp_path / "in" / buffer).rename(tmp_path / buffer)
+    model.write_text(model.read_text().replace(buffer, f"../{buffer}"))
+    with pytest.raises(UnreadableError, match="broken"):
+        obj_of(model)
+
+
+def published(folder: Path) -> Path:
+    """A package as it is published: a URDF and its meshes in folders of their own."""
+    for place in ("robot/urdf", "robot/meshes"):
+        (folder / place).mkdir(parents=True)
+    BOX.export(folder / "robot/meshes/box.stl")
+    shape = _shape("visual", '<mesh filename="../meshes/box.stl"/>', "0 0 0")
+    path = folder / "robot/urdf/arm.urdf"
+    path.write_text(urdf_text(arm(), ()).replace("</link>", shape + "</link>", 1))
+    return path
+
+
+def test_meshes_are_found_when_the_folder_is_moved_with_theirs(tmp_path: Path) -> None:
+    urdf = published(tmp_path)
+    (tmp_path / "robot/mjcf").mkdir()
+    pa.convert_model(urdf, tmp_path / "robot/mjcf/arm.xml")
+    (tmp_path / "robot").rename(tmp_path / "elsewhere")
+    assert compiled(tmp_path / "elsewhere/mjcf/arm.xml").nmesh == 1
+
+
+def test_a_folder_that_is_linked_together_is_moved_together(tmp_path: Path) -> None:
+    """The meshes are in a store, and linked to where the package has them."""
+    urdf = published(tmp_path)
+    (tmp_path / "store").mkdir()
+    (tmp_path / "robot/meshes/box.stl").rename(tmp_path / "store/1f3a.stl")
+    (tmp_path / "robot/meshes/box.stl").symlink_to(tmp_path / "store/1f3a.stl")
+    pa.convert_model(urdf, tmp_path / "robot/urdf/arm.xml")
+    (tmp_path / "robot").rename(tmp_path / "elsewhere")
+    assert compiled(tmp_path / "elsewhere/urdf/arm.xml").nmesh == 1
+
+
+def test_copied_meshes_move_with_the_new_file(tmp_path: Path) -> None:
+    urdf = published(tmp_path)
+    (tmp_path / "new").mkdir()
+    found = pa.convert_model(urdf, tmp_path / "new/arm.xml", copy_meshes=True)
+    assert found.written == tuple(
+        str(tmp_path / "new" / name) for name in ("arm_meshes/box.stl", "arm.xml")
+    )
+    (tmp_path / "robot").rename(tmp_path / "gone")
+    (tmp_path / "new").rename(tmp_path / "elsewhere")
+    assert compiled(tmp_path / "elsewhere/arm.xml").nmesh == 1
+
+
+def test_a_node_that_stands_in_others_is_read_as_often_as_it_stands(tmp_path: Path) -> None:
+    (tmp_path / "eight.dae").write_text(nested(3))
+    whole = trimesh.load(io.BytesIO(obj_of(tmp_path / "eight.dae")), file_type="obj")
+    assert whole.volume == pytest.approx(8 * BOX.volume)

@@ -1,0 +1,628 @@
+"""Conversion: the new file is the same robot, engine against engine, and one that stands."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+import pupper_analysis as pa
+from pupper_analysis.models.mjcf import quiet
+from tests.support.commands import Answer, answer
+from tests.support.legged import quadruped as legged
+from tests.support.repository import ROOT
+from tests.support.robots import NOTHING, Part, Parts, arm, changed, mjcf_text, quadruped, urdf_text
+
+LEGS = ("FL", "FR", "RL", "RR")
+
+
+def standing_urdf(folder: Path) -> Path:
+    """A URDF of a quadruped with spheres for feet, and a box for a trunk."""
+    text = legged(folder).urdf.read_text()
+    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    for name in LEGS:
+        start = text.index(f'<link name="{name}_calf">')
+        end = text.index("</link>", start)
+        text = text[:end] + ball + text[end:]
+    box = _shape("collision", '<box size="0.4 0.2 0.08"/>', "0 0 0")
+    path = folder / "quad.urdf"
+    path.write_text(text.replace("</link>", f"{box}</link>", 1))
+    return path
+
+
+def _shape(kind: str, geometry: str, xyz: str, rpy: str = "0 0 0") -> str:
+    origin = f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+    return f"<{kind}>{origin}<geometry>{geometry}</geometry></{kind}>"
+
+
+def compiled(path: Path) -> mujoco.MjModel:
+    with quiet():
+        return mujoco.MjModel.from_xml_path(str(path))
+
+
+def same_dynamics(urdf: Path, mjcf: Path) -> float:
+    """The greatest deviation of bias forces and mass matrices, each engine reading its own file.
+
+    Independent of the package: joints are matched by name, the base is held.
+    """
+    reference, model = pin.buildModelFromUrdf(str(urdf)), compiled(mjcf)
+    free = model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
+    ours = list(reference.names)[1:]
+    dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in ours]
+    random, worst = np.random.default_rng(0), 0.0
+    data = mujoco.MjData(model)
+    for _ in range(5):
+        angles = dict(zip(ours, random.uniform(-0.5, 0.5, len(ours)), strict=True))
+        q, v = pin.neutral(reference), random.uniform(-1, 1, reference.nv)
+        for name, value in angles.items():
+            joint = reference.joints[reference.getJointId(name)]
+            wide = joint.nq == 2  # continuous: cosine and sine
+            q[joint.idx_q : joint.idx_q + joint.nq] = (
+                (math.cos(value), math.sin(value)) if wide else value
+            )
+            data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
+        if free:
+            data.qpos[:7] = (0, 0, 0, 1, 0, 0, 0)
+        data.qvel[:] = 0
+        data.qvel[dofs] = v
+        mujoco.mj_forward(model, data)
+        mass = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, mass)
+        work = reference.createData()
+        bias = pin.rnea(reference, work, q, v, np.zeros(reference.nv))
+        inertia = pin.crba(reference, work, q)
+        inertia = np.triu(inertia) + np.triu(inertia, 1).T
+        worst = max(
+            worst,
+            float(np.abs(data.qfrc_bias[dofs] - bias).max() / np.abs(bias).max()),
+            float(np.abs(mass[np.ix_(dofs, dofs)] - inertia).max() / np.abs(inertia).max()),
+        )
+    return worst
+
+
+def converted(source: Path, name: str, **options: object) -> tuple[Path, pa.Conversion]:
+    output = source.parent / name
+    return output, pa.convert_model(source, output, **options)  # type: ignore[arg-type]
+
+
+# ---------------------------------------------------------------------------- a URDF as an MJCF
+
+
+def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
+    urdf = standing_urdf(tmp_path)
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert found.agree
+    assert found.comparison.differences == ()
+    assert all(text.startswith("velocity limits of ") for text in map(str, found.left))
+    assert found.verification is not None
+    assert found.verification.duration == 12.0
+    assert found.verification.torque_error < 1e-5
+    assert same_dynamics(urdf, mjcf) < 1e-9
+    assert found.written == (str(mjcf),)
+    model = compiled(mjcf)
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
+    assert model.body_subtreemass[0] == pytest.approx(4 + 4 * 1.1)
+    # The URDF's effort limits are the servos' (N m).
+    np.testing.assert_allclose(model.actuator_forcerange, [[-80, 80]] * 12)
+    assert {model.sensor(i).name for i in range(model.nsensor)} == {
+        "gyro",
+        "accelerometer",
+        "orientation",
+    }
+
+
+def from_keyframe(model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
+    """The state after 3 s from the keyframe on, in MuJoCo alone, and the start's qpos."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    start = data.qpos.copy()
+    for _ in range(round(3 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    return data, start
+
+
+@pytest.mark.slow
+def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
+    mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
+    data, start = from_keyframe(compiled(mjcf))
+    assert np.abs(data.qvel).max() < 1e-4
+    np.testing.assert_allclose(data.qpos[7:], start[7:], atol=1e-3)  # rad
+    assert data.qpos[2] == pytest.approx(start[2], abs=1e-3)
+    assert np.abs(data.actuator_force).max() > 1.0  # it carries
+
+
+@pytest.mark.slow
+def test_nothing_has_to_be_made_up_for_the_new_file(tmp_path: Path) -> None:
+    urdf = standing_urdf(tmp_path)
+    mjcf, _ = converted(urdf, "quad.xml")
+    notes = pa.load_robot(urdf=urdf, mjcf=mjcf).notes
+    assert not [note for note in notes if note.code in ("servos-added", "ground-added")], notes
+    assert [note for note in notes if note.code == "start-pose-is-keyframe"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [0.4, 0.8])
+def test_sag_and_damping_ratio_are_those_asked_for(ratio: float, tmp_path: Path) -> None:
+    """As the modes of MuJoCo's own motion have them, which it linearises about the stand.
+
+    On ground that is hard: MuJoCo's default is another spring and damper below the servos.
+    """
+    urdf, sag = standing_urdf(tmp_path), 0.04
+    mjcf, found = converted(urdf, "quad.xml", sag=sag, damping_ratio=ratio)
+    assert found.passed, found.failures
+    model = compiled(mjcf)
+    model.opt.timestep, model.geom_solref[:, 0] = 2e-4, 1e-3  # s
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("home").id)
+    for _ in range(round(1 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    torque, kp = np.abs(data.actuator_force).max(), float(model.actuator_gainprm[0, 0])
+    assert torque / kp == pytest.approx(sag, rel=0.01)
+    step = np.zeros((2 * model.nv, 2 * model.nv))
+    mujoco.mjd_transitionFD(model, data, 1e-7, True, step, None, None, None)
+    values, modes = np.linalg.eig(step)
+    poles = np.log(values.astype(complex)) / model.opt.timestep
+    upwards = np.abs(modes[2]) / np.linalg.norm(modes[: model.nv], axis=0)
+    bounce = poles[np.argmax(upwards)]
+    assert -bounce.real / abs(bounce) == pytest.approx(ratio, rel=0.03)
+
+
+@pytest.mark.slow
+def test_random_robots_are_the_same_in_both_formats(tmp_path: Path) -> None:
+    random = np.random.default_rng(5)
+    for number in range(6):
+        parts = _random_tree(random)
+        urdf = tmp_path / f"tree{number}.urdf"
+        urdf.write_text(urdf_text(parts, ()))
+        for merged in (False, True):
+            mjcf, found = converted(
+                urdf, f"tree{number}.xml", fixed_base=True, merge_fixed=merged, force=True
+            )
+            assert found.passed, found.failures
+            assert same_dynamics(urdf, mjcf) < 1e-9
+            model = compiled(mjcf)
+            fixed = [part for part in parts.values() if part.parent and part.kind == "fixed"]
+            assert model.nbody == 1 + len(parts) - merged * len(fixed)
+            back, again = converted(mjcf, f"back{number}.urdf", force=True)
+            assert again.passed, again.failures
+            assert same_dynamics(back, mjcf) < 1e-9
+
+
+def _random_tree(random: np.random.Generator) -> Parts:
+    parts = {"base": Part("base", mass=2.0, com=tuple(random.normal(0, 0.05, 3)))}
+    for index in range(7):
+        turned = random.normal(size=4)
+        box = random.uniform(0.02, 0.3, 3) ** 2
+        moments = np.diag(box.sum() - box)
+        axes = pin.exp3(random.normal(size=3))
+        tensor = axes @ moments @ axes.T
+        kind = str(random.choice(["revolute", "continuous", "prismatic", "fixed"]))
+        name = f"part{index}"
+        parts[name] = Part(
+            name,
+            str(random.choice(list(parts))),
+            f"joint{index}",
+            kind if index else "revolute",
+            tuple(random.normal(0, 0.2, 3)),
+            tuple(turned / np.linalg.norm(turned)),
+            tuple(random.normal(size=3)),
+            mass=float(random.uniform(0.1, 2)),
+            com=tuple(random.normal(0, 0.05, 3)),
+            inertia=tuple(tensor[at] for at in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))),
+        )
+    return parts
+
+
+def test_what_a_urdf_states_of_joints_is_kept(tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(changed(arm(), "boom", damping=0.7, friction=0.3, effort=12.5), ()))
+    mjcf, found = converted(urdf, "arm.xml")
+    assert found.passed, found.failures
+    assert found.verification is None
+    model = compiled(mjcf)
+    assert [model.joint(i).name for i in range(3)] == ["turn", "lift", "push"]
+    assert model.joint("turn").limited[0] == 0
+    np.testing.assert_array_equal(model.joint("lift").range, [-1, 1])
+    np.testing.assert_array_equal(model.joint("push").range, [0, 0.3])
+    assert model.jnt_type[2] == mujoco.mjtJoint.mjJNT_SLIDE.value
+    assert (model.dof_damping[1], model.dof_frictionloss[1]) == (0.7, 0.3)
+    np.testing.assert_array_equal(model.actuator("lift").forcerange, [-12.5, 12.5])
+
+
+def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    text = urdf_text(changed(arm(), "rod", effort=7.0), ())
+    mimic = '<mimic joint="lift" multiplier="-0.5" offset="0.1"/></joint>'
+    place = text.index("</joint>", text.index('name="push"'))
+    urdf.write_text(text[:place] + mimic + text[place + len("</joint>") :])
+    mjcf, found = converted(urdf, "arm.xml")
+    assert found.passed, found.failures
+    model = compiled(mjcf)
+    np.testing.assert_allclose(model.eq_data[0, :3], [0.1, -0.5, 0])
+    assert (model.eq_obj1id[0], model.eq_obj2id[0]) == (
+        model.joint("push").id,
+        model.joint("lift").id,
+    )
+    assert [model.actuator(i).name for i in range(model.nu)] == ["turn", "lift"]
+    back, again = converted(mjcf, "back.urdf")
+    assert again.passed, again.failures
+    written = ElementTree.parse(back).getroot().find("joint[@name='push']/mimic")
+    assert written is not None
+    assert (written.get("joint"), written.get("multiplier"), written.get("offset")) == (
+        "lift",
+        "-0.5",
+        "0.1",
+    )
+    assert [left.code for left in again.left] == ["gains-not-in-urdf"]
+
+
+def test_an_inertia_that_mujoco_refuses_goes_to_what_it_is_fixed_to(tmp_path: Path) -> None:
+    parts = arm()
+    parts["tip"] = Part(
+        "tip", "rod", "glue", "fixed", (0.1, 0.02, 0.0), mass=0.3, com=(0.05, 0.0, 0.0),
+        inertia=(1e-5,) * 6,
+    )  # fmt: skip
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(parts, ()))
+    mjcf, found = converted(urdf, "arm.xml")
+    assert found.passed, found.failures
+    assert any(
+        "inertia of link 'tip'" in str(note) and "'rod'" in str(note) for note in found.notes
+    )
+    model = compiled(mjcf)
+    assert model.body("rod").mass[0] == pytest.approx(0.8)
+    assert model.body("tip").mass[0] == 0
+    assert same_dynamics(urdf, mjcf) < 1e-9
+
+
+@pytest.mark.filterwarnings("ignore:.*Scene.dump:DeprecationWarning")  # yourdfpy's
+def test_shapes_are_where_the_urdf_has_them(tmp_path: Path) -> None:
+    """Against yourdfpy's scene of the URDF and of the URDF that is made of the MJCF again."""
+    import yourdfpy
+
+    folder = tmp_path / "parts"
+    folder.mkdir()
+    solid = trimesh.creation.box((0.1, 0.06, 0.03))
+    solid.apply_translation((0.03, -0.01, 0.02))
+    solid.export(folder / "part.stl")
+    solid.export(folder / "part.dae")
+    shapes = {
+        "base": _shape("visual", '<mesh filename="parts/part.stl" scale="1 -1 2"/>', "0.1 0 0.2"),
+        "column": _shape("collision", '<box size="0.1 0.2 0.3"/>', "0 0.1 0", "0.3 0.2 -0.4"),
+        "boom": _shape("visual", '<mesh filename="parts/part.dae"/>', "0 0 0.1", "0 0 1")
+        + _shape("collision", '<cylinder radius="0.03" length="0.4"/>', "0.1 0 0", "0 1.2 0"),
+        "rod": _shape("collision", '<sphere radius="0.07"/>', "0.02 0.03 0.04"),
+    }
+    text = urdf_text(arm(), ())
+    for link, shape in shapes.items():
+        start = text.index(f'<link name="{link}">')
+        end = text.index("</link>", start)
+        text = text[:end] + shape + text[end:]
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(text)
+    mjcf, found = converted(urdf, "arm.xml")
+    assert found.passed, found.failures
+    assert all(text.startswith("velocity limits of ") for text in map(str, found.left))
+    assert (tmp_path / "arm_meshes" / "part.obj").is_file()
+    assert found.written[-1] == str(mjcf)
+    back, _ = converted(mjcf, "back.urdf")
+    one, two = (
+        yourdfpy.URDF.load(str(path), load_collision_meshes=True, build_collision_scene_graph=True)
+        for path in (urdf, back)
+    )
+    for which in ("scene", "collision_scene"):
+        first, second = getattr(one, which), getattr(two, which)
+        assert len(first.geometry) == len(second.geometry) > 0
+        np.testing.assert_allclose(first.bounds, second.bounds, atol=1e-6)
+    model = compiled(mjcf)
+    groups = sorted(model.geom_group.tolist())
+    assert groups == [2, 2, 3, 3, 3]
+    np.testing.assert_allclose(model.geom("column_collision").size, [0.05, 0.1, 0.15])
+    np.testing.assert_allclose(model.geom("boom_collision").size[:2], [0.03, 0.2])
+    assert not model.geom_contype[model.geom_group == 2].any()
+
+
+def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None:
+    pointer = tmp_path / "far.stl"
+    pointer.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    text = urdf_text(arm(), ()).replace(
+        "</link>",
+        _shape("visual", '<mesh filename="package://none/gone.stl"/>', "0 0 0")
+        + _shape("visual", '<mesh filename="far.stl"/>', "0 0 0")
+        + "</link>",
+        1,
+    )
+    (tmp_path / "arm.urdf").write_text(text)
+    _, found = converted(tmp_path / "arm.urdf", "arm.xml")
+    assert found.passed
+    assert len(found.left) == 2
+    assert str(found.left[0]).startswith("mesh files left out, ")
+    assert "package://none/gone.stl, far.stl" in str(found.left[0])
+
+
+@pytest.mark.slow
+def test_the_new_file_is_tidy(tmp_path: Path) -> None:
+    mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
+    text = mjcf.read_text()
+    root = ElementTree.fromstring(text)
+    assert text.startswith("<!-- Converted from quad.urdf by pupper-analysis. -->\n<mujoco")
+    classes = {default.get("class") for default in root.iter("default")}
+    assert classes == {None, "visual", "collision", "roll", "pitch", "knee"}
+    for leg in LEGS:
+        for name in ("roll", "pitch", "knee"):
+            joint = root.find(f".//joint[@name='{leg}_{name}']")
+            assert joint is not None
+            assert joint.attrib == {"name": f"{leg}_{name}", "class": name}
+    assert {tuple(sorted(node.attrib)) for node in root.findall("actuator/position")} == {
+        ("joint", "name")
+    }
+    assert max(map(len, text.splitlines()[:-30])) < 250
+
+
+@pytest.mark.slow
+def test_armature_is_where_it_was_given(tmp_path: Path) -> None:
+    urdf = standing_urdf(tmp_path)
+    given = {
+        f"{leg}_{name}": size for leg in LEGS for name, size in (("knee", 0.02), ("roll", 0.01))
+    }
+    mjcf, found = converted(urdf, "quad.xml", armature=given)
+    assert found.passed, found.failures
+    model = compiled(mjcf)
+    armature = {model.joint(i).name: model.dof_armature[i + 5] for i in range(1, 13)}
+    assert armature == {**dict.fromkeys(armature, 0.0), **given}
+
+
+def test_one_that_cannot_stand_is_converted_all_the_same(tmp_path: Path) -> None:
+    parts = quadruped()
+    urdf = tmp_path / "machine.urdf"
+    urdf.write_text(urdf_text(parts, ()))  # no shapes: no feet
+    mjcf, found = converted(urdf, "machine.xml")
+    assert found.agree
+    assert not found.passed
+    assert found.verification is None
+    assert str(found.failures[0]).startswith("it does not stand: ")
+    assert "no feet were found" in str(found.failures[0])
+    assert same_dynamics(urdf, mjcf) < 1e-9
+
+
+# ---------------------------------------------------------------------------- an MJCF as a URDF
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
+def test_our_own_mjcfs_become_urdfs_that_agree(name: str, tmp_path: Path) -> None:
+    source = ROOT / "mjcf" / f"{name}.xml"
+    output = tmp_path / f"{name}.urdf"
+    found = pa.convert_model(source, output)
+    assert found.passed, found.failures
+    assert any(text.startswith("armature") for text in map(str, found.left))
+    robot = pa.load_robot(urdf=output, mjcf=source)
+    assert pa.cross_check(robot).passed
+    ours = pa.compare_models(ROOT / "urdf" / f"{name}.urdf", source)
+    limits = ElementTree.parse(output).getroot().findall("joint/limit")
+    assert {float(str(limit.get("effort"))) for limit in limits} == {
+        float(value) for value in set(robot.effort_limits.tolist())
+    }
+    assert ours.joints == found.comparison.joints
+
+
+def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
+    """Proven by Pinocchio reading the URDF alone, against MuJoCo reading the MJCF alone."""
+    mjcf = tmp_path / "odd.xml"
+    mjcf.write_text("""<mujoco model="odd"><compiler angle="radian" autolimits="true"/><worldbody>
+      <body name="base" pos="0.1 0.2 0.3" euler="0.1 0.2 0.3">
+        <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/>
+        <body name="shoulder" pos="0 0.1 0" euler="0.3 0 0">
+          <joint name="yaw" axis="0 0 1" pos="0.02 0.01 -0.03" ref="0.4" range="-1 1"/>
+          <joint name="pitch" axis="0 1 0.2" pos="0.01 0 0"/>
+          <inertial pos="0.1 0 0.05" mass="0.7" fullinertia="0.01 0.02 0.015 0.001 -0.002 0.0005"/>
+          <geom name="rod" type="capsule" size="0.02 0.1" pos="0.1 0 0" euler="0 1 0"/>
+          <body name="slider" pos="0.2 0 0">
+            <joint name="push" type="slide" axis="1 0 0" ref="0.05" range="0 0.2"/>
+            <inertial pos="0 0 0.02" mass="0.4" diaginertia="0.01 0.02 0.015"/>
+            <geom type="ellipsoid" size="0.1 0.2 0.3" name="egg"/>
+            <site name="tip" pos="0.1 0 0" euler="0 0 1"/>
+          </body></body></body></worldbody></mujoco>""")
+    urdf, found = converted(mjcf, "odd.urdf")
+    assert found.passed, found.failures
+    assert "geom 'egg': a URDF has no ellipsoid" in map(str, found.left)
+    assert "3 joints have no effort limit; in a URDF that is 0" in map(str, found.left)
+    assert same_dynamics(urdf, mjcf) < 1e-9
+    model, reference = compiled(mjcf), pin.buildModelFromUrdf(str(urdf))
+    data, work = mujoco.MjData(model), reference.createData()
+    angles = {"yaw": 0.3, "pitch": -0.6, "push": 0.11}
+    q = pin.neutral(reference)
+    for name, value in angles.items():
+        data.qpos[model.jnt_qposadr[model.joint(name).id]] = value
+        joint = reference.joints[reference.getJointId(name)]
+        wide = joint.nq == 2
+        q[joint.idx_q : joint.idx_q + joint.nq] = (
+            (math.cos(value), math.sin(value)) if wide else value
+        )
+    mujoco.mj_kinematics(model, data)
+    pin.framesForwardKinematics(reference, work, q)
+    tip = work.oMf[reference.getFrameId("tip", pin.FrameType.BODY)]
+    np.testing.assert_allclose(tip.translation, data.site("tip").xpos, atol=1e-9)
+    np.testing.assert_allclose(tip.rotation, data.site("tip").xmat.reshape(3, 3), atol=1e-9)
+    shapes = ElementTree.parse(urdf).getroot().findall(".//collision/geometry/*")
+    assert [shape.tag for shape in shapes] == ["cylinder", "sphere", "sphere"]
+
+
+def test_there_and_back_nothing_is_lost(tmp_path: Path) -> None:
+    parts = quadruped()
+    mjcf = tmp_path / "machine.xml"
+    mjcf.write_text(mjcf_text(parts))
+    urdf, found = converted(mjcf, "machine.urdf")
+    assert found.passed, found.failures
+    original = tmp_path / "original.urdf"
+    original.write_text(urdf_text(parts))
+    one, two = (pin.buildModelFromUrdf(str(path)) for path in (original, urdf))
+    assert list(one.names) == list(two.names)
+    for first, second in zip(one.inertias, two.inertias, strict=True):
+        np.testing.assert_allclose(
+            first.toDynamicParameters(), second.toDynamicParameters(), rtol=1e-9, atol=1e-12
+        )
+    for first, second in zip(one.jointPlacements, two.jointPlacements, strict=True):
+        np.testing.assert_allclose(first.homogeneous, second.homogeneous, atol=1e-9)
+    for values in ("lowerPositionLimit", "upperPositionLimit", "effortLimit"):
+        np.testing.assert_allclose(getattr(one, values), getattr(two, values), rtol=1e-9)
+
+
+# ---------------------------------------------------------------------------- what is refused
+
+
+def test_what_neither_format_can_have_is_refused(tmp_path: Path) -> None:
+    weightless = changed(arm(), "rod", mass=0.0)
+    cases = {
+        "has no mass, and MuJoCo refuses such bodies": urdf_text(weightless, ()),
+        "joint 'push' is planar": urdf_text(arm(), ()).replace('"prismatic"', '"planar"'),
+        "which no body has; mend it": urdf_text(
+            changed(arm(), "rod", inertia=(1.0, 0.1, 0.1, *NOTHING)), ()
+        ),
+    }
+    for number, (problem, text) in enumerate(cases.items()):
+        urdf = tmp_path / f"bad{number}.urdf"
+        urdf.write_text(text)
+        with pytest.raises(pa.ModelError, match=problem) as caught:
+            pa.convert_model(urdf, tmp_path / "new.xml")
+        assert caught.value.source.startswith(f"{urdf}:")
+        assert not (tmp_path / "new.xml").exists()
+    ball = tmp_path / "ball.xml"
+    ball.write_text(mjcf_text(arm(), free=False).replace('type="slide"', 'type="ball"', 1))
+    with pytest.raises(pa.ModelError, match="body 'rod' has a ball joint"):
+        pa.convert_model(ball, tmp_path / "new.urdf")
+    assert not (tmp_path / "new.urdf").exists()
+
+
+def test_arguments_are_checked(tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(arm(), ()))
+    output = tmp_path / "arm.xml"
+    for name, value in (("sag", 0.0), ("sag", -1.0), ("damping_ratio", math.nan)):
+        with pytest.raises(pa.ConfigurationError, match=name):
+            pa.convert_model(urdf, output, **{name: value})  # type: ignore[arg-type]
+    with pytest.raises(pa.ModelError, match=r"no joint 'elbow'; there are: turn, lift, push"):
+        pa.convert_model(urdf, output, armature={"elbow": 0.1})
+    mjcf = tmp_path / "machine.xml"
+    mjcf.write_text(mjcf_text(arm(), free=False))
+    for name, value in (("sag", 0.1), ("merge_fixed", True), ("feet", ["rod"])):
+        with pytest.raises(pa.ConfigurationError, match=f"{name}: .* is an MJCF"):
+            pa.convert_model(mjcf, tmp_path / "new.urdf", **{name: value})  # type: ignore[arg-type]
+    output.write_text("mine")
+    with pytest.raises(pa.OutputError, match="it exists"):
+        pa.convert_model(urdf, output)
+    assert output.read_text() == "mine"
+    with pytest.raises(pa.OutputError, match="the source"):
+        pa.convert_model(urdf, urdf, force=True)
+
+
+# ---------------------------------------------------------------------------- the command
+
+
+def run(folder: Path, *arguments: str) -> Answer:
+    return answer("convert", *arguments, folder=folder)
+
+
+@pytest.mark.slow
+def test_the_command_says_what_it_did(tmp_path: Path) -> None:
+    standing_urdf(tmp_path)
+    done = run(
+        tmp_path, "quad.urdf", "-o", "quad.xml", "--armature", "*_knee=0.01", "--json", "out.json",
+        "--foot", "FL_calf", "--foot", "FR_calf", "--foot", "RL_calf", "--foot", "RR_calf",
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "written: quad.xml" in done.stdout
+    assert "AGREE quad.urdf and " in done.stdout
+    assert "differences from quad.urdf: 0;" in done.stdout
+    assert "STANDS for 12 s in MuJoCo" in done.stdout
+    result = json.loads((tmp_path / "out.json").read_text())
+    assert result["passed"]
+    assert compiled(tmp_path / "quad.xml").dof_armature.tolist() == [0.0] * 6 + [0, 0, 0.01] * 4
+    again = run(tmp_path, "quad.urdf", "-o", "quad.xml")
+    assert again.returncode == 2
+    assert (
+        again.stderr
+        == "error: cannot write quad.xml: it exists; add --force (force=True) to replace it\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("-o", "-"), "-: the new file names meshes beside it; give it a name"),
+        (("-o", "a.txt"), "cannot write a.txt: quad.urdf becomes an MJCF: end its name in .xml"),
+        (("-o", "a.urdf"), "cannot write a.urdf: quad.urdf becomes an MJCF: end its name in .xml"),
+        (("-o", "no/where.xml", "--sag", "0"), "sag: 0.0 is not positive"),
+        (("-o", "a.xml", "--armature", "x*=1"), "no joint is like 'x*'; there are: FL_roll"),
+        (("-o", "a.xml", "--armature", "-1"), "armature: -1.0 kg m^2 is negative, or no number"),
+        (("-o", "a.xml", "--armature", "*=much"), "armature: 'much' in '*=much' is not a number"),
+        (("-o", "a.xml", "--foot", "nose"), "nose"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_one_line(arguments: tuple[str, ...], problem: str, tmp_path: Path) -> None:
+    standing_urdf(tmp_path)
+    done = run(tmp_path, "quad.urdf", *arguments)
+    assert done.returncode == 2
+    assert problem in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "quad.urdf", "robot.urdf", "robot.xml",
+    ]  # fmt: skip
+
+
+def test_a_failure_is_exit_status_1_and_said(tmp_path: Path) -> None:
+    (tmp_path / "machine.urdf").write_text(urdf_text(quadruped(), ()))
+    done = run(tmp_path, "machine.urdf", "-o", "machine.xml")
+    assert done.returncode == 1
+    assert done.stdout.startswith("FAILED machine.urdf and machine.xml: it does not stand: ")
+    assert (tmp_path / "machine.xml").is_file()
+
+
+def test_nothing_goes_into_a_pipe(tmp_path: Path) -> None:
+    source, pipe = tmp_path / "robot.urdf", tmp_path / "new.xml"
+    source.write_text(urdf_text(arm()))
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        with pytest.raises(pa.OutputError, match="no regular file"):
+            pa.convert_model(source, pipe, force=True)
+        assert os.read(reader, 1) == b""
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
+
+
+def test_a_urdf_is_not_called_xml(tmp_path: Path) -> None:
+    source = tmp_path / "robot.xml"
+    source.write_text(mjcf_text(arm()))
+    with pytest.raises(pa.OutputError, match=r"becomes a URDF: end its name in \.urdf"):
+        pa.convert_model(source, tmp_path / "new.xml")
+    assert [path.name for path in tmp_path.iterdir()] == ["robot.xml"]
+
+
+def test_frames_state_that_they_weigh_nothing(tmp_path: Path) -> None:
+    """PyBullet gives each link without an <inertial> 1 kg: v3's five sites made 8.17 kg of it."""
+    written = tmp_path / "v3.urdf"
+    pa.convert_model(ROOT / "mjcf/pupper_v3.xml", written)
+    found = {finding.rule for finding in pa.audit_model(written).findings}
+    assert "link-without-inertial" not in found
+
+
+def test_servos_of_joints_that_hold_no_gravity_are_for_their_inertia() -> None:
+    """About a vertical axis a rod of 0.25 kg m^2 is held with 2 Hz, critically damped."""
+    from pupper_analysis.convert.servo_gains import held_gains
+
+    rod = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/>
+      <inertial pos=".5 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""
+    kp, kd = held_gains(mujoco.MjModel.from_xml_string(rod), None, None)
+    assert kp == pytest.approx([0.25 * (4 * np.pi) ** 2], rel=5e-3)
+    assert kd == pytest.approx([2 * 0.25 * 4 * np.pi], rel=5e-3)

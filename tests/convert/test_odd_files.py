@@ -1,0 +1,434 @@
+"""Conversion of files that are odd: names in use, meshes of one name, couplings, what is around."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import trimesh
+
+import pupper_analysis as pa
+from tests.convert.test_model import (
+    _shape,
+    compiled,
+    converted,
+    from_keyframe,
+    same_dynamics,
+    standing_urdf,
+)
+from tests.support.legged import quadruped as legged
+
+
+def _changed(folder: Path, *changes: tuple[str, str]) -> Path:
+    path = standing_urdf(folder)
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+def _drift(mjcf: Path, but: str = "") -> float:
+    """How far joints but one (rad) and base (m) go in 3 s from the keyframe, in MuJoCo alone."""
+    model = compiled(mjcf)
+    data, start = from_keyframe(model)
+    gone = np.abs(data.qpos - start)
+    gone[:2] = 0
+    if but:
+        gone[model.joint(but).qposadr] = 0
+    return float(gone.max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "change",
+    [
+        ('"FR_pitch"', '"root"'),  # the free joint
+        ('"FR_thigh"', '"floor"'),
+        ('"trunk"', '"universe"'),  # Pinocchio's world
+    ],
+)
+def test_names_that_the_new_file_uses_itself(change: tuple[str, str], tmp_path: Path) -> None:
+    urdf = _changed(tmp_path, change)
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert same_dynamics(urdf, mjcf) < 1e-9
+
+
+@pytest.mark.slow
+def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
+    red = '<material name="floor"><color rgba="1 0 0 1"/></material>'
+    shapes = _shape("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
+        "</visual>", f"{red}</visual>"
+    ) + _shape("collision", '<box size="0.1 0.1 0.01"/>', "0 0 0").replace(
+        "<collision>", '<collision name="floor">'
+    )
+    path = standing_urdf(tmp_path)
+    path.write_text(path.read_text().replace("</link>", f"{shapes}</link>", 1))
+    mjcf, found = converted(path, "quad.xml")
+    assert found.passed, found.failures
+    model = compiled(mjcf)
+    assert model.geom("floor").type == mujoco.mjtGeom.mjGEOM_PLANE.value
+    np.testing.assert_allclose(model.material("floor_2").rgba, [1, 0, 0, 1])
+
+
+@pytest.mark.slow
+def test_a_fixed_joint_is_called_like_the_base(tmp_path: Path) -> None:
+    """PlaCo asks for frames by their names alone."""
+    head = (
+        '<link name="head"><inertial><mass value="0.3"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4" '
+        'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="trunk" type="fixed"><origin '
+        'xyz="0.1 0 0.05"/><parent link="trunk"/><child link="head"/></joint></robot>'
+    )
+    urdf = _changed(tmp_path, ("</robot>", head))
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert compiled(mjcf).body_subtreemass[0] == pytest.approx(4 + 4 * 1.1 + 0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (('"FR_pitch"', '"universe"'), "Pinocchio's own joint is called so"),
+        (('"FR_pitch"', '"root_joint"'), "Pinocchio's own joint is called so"),
+        (('"FR_pitch"', '"trunk"'), "called like its base, 'trunk'"),
+        (('"FR_thigh"', '"world"'), "the name of the fixed world"),
+        (('"FR_pitch"', '"%s"'), "takes the % for a format"),
+        (('<axis xyz="1 0 0"/>', '<axis xyz="0 0 0"/>'), "axis has no direction"),
+    ],
+)
+def test_what_is_refused_is_said_of_the_source(
+    change: tuple[str, str], problem: str, tmp_path: Path
+) -> None:
+    """The first three made the search endless, or wrote beyond arrays."""
+    with pytest.raises(pa.ModelError, match=problem) as caught:
+        pa.convert_model(_changed(tmp_path, change), tmp_path / "new.xml")
+    assert "draft" not in str(caught.value)
+
+
+def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
+    urdf = _changed(tmp_path, ('"trunk"', '"world"'))
+    with pytest.raises(pa.ModelError, match="the name of the fixed world"):
+        pa.convert_model(urdf, tmp_path / "new.xml", fixed_base=False)
+    _, found = converted(urdf, "new.xml")
+    assert any("<inertial> of link 'world'" in text for text in map(str, found.left))
+
+
+@pytest.mark.slow
+def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
+    """Those that are written anew, too: one must not stand for the other."""
+    for folder, size in (("a", 0.1), ("b", 0.3)):
+        (tmp_path / folder).mkdir()
+        trimesh.creation.box((size, 0.02, 0.02)).export(tmp_path / folder / "part.dae")
+    shapes = "".join(
+        _shape("visual", f'<mesh filename="{folder}/part.dae"/>', "0 0 0") for folder in "ab"
+    )
+    path = standing_urdf(tmp_path)
+    path.write_text(path.read_text().replace("</link>", f"{shapes}</link>", 1))
+    mjcf, _ = converted(path, "quad.xml")
+    model = compiled(mjcf)
+    lengths = []
+    for mesh in range(model.nmesh):
+        start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        lengths.append(np.ptp(model.mesh_vert[start : start + count], axis=0).max())
+    np.testing.assert_allclose(sorted(lengths), [0.1, 0.3], rtol=1e-5)
+    mjcf.unlink()
+    with pytest.raises(pa.OutputError, match="it exists"):  # its meshes do
+        pa.convert_model(path, mjcf)
+
+
+def _with_arm(folder: Path, mimic: str) -> Path:
+    """A link with a joint on the trunk, and one on it whose joint mimics."""
+    arm = ""
+    for number, (parent, extra) in enumerate((("trunk", ""), ("a1", mimic)), start=1):
+        arm += (
+            f'<link name="a{number}"><inertial><origin xyz="0.2 0 0"/><mass value="0.2"/><inertia '
+            'ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+            f'<joint name="arm{number}" type="revolute"><origin xyz="0.1 0 0.1"/><parent '
+            f'link="{parent}"/><child link="a{number}"/><axis xyz="0 1 0"/><limit lower="-1" '
+            f'upper="1" effort="9" velocity="5"/>{extra}</joint>'
+        )
+    return _changed(folder, ("</robot>", f"{arm}</robot>"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1.0, -0.5])
+def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Path) -> None:
+    """The leader's servo holds what its follower needs as well, by virtual work."""
+    urdf = _with_arm(tmp_path, f'<mimic joint="arm1" multiplier="{factor}"/>')
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert _drift(mjcf, but="arm2") < 1e-5  # MuJoCo's couplings are soft: it sags by 3 mrad
+
+
+@pytest.mark.longest
+def test_a_light_finger_is_not_thrown_by_a_nudge(tmp_path: Path) -> None:
+    """As of H1's hands: 1e-3 rad/s threw the end of a finger by 33 mrad, on a servo for legs."""
+    urdf = _with_arm(tmp_path, '<mimic joint="arm1" multiplier="2.4"/>')
+    light = (
+        ('"0.2 0 0"/><mass value="0.2"', '"0.02 0 0"/><mass value="0.005"'),
+        ('ixx="1e-3" iyy="1e-3" izz="1e-3"', 'ixx="7e-7" iyy="7e-7" izz="7e-7"'),
+        ('xyz="0.1 0 0.1"/><parent link="a1"', 'xyz="0.04 0 0"/><parent link="a1"'),
+    )
+    text = urdf.read_text()
+    for old, new in light:
+        assert old in text
+        text = text.replace(old, new)
+    urdf.write_text(text)
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    model = compiled(mjcf)
+    data, joint = mujoco.MjData(model), model.joint("arm2")
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    start = data.qpos[joint.qposadr[0]]
+    data.qvel[:] = 1e-3 * np.random.default_rng(0).uniform(-1, 1, model.nv)
+    furthest = 0.0
+    while data.time < 0.2:
+        mujoco.mj_step(model, data)
+        furthest = max(furthest, abs(float(data.qpos[joint.qposadr[0]] - start)))
+    assert furthest < 5e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("leader", ["nowhere", "arm2"])
+def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None:
+    mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
+    assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.left))
+    assert not found.agree
+    assert compiled(mjcf).nu == 14
+    assert _drift(mjcf) < 1e-4
+
+
+@pytest.mark.slow
+def test_what_an_mjcf_does_not_have_of_a_urdf_is_said(tmp_path: Path) -> None:
+    urdf = _changed(tmp_path, ("</robot>", '<gazebo reference="trunk"/><transmission/></robot>'))
+    _, found = converted(urdf, "quad.xml")
+    assert {"1 <gazebo>", "1 <transmission>"} <= {*map(str, found.left)}
+    assert any(text.startswith("velocity limits of 12 joints") for text in map(str, found.left))
+
+
+def test_an_armature_is_not_negative(tmp_path: Path) -> None:
+    urdf = standing_urdf(tmp_path)
+    with pytest.raises(pa.ConfigurationError, match="negative"):
+        pa.convert_model(urdf, tmp_path / "new.xml", armature={"FR_knee": -1.0})
+
+
+@pytest.mark.slow
+def test_a_negative_effort_limit_is_left(tmp_path: Path) -> None:
+    urdf = _changed(tmp_path, ('effort="80"', 'effort="-80"'))
+    _, found = converted(urdf, "quad.xml")
+    assert any("effort limit -80" in text for text in map(str, found.left))
+    assert not found.passed
+
+
+# ---------------------------------------------------------------------------- an MJCF as a URDF
+
+_INERTIAL = '<inertial pos="0 0 0.1" mass="1" diaginertia="0.01 0.02 0.025"/>'
+
+
+def _mjcf(
+    folder: Path, *, before: str = "", geoms: str = "", world: str = "", after: str = ""
+) -> Path:
+    path = folder / "two.xml"
+    path.write_text(
+        f"""<mujoco model="two">{before}<worldbody>{world}<body name="base"><freejoint/>{_INERTIAL}
+        {geoms}<body name="one">{_INERTIAL}<joint name="j1" axis="0 1 0" range="-1 1"/><body
+        name="two" pos="0 0 0.2">{_INERTIAL}<joint name="j2" axis="1 0 0" range="-1 1"/></body>
+        </body></body></worldbody>{after}</mujoco>"""
+    )
+    return path
+
+
+def test_what_is_around_the_robot_is_said(tmp_path: Path) -> None:
+    world = (
+        '<geom type="plane" size="1 1 1"/><camera name="eye"/><body name="table"><geom size="0.1"/>'
+        '</body><body name="goal" mocap="true"/>'
+    )
+    source = _mjcf(
+        tmp_path,
+        before='<option gravity="0 0 -3"/>',
+        world=world,
+        geoms='<site name="s"/>',
+        after='<actuator><motor site="s"/></actuator>',
+    )
+    _, found = converted(source, "two.urdf")
+    assert {
+        "bodies that the robot does not carry: 'table', 'goal'",
+        "geoms of the world and of such bodies: 2",
+        "cameras: 1",
+        "actuators that are not at a joint: 1",
+        "gravity (0, 0, -3) m/s^2",
+    } <= {*map(str, found.left)}
+
+
+def test_one_coupling_that_is_on_becomes_a_mimic(tmp_path: Path) -> None:
+    line = '<joint joint1="j2" joint2="j1" polycoef="0.3 2 0 0 0" {}/>'
+    inactive = 'active="false"'
+    off = _mjcf(tmp_path, after=f"<equality>{line.format(inactive)}</equality>")
+    urdf, found = converted(off, "off.urdf")
+    assert found.agree
+    assert "<mimic" not in urdf.read_text()
+    assert "equality constraint 1 (joint)" in map(str, found.left)
+    twice = _mjcf(tmp_path, after=f"<equality>{2 * line.format('')}</equality>")
+    urdf, found = converted(twice, "twice.urdf")
+    assert urdf.read_text().count("<mimic") == 1
+    assert "equality constraint 2 (joint)" in map(str, found.left)
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        'refpos="0.1 0.2 0.3" refquat="0.7 0.1 0.2 0.3" scale="-2 -2 -2"',
+        'refpos="0.1 0.2 0.3" scale="1 -2 3"',
+    ],
+)
+def test_a_mesh_that_the_mjcf_moves_is_where_it_was(moved: str, tmp_path: Path) -> None:
+    trimesh.creation.box((0.1, 0.06, 0.04)).apply_translation((0.01, 0.02, 0.03)).export(
+        tmp_path / "part.stl"
+    )
+    source = _mjcf(
+        tmp_path,
+        before=f'<asset><mesh name="m" file="part.stl" {moved}/></asset>',
+        geoms='<geom type="mesh" mesh="m" pos="0.1 0.2 0.3" euler="10 20 30"/>',
+    )
+    urdf, _ = converted(source, "two.urdf")
+    model = compiled(source)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    theirs = model.mesh_vert @ data.geom_xmat[0].reshape(3, 3).T + data.geom_xpos[0]
+    shapes = pin.buildGeomFromUrdf(
+        pin.buildModelFromUrdf(str(urdf)),
+        str(urdf),
+        pin.GeometryType.VISUAL,
+        package_dirs=[str(tmp_path)],
+    )
+    shape = shapes.geometryObjects[0]
+    mine = np.array(trimesh.load(tmp_path / "part.stl").vertices) * shape.meshScale
+    mine = mine @ shape.placement.rotation.T + shape.placement.translation
+    apart = np.linalg.norm(theirs[:, None] - mine[None], axis=2)
+    assert max(apart.min(0).max(), apart.min(1).max()) < 1e-6  # m
+
+
+def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "sub" / "parts").mkdir(parents=True)
+    trimesh.creation.box((0.1, 0.06, 0.04)).export(tmp_path / "sub" / "parts" / "hand.stl")
+    (tmp_path / "sub" / "hand.xml").write_text(
+        f"""<mujoco model="hand"><compiler meshdir="parts"/><asset><mesh file="hand.stl"/></asset>
+        <worldbody><body name="hand">{_INERTIAL}<geom type="mesh" mesh="hand"/></body></worldbody>
+        </mujoco>"""
+    )
+    source = _mjcf(
+        tmp_path,
+        before='<asset><model name="h" file="sub/hand.xml"/></asset>',
+        geoms='<attach model="h" body="hand" prefix="left_"/>',
+    )
+    _, found = converted(source, "two.urdf")
+    assert found.agree
+    assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
+        map(str, found.left)
+    )
+
+
+@pytest.mark.slow
+def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
+    """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
+    path = standing_urdf(tmp_path)
+    marker = '<visual><geometry><box size="0 0 0"/></geometry></visual></link>'
+    path.write_text(path.read_text().replace("</link>", marker))
+    output, result = converted(path, "marked.xml")
+    compiled(output)
+    assert [
+        note for note in (*result.notes, *result.left) if "size 0 0 0 was left out" in str(note)
+    ]
+
+
+@pytest.mark.slow
+def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path: Path) -> None:
+    """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
+    urdf = standing_urdf(tmp_path)
+    text = urdf.read_text()
+    ball = _shape("collision", '<sphere radius="0.02"/>', "0 0 -0.2")
+    assert ball in text
+    text = text.replace(ball, "")
+    point = '<sphere radius="0.0"/>'
+    toes = "".join(
+        f'<link name="{leg}_toe">{_shape("collision", point, "0.01 0 -0.02")}</link>'
+        f'<joint name="{leg}_on" type="fixed"><parent link="{leg}_calf"/><child link="{leg}_toe"/>'
+        '<origin xyz="0 0 -0.2" rpy="0 1.5707963267948966 0"/></joint>'
+        for leg in ("FL", "FR", "RL", "RR")
+    )
+    urdf.write_text(text.replace("</robot>", f"{toes}</robot>"))
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)
+    assert "spheres of radius 0, points that touch, have a radius of 0.001 m" in map(
+        str, found.left
+    )
+    model = compiled(mjcf)
+    calf = model.body("FL_calf").id
+    point = model.geom("FL_toe_collision")
+    assert model.geom_bodyid[point.id] == calf
+    assert model.geom_size[point.id, 0] == 0.001
+    # Turned by 90 degrees about y, (x, z) is (z, -x) in the calf.
+    np.testing.assert_allclose(point.pos, (-0.02, 0.0, -0.2 - 0.01), atol=1e-9)
+    np.testing.assert_allclose(model.body("FL_toe").pos, (0, 0, -0.2), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
+    """As Centauro's: the link is the world itself, and no body that moves."""
+    floating = (
+        '<link name="world"/><joint name="reference" type="floating"><parent link="world"/>'
+        '<child link="trunk"/><origin xyz="0 0 0.9"/></joint></robot>'
+    )
+    urdf = _changed(tmp_path, ("</robot>", floating))
+    mjcf, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    assert compiled(mjcf).body("trunk").parentid == 0
+
+
+@pytest.mark.slow
+def test_legs_that_are_spread_as_a_spiders_have_feet(tmp_path: Path) -> None:
+    """At zero angles they end at the base's height, one a little lower than the others."""
+    urdf = standing_urdf(tmp_path)
+    text = urdf.read_text()
+    for leg, turn, out in (("F", -1.57, 0.05), ("R", 1.57, 0.05)):
+        for side, sign in (("L", 1), ("R", -1)):
+            name = f'name="{leg}{side}_pitch"'
+            start = text.index(name)
+            old = f'<origin xyz="0.0 {sign * out!r} 0.0"/>'
+            at = text.index(old, start)
+            new = f'<origin xyz="0 {sign * out!r} 0" rpy="0 {turn - 0.01 * sign!r} 0"/>'
+            text = text[:at] + new + text[at + len(old) :]
+    text = text.replace('lower="-1.5" upper="2.5"', 'lower="-2.6" upper="2.6"')
+    urdf.write_text(text.replace('lower="-2.6" upper="-0.4"', 'lower="-2.6" upper="2.6"'))
+    _, found = converted(urdf, "quad.xml")
+    assert found.passed, found.failures
+    note = next(str(note) for note in found.notes if note.code == "feet-found")
+    assert note.count("_calf_collision") == 4
+
+
+def test_a_ball_to_play_with_is_no_second_robot(tmp_path: Path) -> None:
+    """As in dm_control's quadruped and dog, with a camera that follows it."""
+    pair = legged(tmp_path)
+    ball = (
+        '<body name="ball" pos="1 0 1"><freejoint/><geom size="0.1"/></body>'
+        '<camera name="eye" mode="targetbodycom" target="ball"/></worldbody>'
+    )
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("</worldbody>", ball))
+    urdf = tmp_path / "new.urdf"
+    found = pa.convert_model(pair.mjcf, urdf)
+    assert found.agree, found.failures
+    assert "ball" not in urdf.read_text()
+    assert pa.compare_models(pair.urdf, pair.mjcf).notes
+    again = pair.mjcf.read_text().replace("</worldbody>", ball.replace("ball", "other"))
+    arm = '<body pos="0.2 0 0"><joint/><geom size="0.1"/></body></body>'
+    pair.mjcf.write_text(
+        again.replace('eye"', 'eye2"', 1).replace("</body><camera", f"{arm}<camera", 1)
+    )
+    with pytest.raises(pa.ModelError, match="several free bodies"):
+        pa.convert_model(pair.mjcf, tmp_path / "none.urdf")

@@ -1,0 +1,184 @@
+"""Inertials that no body can have: moved within what is fixed together, repaired if asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.convert.repair import is_possible, nearest_moments
+from tests.convert.test_model import compiled, converted, same_dynamics, standing_urdf
+from tests.support.robots import Part, Parts, arm, changed, urdf_text
+
+CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
+FLAT = (1e-3, 1e-3, 1e-2, 0.0, 0.0, 0.0)
+
+
+def written(folder: Path, parts: Parts) -> Path:
+    path = folder / "arm.urdf"
+    path.write_text(urdf_text(parts, ()))
+    return path
+
+
+def fixed(link: str, parent: str, inertia: tuple[float, ...], mass: float = 0.16) -> Part:
+    return Part(
+        link, parent, f"{link}_fixed", "fixed", (0.05, 0.02, 0.1), (0.8, 0.6, 0.0, 0.0),
+        mass=mass, com=(0.01, 0.0, 0.02), inertia=inertia,
+    )  # fmt: skip
+
+
+def without_mass(urdf: Path, link: str) -> None:
+    text = urdf.read_text()
+    start = text.index("<inertial>", text.index(f'<link name="{link}">'))
+    end = text.index("</inertial>", start) + len("</inertial>")
+    urdf.write_text(text[:start] + text[end:])
+
+
+def test_what_is_fixed_together_is_looked_through(tmp_path: Path) -> None:
+    """As on ANYmal C: the camera hangs on a mount, that on a link without mass, beside the mass."""
+    parts = arm()
+    parts["frame"] = fixed("frame", "rod", FLAT)
+    parts["mount"] = fixed("mount", "frame", FLAT)
+    parts["camera"] = fixed("camera", "mount", CAMERA)
+    parts["heavy"] = fixed("heavy", "frame", (0.05, 0.06, 0.07, 1e-3, 2e-3, -1e-3), mass=6.0)
+    urdf = written(tmp_path, changed(parts, "rod", kind="continuous", lower=None, upper=None))
+    for link in ("frame", "mount", "rod"):
+        without_mass(urdf, link)
+    mjcf, found = converted(urdf, "arm.xml")
+    assert found.passed, found.failures
+    assert found.repairs == ()
+    model = compiled(mjcf)
+    assert model.body("heavy").mass[0] == pytest.approx(6.16)
+    assert same_dynamics(urdf, mjcf) < 1e-9
+
+
+def test_inertials_that_are_possible_together_alone_become_one(tmp_path: Path) -> None:
+    """Neither alone nor two by two; their sum is a body."""
+    parts = arm()
+    far = {"position": (0.0, 0.0, 0.0), "com": (0.0, 0.0, 0.0)}
+    for link, inertia in (
+        ("one", (1e-4, 1e-4, 4e-3)), ("two", (1e-4, 1e-4, 4e-3)), ("three", (8e-3, 1e-4, 1e-4))
+    ):  # fmt: skip
+        part = fixed(link, "rod", (*inertia, 0.0, 0.0, 0.0))
+        parts[link] = replace(part, quaternion=(1.0, 0.0, 0.0, 0.0), **far)
+    urdf = written(tmp_path, parts)
+    without_mass(urdf, "rod")
+    mjcf, found = converted(urdf, "arm.xml")
+    assert found.passed, found.failures
+    assert found.repairs == ()
+    assert any("has the inertias of all that is fixed to it" in str(note) for note in found.notes)
+    assert same_dynamics(urdf, mjcf) < 1e-9
+
+
+def test_a_link_that_moves_is_repaired_if_asked_for(tmp_path: Path) -> None:
+    """Its mass, com and axes stay, and all other bodies; the sum of the changes is the least."""
+    stated = (0.02, 0.04, 0.08, 1e-3, 0.0, 0.0)
+    urdf = written(tmp_path, changed(arm(), "boom", inertia=stated))
+    with pytest.raises(pa.ModelError, match=r"'boom'.*which no body has.*--repair-inertia"):
+        pa.convert_model(urdf, tmp_path / "arm.xml")
+    mjcf, found = converted(urdf, "arm.xml", repair_inertia=True)
+    assert found.passed, found.failures
+    (repair,) = found.repairs
+    assert (repair.link, repair.body) == ("boom", "lift")
+    moments, new = np.array(repair.moments), np.array(repair.new_moments)
+    assert moments[0] + moments[1] < moments[2]
+    assert new[0] + new[1] == pytest.approx(new[2], rel=2e-6)
+    missing = moments[2] - moments[0] - moments[1]
+    np.testing.assert_allclose(new - moments, np.array([1, 1, -1]) * missing / 3, rtol=1e-4)
+    model, body = compiled(mjcf), compiled(mjcf).body("boom")
+    np.testing.assert_allclose(np.sort(body.inertia), new, rtol=1e-9)
+    np.testing.assert_allclose(body.ipos, (0.2, 0.0, 0.0))
+    assert {d.element for d in found.comparison.differences} == {"lift"}
+    assert {d.kind for d in found.comparison.differences} == {"inertia"}
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    # MuJoCo's principal axes span what the URDF's tensor does.
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body("boom").iquat)
+    turn = turn.reshape(3, 3)
+    tensor = np.array([[0.02, 1e-3, 0.0], [1e-3, 0.04, 0.0], [0.0, 0.0, 0.08]])
+    off = turn.T @ tensor @ turn
+    assert np.abs(off - np.diag(np.diag(off))).max() < 1e-9
+
+
+def test_what_moves_without_mass_is_given_a_gram_if_asked_for(tmp_path: Path) -> None:
+    parts = arm()
+    parts["claw"] = Part("claw", "rod", "grip", position=(0.2, 0.0, 0.0), axis=(0.0, 0.0, 1.0))
+    urdf = written(tmp_path, parts)
+    without_mass(urdf, "claw")
+    with pytest.raises(pa.ModelError, match="'claw', which joint 'grip' moves, has no mass"):
+        pa.convert_model(urdf, tmp_path / "arm.xml")
+    mjcf, found = converted(urdf, "arm.xml", repair_inertia=True)
+    assert found.passed, found.failures
+    assert [(repair.link, repair.new_mass) for repair in found.repairs] == [("claw", 1e-3)]
+    assert compiled(mjcf).body("claw").mass[0] == 1e-3
+    assert {difference.element for difference in found.comparison.differences} == {"grip"}
+
+
+def test_what_else_differs_still_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A repair of one body excuses no difference of another."""
+    from pupper_analysis.convert import model
+
+    real = model.mjcf_draft
+
+    def heavier(*arguments: object) -> object:
+        draft = real(*arguments)  # type: ignore[arg-type]
+        assert 'mass="0.5"' in draft.text
+        return replace(draft, text=draft.text.replace('mass="0.5"', 'mass="0.6"'))
+
+    monkeypatch.setattr(model, "mjcf_draft", heavier)
+    urdf = written(tmp_path, changed(arm(), "boom", inertia=(0.02, 0.04, 0.08, 0, 0, 0)))
+    _, found = converted(urdf, "arm.xml", repair_inertia=True)
+    assert not found.agree
+    assert any("body of push: mass" in failure for failure in map(str, found.failures))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_repaired_moments_are_possible_and_nearest(seed: int) -> None:
+    """No possible moments among many random ones are nearer."""
+    random = np.random.default_rng(seed)
+    moments = np.sort(10.0 ** random.uniform(-6, 0, 3))
+    moments[2] += moments[0] + moments[1]
+    new = nearest_moments(moments, 1.0)
+    assert new.min() > 0
+    assert new[0] + new[1] >= new[2] * (1 - 1e-9)
+    distance = np.linalg.norm(new - moments)
+    others = moments + random.normal(0, distance, (20_000, 3))
+    low, middle, high = np.sort(others, axis=1).T
+    possible = (low > 0) & (low + middle >= high)
+    nearest = np.linalg.norm(others[possible] - moments, axis=1).min(initial=np.inf)
+    assert distance <= nearest * (1 + 1e-5)
+
+
+def test_a_mass_without_inertia_gets_one() -> None:
+    import pinocchio as pin
+
+    new = nearest_moments(np.zeros(3), 0.5)
+    np.testing.assert_allclose(new, 0.5 * 1e-4)
+    inertia = pin.Inertia.Zero()
+    inertia.mass, inertia.inertia = 0.5, np.diag(new)
+    assert is_possible(inertia)
+
+
+@pytest.mark.longest
+def test_a_robot_whose_links_were_repaired_stands(tmp_path: Path) -> None:
+    """As NimbRo-OP2X, whose mimic joints move frames without mass: it is proven as repaired."""
+    path = standing_urdf(tmp_path)
+    frame = (
+        '<link name="frame"/><joint name="helper" type="revolute"><parent link="trunk"/>'
+        '<child link="frame"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="9" velocity="5"/></joint></robot>'
+    )
+    path.write_text(path.read_text().replace("</robot>", frame))
+    mjcf, found = converted(path, "quad.xml", repair_inertia=True)
+    assert [repair.link for repair in found.repairs] == ["frame"]
+    assert found.passed, found.failures
+    assert found.verification is not None
+    # With the file as it was published nothing can be said of that joint.
+    with pytest.raises(pa.ModelError, match="'helper' moves nothing that has a mass") as raised:
+        pa.load_robot(urdf=path, mjcf=mjcf)
+    assert str(path) in raised.value.source

@@ -1,0 +1,608 @@
+"""A repository that is guarded: what is known passes, and only what is new or has changed fails."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.diagnostics import Severity, catalogue, diagnose, diagnostic
+from pupper_analysis.guard.baseline import Entry, judged, read_baseline, same, write_baseline
+from pupper_analysis.guard.config import read_config
+from pupper_analysis.guard.remarks import Remark, State, plain
+from pupper_analysis.report import formats
+from tests.support.commands import Answer, answer
+from tests.support.repository import ROOT
+
+SAMPLE = ROOT / "examples" / "guarded"
+BASELINE = "pupper-analysis-baseline.toml"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the sample repository."""
+    monkeypatch.delenv("GITHUB_WORKSPACE", raising=False)
+    shutil.copytree(SAMPLE, tmp_path / "repository")
+    return tmp_path / "repository"
+
+
+def run(folder: Path, *arguments: str) -> Answer:
+    return answer("check", *arguments, folder=folder)
+
+
+def change(path: Path, old: str, new: str) -> int:
+    """Replaces a text that is there once; returns its line."""
+    text = path.read_text()
+    assert text.count(old) == 1, old
+    path.write_text(text.replace(old, new))
+    return text[: text.index(old)].count("\n") + 1
+
+
+def test_the_sample_passes_and_stays_as_it_is(folder: Path) -> None:
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    result = run(folder)
+    assert result.returncode == 0, result.stdout
+    assert "PASSED pupper-analysis.toml: 0 to mend, 1 known" in result.stdout
+    assert "start-outside-limits is switched off: the knee never straightens" in result.stdout
+    assert {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()} == before
+
+
+def test_the_sample_has_the_baseline_that_is_written_today(folder: Path) -> None:
+    (folder / BASELINE).unlink()
+    assert run(folder).returncode == 1
+    result = run(folder, "--update-baseline")
+    assert result.returncode == 0
+    assert f"the baseline is written: {folder / BASELINE}" in result.stdout
+    assert (folder / BASELINE).read_text() == (SAMPLE / BASELINE).read_text()
+
+
+def test_a_new_difference_fails_at_its_lines(folder: Path) -> None:
+    line = change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
+    urdf_line = (folder / "hopper.urdf").read_text().split('upper="1.5"')[0].count("\n") + 1
+    result = run(folder)
+    assert result.returncode == 1
+    assert "1. error crosscheck upper limit (new) joint hip: upper limit" in result.stdout
+    assert f"   hopper.urdf:{urdf_line}   hopper.xml:{line}\n" in result.stdout
+    assert "mass" not in result.stdout  # that one is known
+    assert "FAILED pupper-analysis.toml: 1 to mend, 1 known" in result.stdout
+
+
+def test_the_same_on_several_joints_is_said_once(folder: Path) -> None:
+    change(folder / "hopper.xml", 'damping="0.05"', 'damping="0.06"')
+    shown = run(folder).stdout
+    assert shown.count("damping (new)") == 1
+    # The knee first: what it carries is lighter, so that it is felt more.
+    assert "joint knee: damping 0.05 N m s/rad in the URDF, 0.06 N m s/rad in the MJCF" in shown
+    assert "   likewise on 1 more: hip" in shown
+    assert "FAILED pupper-analysis.toml: 2 to mend" in shown
+
+
+def test_a_known_difference_that_grows_or_shrinks_has_changed(folder: Path) -> None:
+    for mass in ("0.25", "0.21"):
+        shutil.copy(SAMPLE / "hopper.xml", folder)
+        change(folder / "hopper.xml", 'mass="0.22"', f'mass="{mass}"')
+        check = pa.check_repository(folder / "pupper-analysis.toml")
+        assert not check.passed
+        (remark,) = check.remarks
+        assert remark.state is State.CHANGED
+        assert remark.values == {"urdf": 0.2, "mjcf": float(mass)}
+        assert remark.before == {"urdf": 0.2, "mjcf": 0.22}
+        assert check.stale == ()
+    result = run(folder, "--format", "github")
+    assert "the baseline has: urdf 0.2, mjcf 0.22" in result.stdout
+
+
+def test_what_is_the_same_but_for_rounding_is_known(folder: Path) -> None:
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.22000000001"')
+    assert run(folder).returncode == 0
+    change(folder / "hopper.xml", 'mass="0.22000000001"', 'mass="0.220001"')
+    assert run(folder).returncode == 1
+
+
+def test_a_number_is_no_list_and_no_list_of_another_length() -> None:
+    """As someone may write who edits a baseline by hand."""
+    for other in ([4.4, 1.0], [], {"a": 4.4}, "4.4", True):
+        assert not same({"urdf": 4.4}, {"urdf": other})
+        assert not same({"urdf": other}, {"urdf": 4.4})
+    assert same({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
+
+
+def test_moved_lines_are_no_change(folder: Path) -> None:
+    for name in ("hopper.urdf", "hopper.xml"):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text.replace(">\n", ">\n\n"))
+    assert run(folder).returncode == 0
+
+
+def test_what_was_mended_is_stale_until_the_baseline_is_written(folder: Path) -> None:
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.2"')
+    result = run(folder)
+    assert result.returncode == 0
+    said = "stale\ncrosscheck of hopper: mass of knee: it does not occur any more"
+    assert f"{said}; --update-baseline takes it out" in result.stdout
+    assert "::notice file=" in run(folder, "--format", "github").stdout
+    result = run(folder, "--update-baseline")
+    assert f"{said}; it was taken out" in result.stdout
+    assert tomllib.loads((folder / BASELINE).read_text()) == {"version": 2}
+    assert "stale" not in run(folder).stdout
+
+
+def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -> None:
+    """And its entries are not lost by a new baseline, for nobody knows whether they occur."""
+    more = '[[pair]]\nname = "other"\nurdf = "other.urdf"\nmjcf = "hopper.xml"\n'
+    shutil.copy(folder / "hopper.urdf", folder / "other.urdf")
+    with (folder / "pupper-analysis.toml").open("a") as file:
+        file.write(more)
+    line = change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
+    check = pa.check_repository(folder / "pupper-analysis.toml", update_baseline=True)
+    assert next((r.check, r.pair, r.kind, r.state, r.fails) for r in check.remarks) == (
+        "audit",
+        "hopper",
+        "refused",
+        State.NEW,
+        True,
+    )
+    assert check.remarks[0].place == f"{folder / 'hopper.urdf'}:{line}"
+    assert check.stale == ()
+    kept = {entry.identity[:2] for entry in read_baseline(folder / BASELINE)}
+    assert {("crosscheck", "hopper"), ("crosscheck", "other")} <= kept
+    assert "refused" not in (folder / BASELINE).read_text()
+    shutil.copy(SAMPLE / "hopper.urdf", folder)
+    assert pa.check_repository(folder / "pupper-analysis.toml").passed
+
+
+def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path) -> None:
+    change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
+    config = folder / "pupper-analysis.toml"
+    (remark,) = (r for r in pa.check_repository(config).remarks if r.kind == "refused")
+    entries = [*read_baseline(folder / BASELINE), Entry(remark.identity, remark.values)]
+    write_baseline(folder / BASELINE, entries)
+    check = pa.check_repository(config)
+    assert not check.passed
+    assert [r.state for r in check.remarks if r.kind == "refused"] == [State.NEW]
+
+
+def test_two_files_that_cannot_be_compared(folder: Path) -> None:
+    change(folder / "pupper-analysis.toml", 'feet = ["foot"]', 'feet = ["toe"]')
+    result = run(folder)
+    assert result.returncode == 1
+    assert "crosscheck refused (new)" in result.stdout
+    assert "no frame of both files (for a foot) 'toe'; there are: foot" in result.stdout
+
+
+def test_the_base_that_is_named(folder: Path) -> None:
+    change(folder / "pupper-analysis.toml", 'feet = ["foot"]', 'base = "base"')
+    assert run(folder).returncode == 0
+    change(folder / "pupper-analysis.toml", 'base = "base"', 'base = "trunk"')
+    result = run(folder)
+    assert result.returncode == 1
+    assert "the base is base, not trunk" in result.stdout
+
+
+def test_a_joint_in_one_file_only(folder: Path) -> None:
+    text = (folder / "hopper.xml").read_text()
+    text = text.replace('<joint name="knee" range="-2.4 -0.1"/>', "")
+    (folder / "hopper.xml").write_text(
+        text.replace('<position name="knee" joint="knee" kp="40"', "<!-- ").replace(
+            'kv="1"/>\n  </act', "-->\n  </act"
+        )
+    )
+    check = pa.check_repository(folder / "pupper-analysis.toml")
+    assert ("joint", "knee") in [(r.kind, r.element) for r in check.remarks if r.fails]
+
+
+def test_severities_that_fail(folder: Path) -> None:
+    change(folder / "pupper-analysis.toml", "start-outside-limits", "base-fixed")
+    result = run(folder)
+    assert result.returncode == 0
+    assert "2 of less severity than fails" in result.stdout
+    assert "start-outside-limits" not in result.stdout
+    shown = run(folder, "--all").stdout
+    assert "note audit start-outside-limits (new)" in shown
+    assert "   hopper.urdf:4\n" in shown
+    text = (folder / "pupper-analysis.toml").read_text()
+    (folder / "pupper-analysis.toml").write_text(f'fail-on = "info"\n{text}')
+    assert run(folder).returncode == 1
+    assert run(folder, "--format", "github").stdout.count("::error ") == 2
+    assert run(folder, "--update-baseline").returncode == 0
+    assert run(folder).returncode == 0
+
+
+def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
+    with (folder / "pupper-analysis.toml").open("a") as file:
+        file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
+    check = pa.check_repository(folder / "pupper-analysis.toml")
+    audited = [remark for remark in check.remarks if remark.check == "audit"]
+    assert [(r.pair, r.kind, r.file) for r in audited] == [
+        ("", "start-outside-limits", "hopper.urdf")
+    ]
+    assert [(pair.name, pair.agree) for pair in check.pairs] == [("hopper", False), ("alone", None)]
+
+
+def test_each_model_has_its_verdict(folder: Path) -> None:
+    with (folder / "pupper-analysis.toml").open("a") as file:
+        file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
+    shown = run(folder).stdout
+    rows = [line.split() for line in shown.splitlines()]
+    assert ["hopper", "FAILED", "1", "0", "they", "differ", "hopper.urdf,", "hopper.xml"] in rows
+    assert ["alone", "OK", "0", "0", "hopper.urdf"] in rows
+    assert "not compared" not in shown
+    check = pa.check_repository(folder / "pupper-analysis.toml")
+    assert [(pair.failures, pair.known) for pair in check.pairs] == [(1, 0), (0, 0)]
+
+
+def test_a_difference_is_told_in_the_file_that_changed(folder: Path) -> None:
+    (folder / BASELINE).unlink()
+    line = change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
+    places = re.findall(r"::error file=([\w.]+),line=(\d+),title=mass of knee",
+                        run(folder, "--format", "github").stdout)  # fmt: skip
+    assert sorted(places) == [("hopper.urdf", "20"), ("hopper.xml", str(line))]  # who knows which
+    run(folder, "--update-baseline")
+    change(folder / "hopper.xml", 'mass="0.3"', 'mass="0.4"')
+    places = re.findall(r"::error file=([\w.]+),line=(\d+),title=mass of knee",
+                        run(folder, "--format", "github").stdout)  # fmt: skip
+    assert places == [("hopper.xml", str(line))]
+    sarif = json.loads(run(folder, "--format", "sarif").stdout)["runs"][0]["results"]
+    assert len([one for one in sarif if one["ruleId"] == "crosscheck/mass"]) == 1
+
+
+def test_patterns_name_many_models(folder: Path) -> None:
+    for kind, suffix in (("urdf", "urdf"), ("mjcf", "xml")):
+        (folder / kind).mkdir()
+        for name in ("one", "two"):
+            text = (folder / f"hopper.{suffix}").read_text()
+            (folder / kind / f"{name}.{suffix}").write_text(text)
+    (folder / "mjcf" / "part.xml").write_text("<mujocoinclude/>")
+    (folder / "urdf" / "three.urdf").write_text((folder / "hopper.urdf").read_text())
+    config = folder / "pupper-analysis.toml"
+    config.write_text('[[pair]]\nname = "all"\nurdf = "urdf/*.urdf"\nmjcf = "mjcf/*.xml"\n')
+    check = pa.check_repository(config)
+    assert {(pair.name, pair.agree) for pair in check.pairs} == {
+        ("all/one", False), ("all/two", False), ("all/three", None)
+    }  # fmt: skip
+    config.write_text('[[pair]]\nname = "all"\nurdf = "**/*.urdf"\n')
+    names = [pair.name for pair in pa.check_repository(config).pairs]
+    assert names == ["all/hopper.urdf", *(f"all/urdf/{n}.urdf" for n in ("one", "three", "two"))]
+    for wrong in ('urdf = "no/*.urdf"', 'urdf = "urdf/*.urdf"\nmjcf = "mjcf/?.xml"', 'urdf = "/*"'):
+        config.write_text(f'[[pair]]\nname = "all"\n{wrong}\n')
+        with pytest.raises(pa.ModelError, match=r"pupper-analysis\.toml:3"):
+            pa.check_repository(config)
+
+
+def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None:
+    config = folder / "pupper-analysis.toml"
+    assert "is there already" in run(folder, "--init").stderr
+    config.unlink()
+    (folder / "pupper-analysis-baseline.toml").unlink()
+    (folder / "scene.xml").write_text('<mujoco><include file="hopper.xml"/><worldbody/></mujoco>')
+    (folder / "package.xml").write_text("<package/>")
+    (folder / ".hidden").mkdir()
+    (folder / ".hidden" / "old.urdf").write_text("<robot/>")
+    shown = run(folder, "--init")
+    assert shown.returncode == 0, shown.stderr
+    assert "with 1 models: hopper" in shown.stdout
+    (pair,) = read_config(config).pairs
+    assert (pair.name, pair.urdf, pair.mjcf) == (
+        "hopper", folder / "hopper.urdf", folder / "hopper.xml"
+    )  # fmt: skip
+    assert run(folder, "--update-baseline").returncode == 0
+    assert run(folder).returncode == 0
+    empty = folder / "empty"
+    empty.mkdir()
+    assert "no URDF and no MJCF" in run(empty, "--init").stderr
+
+
+def test_from_a_folder_below_and_by_its_path(folder: Path) -> None:
+    below = folder / "src"
+    below.mkdir()
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.25"')
+    assert "::error file=" in run(below, "--format", "github").stdout
+    elsewhere = folder.parent
+    config = "repository/pupper-analysis.toml"
+    shown = run(elsewhere, "--config", config, "--format", "github").stdout
+    assert "::error file=repository/hopper.xml,line=16,title=mass of knee::" in shown
+
+
+def test_paths_are_those_of_the_checkout(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever folder the job works in."""
+    monkeypatch.setenv("GITHUB_WORKSPACE", str(folder.parent))
+    change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.25"')
+    shown = run(folder, "--format", "github").stdout
+    assert "::error file=repository/hopper.xml,line=16," in shown
+    log = json.loads(run(folder, "--format", "sarif").stdout)
+    place = log["runs"][0]["results"][0]["locations"][0]["physicalLocation"]
+    assert place["artifactLocation"]["uri"] == "repository/hopper.urdf"
+
+
+def test_for_machines(folder: Path) -> None:
+    change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
+    log = json.loads(run(folder, "--format", "sarif").stdout)
+    states = {r["ruleId"]: r["baselineState"] for r in log["runs"][0]["results"]}
+    assert states == {"crosscheck/upper limit": "new", "crosscheck/mass": "unchanged"}
+    root = ElementTree.fromstring(run(folder, "--format", "junit").stdout.encode())
+    cases = {case.get("name"): case.find("failure") is None for case in root.iter("testcase")}
+    assert cases == {
+        "hopper: crosscheck": False,
+        "hopper.urdf: audit": True,
+        "hopper.xml: audit": True,
+    }
+    result = run(folder, "--json", "-")
+    content = json.loads(result.stdout)
+    assert content["passed"] is False
+    assert content["failures"] == 1
+    assert [(r["kind"], r["state"]) for r in content["remarks"]] == [
+        ("upper limit", "new"),
+        ("mass", "known"),
+    ]
+
+
+def with_findings(folder: Path) -> Path:
+    """The sample with an impossible mass and a rule that is not switched off; its configuration."""
+    config = folder / "pupper-analysis.toml"
+    config.write_text(re.sub("start-outside-limits = .*", "", config.read_text()))
+    change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="-0.4"/>')
+    return config
+
+
+def test_a_baseline_of_an_older_version_is_read(folder: Path) -> None:
+    """Version 1 kept findings as sentences; the file is as it wrote it."""
+    config = with_findings(folder)
+    shutil.copy(ROOT / "tests" / "data" / "baseline_1.toml", folder / BASELINE)
+    check = pa.check_repository(config)
+    assert check.passed
+    assert check.stale == ()
+    assert {remark.state for remark in check.remarks} == {State.KNOWN}
+    assert len(check.remarks) == 6
+    assert check.outdated == 3
+    assert "3 entries of the baseline are sentences" in run(folder).stdout
+    assert "--update-baseline renews it" in run(folder, "--format", "github").stdout
+    change(folder / BASELINE, "its mass is -0.4 kg", "it weighs -0.4 kg")
+    (other,) = (one for one in pa.check_repository(config).remarks if one.fails)
+    assert (other.kind, other.state) == ("mass-not-positive", State.CHANGED)
+    assert pa.check_repository(config, update_baseline=True).outdated == 0
+    assert pa.check_repository(config).passed
+    assert not any(one.outdated for one in read_baseline(folder / BASELINE))
+
+
+def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A baseline knows findings by code and values, whatever is said of them."""
+    config = with_findings(folder)
+    pa.check_repository(config, update_baseline=True)
+    said = {one.message for one in pa.check_repository(config).remarks}
+    words = {"en": "put otherwise", "zh": "换了说法"}
+    monkeypatch.setattr(
+        diagnostic, "entry", lambda code: replace(catalogue.entry(code), templates=words)
+    )
+    check = pa.check_repository(config)
+    assert said & {one.message for one in check.remarks} == set()
+    assert {one.state for one in check.remarks} == {State.KNOWN}
+    change(folder / "hopper.urdf", '<mass value="-0.4"/>', '<mass value="-0.5"/>')
+    (found,) = (
+        one for one in pa.check_repository(config).remarks if one.kind == "mass-not-positive"
+    )
+    assert found.state is State.CHANGED
+    assert (found.before or {})["values"]["mass"] == -0.4
+
+
+def test_github_shows_what_is_not_known(folder: Path) -> None:
+    assert run(folder, "--format", "github").stdout == "passed: 0 to mend, 1 known\n"
+
+
+REFUSED = {
+    "version": ("version = 3", 1, "version = 3 is not one that is read; there are 1, 2"),
+    "a version that is a truth": ("version = true", 1, "version = True is not one"),
+    "no version": ("", None, "version = None is not one"),
+    "a key": ("version = 1\nknwon = 1", 2, "no key 'knwon'; valid: version, known"),
+    "a key of an entry": ("version = 1\n[[known]]\nfiel = ''", 3, "no key 'fiel' in known"),
+    "a number": ("version = 1\n[[known]]\nfile = 1", 3, "file = 1 is not valid; give a text"),
+    "no tables": ("version = 1\nknown = 1", 2, "tables that begin with [[known]]"),
+    "no table": ("version = 1\nknown = [1]", 2, "known holds what is no table"),
+    "a conflict": ("version = 1\n<<<<<<< ours", 2, "not a TOML file"),
+}
+
+
+@pytest.mark.parametrize(("text", "line", "said"), REFUSED.values(), ids=REFUSED)
+def test_a_baseline_that_is_not_valid(folder: Path, text: str, line: int, said: str) -> None:
+    (folder / BASELINE).write_text(text)
+    result = run(folder)
+    assert result.returncode == cli.BAD_INPUT
+    assert result.stdout == ""
+    assert said in result.stderr
+    assert f"{BASELINE}{'' if line is None else f':{line}'}: " in result.stderr
+
+
+def test_bad_input_is_one_line(folder: Path, tmp_path: Path) -> None:
+    result = run(tmp_path)
+    assert result.returncode == cli.BAD_INPUT
+    assert "no pupper-analysis.toml in" in result.stderr
+    assert run(folder, "--config", "none.toml").returncode == cli.BAD_INPUT
+    change(folder / "pupper-analysis.toml", "feet", "feat")
+    result = run(folder)
+    assert re.search(r"pupper-analysis\.toml:7: no key 'feat' in pair; valid: name", result.stderr)
+    assert len(result.stderr.splitlines()) == 1
+
+
+def test_a_baseline_that_cannot_be_written_is_known_before(folder: Path) -> None:
+    (folder / BASELINE).unlink()
+    config = folder / "pupper-analysis.toml"
+    config.write_text(f'baseline = "hopper.xml/no"\n{config.read_text()}')
+    result = run(folder, "--update-baseline")
+    assert result.returncode == cli.BAD_INPUT
+    assert "cannot write" in result.stderr
+
+
+# ------------------------------------------------------------------------------------- baseline
+
+
+def remark(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Remark:
+    values = {"urdf": value}
+    told = diagnose("problem", problem="text")
+    return Remark(
+        "crosscheck", "a", kind, element, file, values, Severity.ERROR, told, "about", None
+    )
+
+
+def entry(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Entry:
+    return Entry(("crosscheck", "a", file, kind, element), {"urdf": value})
+
+
+def test_every_part_of_an_identity_counts() -> None:
+    known = entry("base", 1.0)
+    for other in (
+        remark("hip", 1.0),
+        remark("base", 1.0, kind="com"),
+        remark("base", 1.0, file="b.urdf"),
+    ):
+        ((judged_one,), stale) = judged([other], [known])
+        assert judged_one.state is State.NEW
+        assert stale == (known,)
+    assert judged([remark("base", 1.0)], [known])[0][0].state is State.KNOWN
+
+
+def test_several_of_one_identity() -> None:
+    """Each entry is for one remark; the same value first, whatever the order."""
+    remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
+    found, stale = judged(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
+    assert [one.state for one in found] == [
+        State.CHANGED,
+        State.KNOWN,
+        State.KNOWN,
+        State.NEW,
+    ]
+    assert found[0].before == {"urdf": 5.0}
+    assert stale == ()
+    found, stale = judged(remarks[:1], [entry("base", value) for value in (1.0, 1.0)])
+    assert len(stale) == 1
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "expected"),
+    [
+        (1.0, 1.0 + 1e-9, True),
+        (1.0, 1.0 + 1e-5, False),
+        (1.0, -1.0, False),
+        ([[1.0, 0.0], [0.0, 1e-9]], [[1.0, 0.0], [0.0, 0.0]], True),
+        ([[1.0, 0.0], [0.0, 1e-3]], [[1.0, 0.0], [0.0, 0.0]], False),
+        ([1.0, 2.0], [1.0, 2.0, 3.0], False),
+        ([1.0, 2.0], [2.0, 1.0], False),
+        (["leader", 1.0, 0.0], ["leader", 1.0, 0.0], True),
+        (["leader", 1.0, 0.0], ["other", 1.0, 0.0], False),
+        ({"stiffness": 1.0}, {"stiffness": 1.0}, True),
+        ({"stiffness": 1.0}, {"stiffness": 2.0}, False),
+        ({"stiffness": 1.0}, {"damping": 1.0}, False),
+        (float("inf"), float("inf"), True),
+        (float("inf"), 1e300, False),
+        (float("nan"), float("nan"), True),
+        ("revolute", "revolute", True),
+        ("revolute", 1.0, False),
+        (True, 1.0, False),
+        (0.0, 1e-12, False),
+    ],
+)
+def test_values_that_are_the_same(one: object, two: object, expected: bool) -> None:
+    assert same(one, two) is expected
+    assert same(two, one) is expected
+
+
+NAMES = st.text(st.characters(codec="utf-8"), max_size=12)
+ENTRIES = st.lists(
+    st.builds(
+        Entry,
+        st.tuples(NAMES, NAMES, NAMES, NAMES, NAMES),
+        st.dictionaries(
+            st.sampled_from(["urdf", "mjcf", "message"]),
+            st.floats(allow_nan=False) | NAMES | st.lists(st.floats(allow_nan=False), max_size=3),
+        ),
+        NAMES,
+    ),
+    max_size=6,
+)
+
+
+@given(entries=ENTRIES)
+def test_a_baseline_is_read_as_it_was_written(
+    entries: list[Entry], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "known.toml"
+    write_baseline(path, entries)
+    back = read_baseline(path)
+    assert sorted(map(str, [(e.identity, dict(e.values)) for e in entries])) == sorted(
+        map(str, [(e.identity, dict(e.values)) for e in back])
+    )
+    text = path.read_text()
+    write_baseline(path, reversed(back))  # the order does not matter; the comments are gone
+    assert [e.identity for e in read_baseline(path)] == [e.identity for e in back]
+    assert text.startswith("# What `pupper-analysis check` knows")
+
+
+def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:
+    change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
+    change(folder / "hopper.xml", 'range="-2.4 -0.1"', 'range="-2.4 -0.2"')
+    run(folder, "--update-baseline")
+    text = (folder / BASELINE).read_text()
+    found = tomllib.loads(text)["known"]
+    assert [(one["kind"], one["element"]) for one in found] == [
+        ("mass", "knee"),
+        ("upper limit", "hip"),
+        ("upper limit", "knee"),
+    ]
+    assert "# joint hip: upper limit 1.5 rad in the URDF, 1.2 rad in the MJCF" in text
+    run(folder, "--update-baseline")
+    assert (folder / BASELINE).read_text() == text
+
+
+def test_no_digits_of_rounding_are_kept() -> None:
+    import numpy as np
+
+    assert plain(np.float64(0.1 + 0.2)) == 0.3
+    assert plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
+    assert plain((np.int64(3), "x", None, -0.0)) == [3, "x", "None", 0.0]
+    assert plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
+
+
+# ------------------------------------------------------------------------------------- GitHub's ten
+
+
+def annotation(number: int, rule: str, level: str = "error") -> formats.Annotation:
+    return formats.Annotation(level, f"{rule} {number}", "m", f"a.urdf:{number}", rule=rule)
+
+
+def test_ten_are_shown_as_they_are() -> None:
+    ten = [annotation(number, "mass") for number in range(10)]
+    assert formats.grouped(ten) == ten
+
+
+def test_more_are_grouped_by_kind_and_file_and_none_is_lost() -> None:
+    many = [annotation(number, "mass") for number in range(8)]
+    many += [annotation(number, "com") for number in range(4)]
+    many += [annotation(1, "other", "warning")]
+    found = formats.grouped(many)
+    assert [(one.title, one.level) for one in found] == [
+        ("mass 0", "error"),
+        ("com 0", "error"),
+        ("other 1", "warning"),
+    ]
+    assert found[0].message.startswith("m; and 7 more of this kind in the file: mass 1 (a.urdf:1)")
+    assert found[2].message == "m"
+
+
+def test_of_many_kinds_the_tenth_names_the_rest() -> None:
+    many = [annotation(number, f"kind{number}") for number in range(25)]
+    found = formats.grouped(many)
+    assert len(found) == 10
+    assert found[:9] == many[:9]
+    text = formats.github(many)
+    assert len(text.splitlines()) == 10
+    for number in range(25):
+        assert f"kind{number} {number}" in text

@@ -1,0 +1,227 @@
+"""``pupper-analysis.toml`` is read as it is written; what is not valid is refused with its line."""
+
+from __future__ import annotations
+
+import math
+import os
+import pickle
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pupper_analysis.checks.audit import Severity
+from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.guard import config
+from pupper_analysis.guard.config import find_config, read_config
+from pupper_analysis.guard.toml import read_toml, toml_table, toml_value
+from pupper_analysis.matching.tolerances import Tolerances
+from tests.support.repository import ROOT
+
+LEAST = '[[pair]]\nname = "a"\nurdf = "a.urdf"\n'
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    for name in ("a.urdf", "a.xml", "b.urdf"):
+        (tmp_path / name).write_text("<robot/>")
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "names.toml").write_text('one = "eins"\n')
+    return tmp_path
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "pupper-analysis.toml"
+    path.write_text(text)
+    return path
+
+
+def test_everything_that_can_be_said(folder: Path) -> None:
+    text = """
+baseline = "known.toml"
+fail-on = "warning"
+strict = true
+packages = { robot = "meshes" }
+tolerances = { mass = 1e-2, com = 1e-3 }
+[disable]
+armature-zero = "direct drive"
+
+[[pair]]
+name = "a"
+urdf = "a.urdf"
+mjcf = "a.xml"
+map-file = "names.toml"
+feet = ["FL", "FR"]
+base = "trunk"
+[pair.map]
+two = "zwei"
+[pair.tolerances]
+mass = 0.5
+[pair.disable]
+base-fixed = "it hangs"
+[[pair]]
+name = "b"
+urdf = "b.urdf"
+strict = false
+"""
+    read = read_config(written(folder, text))
+    assert read.baseline == folder / "known.toml"
+    assert read.fail_on is Severity.WARNING
+    a, b = read.pairs
+    assert (a.name, a.urdf, a.mjcf) == ("a", folder / "a.urdf", folder / "a.xml")
+    assert a.names == {"one": "eins", "two": "zwei"}
+    assert (a.feet, a.base, a.strict) == (("FL", "FR"), "trunk", True)
+    assert a.packages == {"robot": folder / "meshes"}
+    assert a.disabled == {"armature-zero": "direct drive", "base-fixed": "it hangs"}
+    assert a.tolerances == Tolerances.strict().changed({"mass": 0.5, "com": 1e-3})
+    assert (b.name, b.mjcf, b.strict, b.base) == ("b", None, False, None)
+    assert b.disabled == {"armature-zero": "direct drive"}
+    assert b.tolerances == Tolerances().changed({"mass": 1e-2, "com": 1e-3})
+
+
+def test_what_is_not_said(folder: Path) -> None:
+    read = read_config(written(folder, LEAST))
+    assert read.baseline == folder / "pupper-analysis-baseline.toml"
+    assert read.fail_on is Severity.ERROR
+    (pair,) = read.pairs
+    assert (pair.names, pair.feet, pair.packages, pair.disabled) == ({}, (), {}, {})
+    assert pair.tolerances == Tolerances()
+
+
+REFUSED = {
+    "an unknown key": ('bas = "x"\n' + LEAST, 1, "no key 'bas'; valid: baseline, fail-on"),
+    "one of a pair": (LEAST + 'foot = "x"\n', 4, "no key 'foot' in pair; valid: name, urdf"),
+    "of the second pair": (
+        LEAST + '[[pair]]\nname = "b"\nurdf = "b.urdf"\n\n# well\nfeed = []\n',
+        9,
+        "no key 'feed' in pair",
+    ),
+    "an inline table": (LEAST + "tolerances = { mas = 1 }\n", 4, "in pair.tolerances; valid: mass"),
+    "a table": (LEAST + "[pair.tolerances]\nmass = 1\nmas = 1\n", 6, "no key 'mas'"),
+    "after a long text": (
+        'baseline = """\\\n  [[pair]] # not\n  x.toml"""\n\n' + LEAST + "strct = true\n",
+        8,
+        "no key 'strct'",
+    ),
+    "a rule": (LEAST + "[pair.disable]\nmass = 'x'\n", 5, "no rule of the audit 'mass'"),
+    "no reason": (LEAST + "[pair.disable]\nbase-fixed = ' '\n", 5, "give the reason, in quotes"),
+    "a reason that is none": (LEAST + "[disable]\nbase-fixed = true\n", 5, "give the reason"),
+    "a missing file": (LEAST.replace("a.urdf", "c.urdf"), 3, "there is no such file"),
+    "a missing MJCF": (LEAST + 'mjcf = "no.xml"\n', 4, "mjcf = 'no.xml'"),
+    "no name": ('\n[[pair]]\nurdf = "a.urdf"\n', 2, "needs a name"),
+    "no model": ('[[pair]]\nname = "a"\n', 1, "needs a urdf, an mjcf, or both"),
+    "a name twice": (LEAST + LEAST, 5, "'a' is there twice"),
+    "no severity": ('fail-on = "bad"\n' + LEAST, 1, "one of error, warning, note"),
+    "no number": (LEAST + "tolerances.mass = 'x'\n", 4, "a positive number"),
+    "a negative one": (LEAST + "tolerances.mass = -1\n", 4, "a positive number"),
+    "an infinite one": (LEAST + "tolerances.mass = inf\n", 4, "a positive number"),
+    "a switch as one": (LEAST + "tolerances.mass = true\n", 4, "a positive number"),
+    "no switch": (LEAST + "strict = 1\n", 4, "true or false"),
+    "no switch above": ("strict = 'yes'\n" + LEAST, 1, "true or false"),
+    "feet": (LEAST + "feet = 'FL'\n", 4, "a list of names"),
+    "a folder": (LEAST + "packages.x = 'nowhere'\n", 4, "a folder that exists"),
+    "a mapping": (LEAST + "map.x = 1\n", 4, "the name in the MJCF"),
+    "mapped twice": (LEAST + "map-file = 'names.toml'\nmap.one = 'ein'\n", 5, "mapped to both"),
+    "no tables": ("pair = 1\n", 1, "tables that begin with [[pair]]"),
+    "a table that is none": (LEAST + "map = 1\n", 4, "give a table"),
+    "an empty text": (LEAST + 'mjcf = ""\n', 4, "a text, in quotes"),
+    "no TOML": (LEAST + "mjcf = \n", 4, "not a TOML file"),
+}
+
+
+@pytest.mark.parametrize(("text", "line", "said"), REFUSED.values(), ids=REFUSED)
+def test_what_is_refused(folder: Path, text: str, line: int, said: str) -> None:
+    path = written(folder, text)
+    with pytest.raises(ModelError) as caught:
+        read_config(path)
+    assert said in str(caught.value)
+    assert str(caught.value).startswith(f"{path}:{line}: ")
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+def test_the_page_tells_of_every_key_and_no_other(folder: Path) -> None:
+    page = (ROOT / "docs" / "guard.md").read_text()
+    rows = re.findall(r"^\| (`[^|]*`) \| (the file|a pair|both) \|", page, re.M)
+    told: dict[str, set[str]] = {"the file": set(), "a pair": set(), "both": set()}
+    for names, whose in rows:
+        told[whose] |= set(re.findall("`([a-z-]+)`", names))
+    assert told["the file"] | told["both"] == set(config._TOP)
+    assert told["a pair"] | told["both"] == set(config._PAIR)
+    (example,) = re.findall(r"```toml\n(.*?)```", page, re.S)
+    for name in ("urdf/go1.urdf", "mjcf/go1.xml"):
+        (folder / name).parent.mkdir()
+        (folder / name).write_text("")
+    (pair,) = read_config(written(folder, example)).pairs
+    assert pair.names == {"lf_haa": "FL_hip"}
+    assert pair.tolerances.mass == 1e-3
+
+
+def test_an_empty_file_says_what_it_lacks(folder: Path) -> None:
+    with pytest.raises(ModelError, match=r"it has no \[\[pair\]\]"):
+        read_config(written(folder, "# nothing\n"))
+
+
+def test_a_file_that_cannot_be_read(folder: Path) -> None:
+    with pytest.raises(ModelError, match="it cannot be read: No such file"):
+        read_config(folder / "none.toml")
+    (folder / "latin.toml").write_bytes(b'name = "\xe4"\n')
+    with pytest.raises(ModelError, match="not a TOML file"):
+        read_config(folder / "latin.toml")
+
+
+def test_it_is_found_upwards(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, below = written(folder, LEAST), folder / "x" / "y"
+    below.mkdir(parents=True)
+    assert find_config(below) == path
+    monkeypatch.chdir(below)
+    assert find_config() == path
+    (below / path.name).mkdir()  # a folder of that name is none
+    assert find_config() == path
+
+
+def test_none_is_found(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(os.fspath(tmp_path))):
+        find_config(tmp_path)
+
+
+def test_lines_of_all_keys_of_the_project_file() -> None:
+    """The line that is told begins with the key, for every key of a long file of others."""
+    file = read_toml(ROOT / "pyproject.toml")
+    lines = file.text.split("\n")
+    tables = {"project": file.values["project"], "tool": file.values["tool"]["ruff"]}
+    for name in tables["project"]:
+        line = file.line_of(("project", name))
+        assert line is not None
+        assert lines[line - 1].startswith((name, f"[project.{name}"))
+    line = file.line_of(("tool", "mypy", "overrides", 0, "module"))
+    assert line is not None
+    assert lines[line - 1].startswith("module = [")
+    assert file.line_of(("tool", "nothing")) is None
+    assert file.line_of(("project", "dependencies", 99)) is None
+    assert file.line_of(("project", 0)) is None
+
+
+VALUES = st.recursive(
+    st.booleans()
+    | st.integers(-(2**60), 2**60)
+    | st.floats(allow_nan=False)
+    | st.text(st.characters(codec="utf-8"), max_size=20),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=8,
+)
+
+
+@given(value=VALUES, comment=st.text(max_size=40))
+def test_what_is_written_is_read_back(value: object, comment: str) -> None:
+    text = toml_table("known", {"value": value}, [comment])
+    assert tomllib.loads(text) == {"known": [{"value": value}]}
+
+
+def test_numbers_that_are_none() -> None:
+    assert math.isnan(tomllib.loads(f"x = {toml_value(math.nan)}")["x"])
+    assert toml_value(-math.inf) == "-inf"
+    with pytest.raises(TypeError, match="object is not written to TOML"):
+        toml_value(object())

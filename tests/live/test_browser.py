@@ -1,0 +1,441 @@
+"""The live page in a real browser: sliders move robots, and what is closed is gone."""
+
+from __future__ import annotations
+
+import io
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pupper_analysis as pa
+from pupper_analysis.live.export import link
+from pupper_analysis.live.server import Page
+from pupper_analysis.live.state import State
+from pupper_analysis.pupper.live import Variants
+from tests.report.test_html_browser import browser  # noqa: F401 - the fixture
+from tests.repository.test_readme import README, commands
+from tests.support.repository import ROOT
+from tests.support.variants import load
+
+pytest.importorskip("viser", reason="viser is not installed")
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+pytestmark = pytest.mark.slow
+
+PATIENCE = 60.0
+"""s: a machine without graphics, shared with other tests, draws a picture in one or two."""
+
+KNOWN = ("GPU stall", "THREE.Clock", "WebGL")
+"""What chromium and viser say of software rendering and of themselves."""
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.05)
+
+
+def threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("live-")]
+
+
+@pytest.fixture(scope="module")
+def served() -> Iterator[Page]:
+    page = Page(Variants(pa.VARIANTS["v3"]))
+    yield page
+    page.close()
+    wait_for(lambda: not threads(), "threads are left")
+
+
+class Opened:
+    """A live page in a browser, and what it complains of."""
+
+    def __init__(
+        self,
+        browser: Any,  # noqa: F811
+        address: str,
+        size: tuple[int, int] = (960, 560),
+    ) -> None:
+        # Small and coarse: every pixel is drawn by the processor.
+        address += ("&" if "?" in address else "?") + "fixedDpr=0.5"
+        self.context = browser.new_context(
+            viewport=dict(zip(("width", "height"), size, strict=True))
+        )
+        self.page = self.context.new_page()
+        self.page.set_default_timeout(1e3 * PATIENCE)
+        self.complaints: list[str] = []
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", self._hear)
+        self.page.goto(address)
+        self.page.locator(".pa").first.wait_for(state="attached")
+        # viser says that it is drawn by software, in a box before the scene.
+        self.page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
+
+    def _hear(self, message: Any) -> None:
+        if message.type in ("error", "warning") and not any(k in message.text for k in KNOWN):
+            self.complaints.append(message.text)
+
+    def close(self) -> None:
+        self.context.close()
+
+    def pixels(self) -> np.ndarray:  # type: ignore[type-arg]
+        """The canvas between the panels; the robot is in its middle."""
+        shot = self.page.locator("canvas").first.screenshot()
+        return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+    def press(self, element: Any) -> None:
+        """Clicks in the middle: viser's tabs and buttons listen to the mouse."""
+        element.wait_for()
+        element.scroll_into_view_if_needed()
+        box = element.bounding_box()
+        self.page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+
+    def tab(self, name: str) -> None:
+        self.press(self.page.locator("[role=tab]", has_text=name).first)
+
+    def button(self, name: str) -> None:
+        self.press(self.page.get_by_role("button", name=name, exact=True).first)
+
+    def row(self, label: str) -> Any:
+        text = self.page.get_by_text(label).first
+        return text.locator("xpath=ancestor::*[.//input or .//textarea][1]")
+
+    def set(self, label: str, value: object) -> None:
+        box = self.row(label).locator("input[type=text]").first
+        box.fill(str(value))
+        box.press("Enter")
+
+    def words(self) -> str:
+        return str(self.page.locator(".pa").first.inner_text())
+
+    def says(self, what: str) -> None:
+        wait_for(lambda: what in " ".join(self.all_words()), f"{what!r} is not said")
+
+    def all_words(self) -> list[str]:
+        return [str(text) for text in self.page.locator(".pa").all_inner_texts()]
+
+    def torques(self) -> list[float]:
+        cells = self.page.locator("table.barred td:nth-child(2)").all_inner_texts()
+        return [float(text) for text in cells]
+
+    def takes(self, stand: pa.Stand, robot: pa.Robot | None = None) -> None:
+        """Waits until the page's torques are those of a stand, by the Python interface."""
+        expected = pa.stand_statics(robot or load("v3"), stand).joint_torques
+
+        def same() -> bool:
+            shown = self.torques()
+            return len(shown) == len(expected) and bool(np.allclose(shown, expected, atol=6e-5))
+
+        wait_for(same, f"{self.torques()} are not {expected}")
+
+
+@pytest.fixture(autouse=True)
+def begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each test's browser is another one, though it says the same of itself."""
+    monkeypatch.setattr("pupper_analysis.live.server.RELOADED", 0.0)
+
+
+@pytest.fixture
+def opened(browser: Any, served: Page) -> Iterator[Opened]:  # noqa: F811
+    one = Opened(browser, served.address)
+    one.takes(pa.sunk_stand(load("v3")))
+    yield one
+    one.close()
+    wait_for(lambda: not served.sessions, "a session is left")
+    assert one.complaints == []
+
+
+def differs(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-arg]
+    return float((np.abs(one - other).max(axis=-1) > 25).mean())
+
+
+@pytest.mark.slow
+def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
+    before = opened.pixels()
+    yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
+    assert yellow.mean() > 0.005
+    settled = pa.steady_state(load("v3"), pa.sunk_stand(load("v3")))
+    opened.says(f"{1e3 * settled.height_loss:.3f}\tmm")
+
+    opened.set("roll (°)", 8)
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(8.0))))
+    wait_for(lambda: differs(opened.pixels(), before) > 0.005, "the robot does not move")
+
+    opened.set("height (mm)", 120)
+    task = pa.StandTask(roll=np.radians(8.0), height=0.12)
+    opened.takes(pa.sunk_stand(load("v3"), task))
+    assert "120.0\tmm" in opened.words()
+    opened.button("Reset all")
+    opened.takes(pa.sunk_stand(load("v3")))
+
+
+@pytest.mark.slow
+def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
+    track = opened.row("pitch (°)").locator(".mantine-Slider-track").first
+    box = track.bounding_box()
+    y = box["y"] + box["height"] / 2
+    opened.page.mouse.move(box["x"] + box["width"] / 2, y)
+    opened.page.mouse.down()
+    for step in range(1, 12):
+        opened.page.mouse.move(box["x"] + box["width"] * (0.5 + 0.01 * step), y)
+    opened.page.mouse.up()
+    (session,) = served.sessions.values()
+
+    def asked() -> State | None:
+        answer, _ = session.export()
+        return answer.state if answer is not None else None
+
+    wait_for(lambda: (asked() or State()).pitch > 8.0, "it is not moved")
+    time.sleep(0.2)  # what viser has held back
+    state = asked()
+    assert state is not None
+    assert 8.0 < state.pitch < 12.0
+    opened.takes(pa.sunk_stand(load("v3"), state.task()))
+
+
+@pytest.mark.slow
+def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
+    solid = opened.pixels()
+    opened.set("roll (°)", 35)
+    with pytest.raises(pa.StanceUnreachableError) as refused:
+        pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(35.0)))
+    limit = np.degrees(refused.value.limits["roll"]["roll"])
+    opened.says("In the way: roll")
+    assert f"roll (°): {limit:.1f}" in opened.words()  # in the unit of the slider
+    assert opened.torques() == []
+    opened.page.get_by_text(f"◆ {limit:g} possible").wait_for()
+
+    def ghostly() -> bool:
+        shown = opened.pixels()
+        yellow = (shown[..., 0] > 150) & (shown[..., 2] < 110)
+        return differs(shown, solid) > 0.01 and bool(yellow.mean() < 0.002)
+
+    wait_for(ghostly, "the robot still stands there")
+    empty = opened.pixels()
+    grey = np.abs(empty - np.array([200, 208, 218])).max(axis=-1) < 45
+    assert grey.mean() > 0.01
+    opened.button("Go to the nearest stance")
+    opened.takes(pa.held_stand(load("v3"), refused.value.nearest.task))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_held_is_told(opened: Opened) -> None:
+    opened.press(opened.row("what counts").locator("input").first)
+    opened.press(opened.page.get_by_role("option", name="base at an offset"))
+    opened.set("offset x (mm)", 0)
+    opened.set("slope (°)", 40)
+    wait_for(lambda: "in balance" not in opened.words(), "it stands")
+    assert "friction too low" in opened.words() or "Out of reach" in opened.words()
+
+
+@pytest.mark.slow
+def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
+    def twin() -> bool:
+        """Whether something is orange, which the torso's yellow is not, shadowed or not."""
+        red, green, blue = np.moveaxis(opened.pixels(), -1, 0)
+        return bool(((red > 100) & (red > 1.5 * green) & (green > 1.5 * blue)).mean() > 0.004)
+
+    assert not twin()
+    opened.tab("MuJoCo")
+    opened.button("Simulate")
+    opened.says("HOLDS")
+    opened.says("base height")
+    wait_for(twin, "no robot is played")
+    opened.set("impulse (N s)", 6)
+    opened.button("Push it")
+    opened.says("Pushed with 6.00 N s towards 90°")
+    opened.says("touches the ground")
+    opened.tab("Stance")
+    opened.set("roll (°)", 3)
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
+    # It was about another stance.
+    wait_for(lambda: "Pushed" not in " ".join(opened.all_words()), "an old result is left")
+    wait_for(lambda: not twin(), "the robot of another stance is left")
+
+
+@pytest.mark.slow
+def test_two_browsers_play_on_their_own(
+    opened: Opened,
+    browser: Any,  # noqa: F811
+    served: Page,
+) -> None:
+    other = Opened(browser, served.address)
+    other.takes(pa.sunk_stand(load("v3")))
+    assert len(served.sessions) == 2
+    assert len(threads()) == 4
+    other.set("pitch (°)", 6)
+    opened.set("roll (°)", 4)
+    other.takes(pa.sunk_stand(load("v3"), pa.StandTask(pitch=np.radians(6.0))))
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
+    other.tab("Body")
+    other.set("leg length", 1.3)
+    long = pa.load_variant(pa.VariantSpec("v3", 1.3))
+    other.takes(pa.sunk_stand(long, pa.StandTask(pitch=np.radians(6.0))), long)
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
+    # Closed in the midst of a simulation: nothing is left, and the other one plays on.
+    other.tab("MuJoCo")
+    other.button("Simulate")
+    other.close()
+    wait_for(lambda: len(served.sessions) == 1, "a session is left")
+    wait_for(lambda: len(threads()) == 2, f"threads are left: {threads()}")
+    opened.set("roll (°)", 5)
+    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(5.0))))
+    assert other.complaints == []
+
+
+@pytest.mark.slow
+def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
+    state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
+    address = served.address.removeprefix("http://").removesuffix("/")
+    one = Opened(browser, link(address, state))
+    robot = pa.with_payload(load("v3"), 0.4)
+    stand = pa.sunk_stand(robot, state.task())
+    one.takes(stand, robot)
+    one.tab("Share")
+    wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
+    assert one.row("link to it").locator("input").first.input_value() == link(address, state)
+    with one.page.expect_download() as caught:
+        one.button("Save the torques as CSV")
+    rows = Path(caught.value.path()).read_text().splitlines()[1:]
+    expected = pa.stand_statics(robot, stand).joint_torques
+    assert [float(row.split(",")[2]) for row in rows] == pytest.approx(expected, abs=1e-9)
+    box = one.row("state").locator("input").first
+    box.fill("roll:3")
+    box.press("Enter")
+    one.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
+    one.close()
+    assert one.complaints == []
+
+
+@pytest.mark.slow
+def test_a_page_that_is_loaded_again_goes_on_where_it_was(
+    browser: Any,  # noqa: F811
+    served: Page,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("pupper_analysis.live.server.RELOADED", 60.0)
+
+    def asked() -> list[State]:
+        return [session.asked[0] for session in served.sessions.values()]
+
+    one = Opened(browser, served.address)
+    one.takes(pa.sunk_stand(load("v3")))
+    one.tab("Body")
+    one.set("payload (kg)", 12)  # beyond its slider's end
+    wait_for(lambda: asked() == [State(payload=12.0)], "the payload is not asked for")
+    one.tab("Stance")
+    one.set("roll (°)", 3)
+    wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it is asked for no more")
+    one.page.reload()
+    one.page.get_by_text("v3, 15.170 kg").first.wait_for()
+    wait_for(lambda: asked() == [State(payload=12.0, roll=3.0)], "it begins anew")
+    one.close()
+
+
+@pytest.mark.slow
+def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
+    address = served.address.removeprefix("http://").removesuffix("/")
+    one = Opened(browser, link(address, State(roll=4.0), "zh"))
+    stand = pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0)))
+    one.takes(stand)
+    assert "受力平衡，未超出电机上限" in one.words()
+    one.set("俯仰 (°)", 3)
+    both = pa.StandTask(roll=np.radians(4.0), pitch=np.radians(3.0))
+    one.takes(pa.sunk_stand(load("v3"), both))
+    one.tab("分享")
+    one.button("English")
+    one.page.get_by_text("as Python").first.wait_for()  # the tab stays
+    one.tab("Stance")
+    one.page.get_by_text("pitch (°)").first.wait_for()
+    one.takes(pa.sunk_stand(load("v3"), both))
+    assert "in balance, within" in one.words()
+    assert not re.search("[\u4e00-\u9fff]", one.words())
+    one.set("roll (°)", 0)
+    one.takes(pa.sunk_stand(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
+    one.close()
+    assert one.complaints == []
+
+
+@pytest.mark.slow
+def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811
+    one = Opened(browser, served.address, (390, 844))
+    one.page.get_by_text("not simulated yet; leg_").wait_for()
+    canvas, sheet = one.page.locator("canvas").first, one.page.locator(".mantine-Paper-root").first
+    wait_for(lambda: canvas.bounding_box()["height"] < 400, "the scene is beneath the sheet")
+    scene, sliders = canvas.bounding_box(), sheet.bounding_box()
+    assert sliders["width"] == 390
+    assert scene["y"] + scene["height"] <= sliders["y"] + 1
+    assert one.page.evaluate("document.documentElement.scrollWidth") <= 390
+
+    def whole() -> bool:
+        """Whether the torso's yellow is seen, and touches no side."""
+        shown = one.pixels()
+        yellow = (shown[..., 0] > 150) & (shown[..., 2] < 110)
+        columns = np.flatnonzero(yellow.any(axis=0))
+        inside = len(columns) and columns[0] > 3 and columns[-1] < shown.shape[1] - 4
+        return bool(yellow.mean() > 0.005 and inside)
+
+    wait_for(whole, "the robot is not there")
+    one.press(one.page.get_by_text("v3, live").first)  # folds the sheet
+    wait_for(lambda: canvas.bounding_box()["height"] > 700, "the scene stays small")
+    one.close()
+    assert one.complaints == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("state", ["nonsense", "lift:tail,20"])
+def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> None:  # noqa: F811
+    address = served.address.removeprefix("http://")
+    one = Opened(browser, f"{served.address}?websocket=ws://{address}?state={state}")
+    one.page.get_by_text("This state cannot be shown").wait_for(state="attached")
+    one.takes(pa.sunk_stand(load("v3")))
+    one.close()
+    assert one.complaints == []
+
+
+README_PAGES = [command for command in commands(README) if command.split()[1] == "live"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", README_PAGES)
+def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) -> None:
+    arguments = [sys.executable, "-m", "pupper_analysis", *command.split()[1:], "--no-browser"]
+    process = subprocess.Popen(
+        arguments,
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(ROOT), "PATH": ""},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A parent in the background of a shell ignores SIGINT, and its children would, too.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert process.stdout is not None
+    said = process.stdout.readline()
+    found = re.match(r"(http://127\.0\.0\.1:\d+/)  \(Ctrl-C ends it\)$", said)
+    assert found is not None, said
+    port = int(found[1].split(":")[2].rstrip("/"))
+    for nonsense in (b"", b"\x00\xff\r\n\r\n", b"GET /../../etc HTTP/1.1\r\n\r\n"):
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as knocks:
+            knocks.sendall(nonsense)
+    time.sleep(0.5)  # before viser quietens what is said of such
+    with urllib.request.urlopen(found[1], timeout=PATIENCE) as answered:
+        assert b"<title>" in answered.read()
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130
+    assert out == ""
+    assert err == "interrupted\n"

@@ -1,0 +1,286 @@
+"""The live page's door: who may come in, and what a browser may send."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.live.door import COOKIE, MOST_BYTES, Door, problem_of, without_folders
+from pupper_analysis.live.language import Language
+from pupper_analysis.live.server import Page
+from pupper_analysis.pupper.live import Variants
+from tests.support.stubs import problem
+
+viser = pytest.importorskip("viser", reason="viser is not installed")
+websockets = pytest.importorskip("websockets.asyncio.client")
+
+SOCKET = {"Upgrade": "websocket"}
+
+
+@pytest.mark.parametrize(
+    ("host", "headers", "may"),
+    [
+        ("127.0.0.1", {"Host": "localhost:8080"}, True),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "http://127.0.0.1:8080"}, True),
+        ("127.0.0.1", {"Host": "[::1]:8080"}, True),
+        ("127.0.0.1", {"Host": "loc.example:8080"}, False),
+        ("127.0.0.1", {"Host": "localhost.example:8080"}, False),
+        # A name that its owner lets point here: Origin and Host are the same.
+        ("127.0.0.1", {"Host": "evil.example:8080", "Origin": "http://evil.example:8080"}, False),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "http://evil.example"}, False),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "http://127.0.0.1:9090"}, False),
+        ("127.0.0.1", {"Host": "127.0.0.1:8080", "Origin": "null"}, False),
+        ("127.0.0.1", {}, False),
+    ],
+)
+def test_who_may_come_in(host: str, headers: dict[str, str], may: bool) -> None:
+    door = Door(host)
+    assert not door.token
+    for more in ({}, SOCKET):
+        assert (door.refusal("/", headers | more) is None) == may
+
+
+def code(told: Diagnostic | None) -> str:
+    return "" if told is None else told.code
+
+
+def test_others_must_know_the_token() -> None:
+    door, headers = Door("0.0.0.0"), {"Host": "robot.example:8080"}
+    assert len(door.token) >= 16
+    assert Door("0.0.0.0").token != door.token
+    for more in ({}, SOCKET):
+        assert code(door.refusal("/", headers | more)) == "token-missing"
+        assert code(door.refusal("/?token=", headers | more)) == "token-missing"
+        assert code(door.refusal(f"/?token={door.token[:-1]}", headers | more)) == "token-missing"
+        assert door.refusal(f"/?state=roll:1&token={door.token}", headers | more) is None
+        assert door.refusal("/", headers | more | {"Cookie": f"a=b; {door.cookie}"}) is None
+        assert (
+            code(door.refusal("/", headers | more | {"Cookie": f"{COOKIE}=x"})) == "token-missing"
+        )
+    assert door.refusal("/assets/index.js", headers) is None  # viser's, and nobody's secret
+    evil = headers | SOCKET | {"Origin": "http://evil.example"}
+    assert code(door.refusal(f"/?token={door.token}", evil)) == "another-page-asks"
+
+
+@pytest.mark.parametrize(
+    ("updates", "right"),
+    [
+        ({"value": 120.0}, True),
+        ({"value": 100}, True),
+        ({"value": True}, True),
+        ({"value": "roll:1"}, True),
+        ({"value": math.nan}, False),
+        ({"value": math.inf}, False),
+        ({"value": 250.0}, True),  # typed beyond the slider's end
+        ({"value": -1e9}, False),
+        ({"value": [1, 2]}, False),
+        ({"value": "x" * 100_000}, False),
+        ({"value": 120.0, "max": 1e9}, False),
+        ({"update_cb": []}, False),
+        ({}, False),
+    ],
+)
+def test_what_a_browser_may_say(updates: dict[str, object], right: bool) -> None:
+    assert (problem_of(updates) is None) == right
+
+
+@pytest.mark.parametrize(
+    ("told", "shown"),
+    [
+        ("/home/a/robots/v3.xml: body 'payload' is there", "v3.xml: body 'payload' is there"),
+        ("/home/a/b.urdf:12: no limit", "b.urdf:12: no limit"),
+        ("cannot read '/srv/x/y.stl' (gone)", "cannot read 'y.stl' (gone)"),
+        ("C:\\robots\\v3.xml: odd", "v3.xml: odd"),
+        ("kp: 0 N m/rad is not positive", "kp: 0 N m/rad is not positive"),
+        (
+            "FL/1 and FL/2 touch; 1/2 of it, 3 N m s/rad",
+            "FL/1 and FL/2 touch; 1/2 of it, 3 N m s/rad",
+        ),
+        ("see http://localhost:8080/a/b", "see http://localhost:8080/a/b"),
+        ("geom 'a/b/c' of models/robot.xml", "geom 'a/b/c' of models/robot.xml"),
+    ],
+)
+def test_a_page_tells_no_folders_of_the_server(told: str, shown: str) -> None:
+    assert without_folders(told) == shown
+    assert Language("en").sentence(problem(told)) == shown
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Page]:
+    one = Page(Variants(pa.VARIANTS["v3"]))
+    yield one
+    one.close()
+
+
+def asked(address: str, **headers: str) -> tuple[int, str]:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers)) as found:
+            return found.status, str(found.headers.get("Set-Cookie", ""))
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def test_a_server_answers_by_its_own_names_alone(page: Page) -> None:
+    assert asked(page.address)[0] == 200
+    status, said = asked(page.address, Host="evil.example")
+    assert status == 403
+    assert "the address that the program printed" in said
+
+
+def test_a_page_that_others_can_reach_asks_for_its_token() -> None:
+    page = Page(Variants(pa.VARIANTS["v3"]), host="0.0.0.0")
+    try:
+        (token,) = parse_qs(urlsplit(page.address).query)["token"]
+        bare = page.address.partition("?")[0]
+        assert asked(bare)[0] == 403
+        status, cookie = asked(page.address)
+        assert status == 200
+        assert token in cookie
+        assert asked(bare, Cookie=cookie.partition(";")[0])[0] == 200
+    finally:
+        page.close()
+
+
+async def _talk(address: str, *messages: Any, origin: str | None = None) -> list[bytes]:
+    """Sends messages as viser's page does, after the camera's; returns what comes until then."""
+    where = address.replace("http", "ws")
+    host = urlsplit(address).netloc
+    async with websockets.connect(
+        where,
+        origin=origin or f"http://{host}",
+        subprotocols=[f"viser-v{viser.__version__}"],
+        max_size=None,
+    ) as socket:
+        told: list[bytes] = []
+        for message in messages:
+            await socket.send(message)
+            await asyncio.sleep(0.05)
+        end = asyncio.get_running_loop().time() + 1.0
+        while (left := end - asyncio.get_running_loop().time()) > 0:
+            try:
+                told.append(await asyncio.wait_for(socket.recv(), left))
+            except TimeoutError:
+                break
+        return told
+
+
+def test_a_connection_of_another_page_is_refused_at_once(page: Page) -> None:
+    refused = pytest.importorskip("websockets").exceptions.InvalidStatus
+    with pytest.raises(refused, match="403"):
+        asyncio.run(_talk(page.address, origin="http://evil.example"))
+    assert not page.sessions
+
+
+def test_a_message_that_is_too_long_ends_the_connection(page: Page) -> None:
+    closed = pytest.importorskip("websockets").exceptions.ConnectionClosed
+    with pytest.raises(closed):
+        asyncio.run(_talk(page.address, bytes(MOST_BYTES + 1), b"x"))
+    assert asked(page.address)[0] == 200
+
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1.0, 0.0, 0.0, 0.0],
+    "position": [1.0, 1.0, 1.0],
+    "fov": 1.0,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": [0.0, 0.0, 0.0],
+    "up_direction": [0.0, 0.0, 1.0],
+}
+
+
+@pytest.mark.slow
+def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    """Nor is it a traceback in the terminal of who serves the page; files are not taken at all."""
+    pack = pytest.importorskip("msgspec").msgpack.encode
+
+    told: list[str] = []
+
+    async def attack() -> tuple[float, float, int]:
+        host = urlsplit(page.address).netloc
+        async with websockets.connect(
+            page.address.replace("http", "ws"),
+            origin=f"http://{host}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        ) as socket:
+            known = set(page.sessions)
+            await socket.send(pack(CAMERA))
+            for _ in range(1000):
+                await asyncio.sleep(0.02)
+                if new := set(page.sessions) - known:
+                    break
+            session = page.sessions[new.pop()]
+            slider = session._panels.controls.sliders["roll"]
+            session._client.add_notification = lambda _, body, **__: told.append(body)
+            update = {"type": "GuiUpdateMessage", "uuid": slider._impl.uuid}
+            bad = ({"value": math.nan}, {"value": 1e9}, {"value": [1]}, {"nonsense": 1})
+            for updates in (*bad, {"update_cb": ["x"]}, {"max": 1e9}):
+                await socket.send(pack(update | {"updates": updates}))
+            await socket.send(pack(update | {"uuid": "none", "updates": {"value": 1}}))
+            upload = {
+                "type": "FileTransferStartUpload", "source_component_uuid": slider._impl.uuid,
+                "transfer_uuid": "t", "filename": "a", "mime_type": "b", "part_count": 100,
+                "size_bytes": 10**12,
+            }  # fmt: skip
+            await socket.send(pack(upload))
+            await asyncio.sleep(0.5)
+            before = session._panels.controls.state.roll
+            held = len(session._client.gui._current_file_upload_states)
+            await socket.send(pack(update | {"updates": {"value": 5}}))
+            for _ in range(200):
+                await asyncio.sleep(0.02)
+                if session._panels.controls.state.roll == 5.0:
+                    break
+            return before, session._panels.controls.state.roll, held
+
+    assert asyncio.run(attack()) == (0.0, 5.0, 0)
+    assert len(told) == 6
+    assert told[0].code == "no-value-of-a-control"
+    assert told[1].code == "beyond-any-slider"
+    printed = capfd.readouterr()
+    assert "Traceback" not in printed.out + printed.err
+
+
+MEMORY = """
+import os, threading
+from pupper_analysis.live.memory import give_back
+def used():
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+kept = []
+def session():
+    blocks = [bytes(os.urandom(1000) * 60) for _ in range(400)]  # what malloc takes of its arena
+    kept.append(blocks[-1])
+threads = [threading.Thread(target=session) for _ in range(2)]
+before = used()
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+left = used() - before
+give_back()
+print(left, used() - before)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's")
+def test_what_threads_leave_is_given_back() -> None:
+    """A small block that stays holds all that lies below it: 24 MB a thread."""
+    run = subprocess.run([sys.executable, "-c", MEMORY], capture_output=True, text=True, check=True)
+    left, after = map(float, run.stdout.split())
+    assert left > 20.0
+    assert after < left / 2

@@ -1,0 +1,566 @@
+"""The live page without a browser: its states, and that its numbers are the Python interface's."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from pupper_analysis.live import export, viser_parts
+from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of
+from pupper_analysis.live.documents import (
+    brief_document,
+    failure_document,
+    refusal_document,
+    stance_document,
+)
+from pupper_analysis.live.language import Language
+from pupper_analysis.live.model import Answer, Model, expected, explained, pushed, sag, simulated
+from pupper_analysis.live.render import brief, panel
+from pupper_analysis.live.shapes import parts_of, primitive
+from pupper_analysis.live.sliders import fine, ranges_of, round_up
+from pupper_analysis.live.source import Pair
+from pupper_analysis.live.state import State, metres, parse
+from pupper_analysis.pupper.live import Variants
+from pupper_analysis.simulation.verdict import VerdictCode
+from tests.support.commands import answer as run_command
+from tests.support.variants import load
+
+RICH = State(
+    height=125.5,
+    roll=3.3,
+    pitch=-2.0,
+    yaw=4.1,
+    place="inside",
+    com_margin=5.0,
+    foot_offsets={"FR": (10.0, -5.5)},
+    joint_margin=2.0,
+    ground_clearance=20.0,
+    self_clearance=1.0,
+    swing={"RL": 15.0},
+    heights={"FL": 6.0, "RR": -3.5},
+    slope=4.0,
+    uphill=-30.0,
+    payload=0.3,
+    payload_at=(10.0, 0.0, 50.0),
+    leg_scale=1.2,
+    torso_mass_scale=1.1,
+    kp=20.0,
+    kd=0.5,
+)
+
+
+ENGLISH = Language("en")
+
+
+def model_of(name: str = "v3") -> Model:
+    return Model(Variants(pa.VARIANTS[name]))
+
+
+def test_a_state_is_what_it_says() -> None:
+    assert parse(str(RICH)) == RICH
+    assert str(State()) == ""
+    assert parse("") == State()
+    odd = State(
+        swing={"a,b;c:d&e=f%": 2.0}, heights={"<i>": -1.0}, foot_offsets={"ö <b>": (1.0, 2.0)}
+    )
+    assert parse(str(odd)) == odd
+    assert set(str(odd)) <= set("abcdefghijklmnopqrstuvwxyz:;,%_0123456789ABCDEF.-")
+
+
+numbers = st.floats(-1e4, 1e4)
+
+
+@pytest.mark.slow
+@given(
+    st.builds(
+        State,
+        height=st.none() | numbers,
+        roll=numbers,
+        place=st.sampled_from(["centre", "inside", "offset"]),
+        offset=st.tuples(numbers, numbers),
+        foot_offsets=st.dictionaries(st.text(min_size=1), st.tuples(numbers, numbers), max_size=3),
+        swing=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
+        heights=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
+        payload_at=st.tuples(numbers, numbers, numbers),
+        kp=st.none() | numbers,
+    )
+)
+def test_any_state_is_what_it_says(state: State) -> None:
+    assert parse(str(state)) == state
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("height:abc", "'abc' in 'height' is not a number"),
+        ("height:nan", "height: nan is not finite"),
+        ("height:1;height:2", "height is said twice"),
+        ("size:3", "'size' is unknown; there are: height, roll"),
+        ("offset:3", "must have 2 values"),
+        ("place:moon", "'moon' is none of centre"),
+        ("move:FR,1", "must have 3 values"),
+        ("lift:FR", "must have 2 values"),
+        ("x" * 5000, "5000 letters"),
+        ("<script>", "is unknown"),
+    ],
+)
+def test_what_is_no_state_is_refused(words: str, message: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=message):
+        parse(words)
+
+
+@pytest.mark.parametrize("length", [0.1, 131.51, 120.0, 1e-7, -33.3, 1e20])
+def test_lengths_are_those_that_are_typed(length: float) -> None:
+    assert metres(length) == pytest.approx(length / 1000, rel=1e-15)
+    assert metres(131.3) == 0.1313
+
+
+def test_an_answer_is_the_python_interfaces() -> None:
+    found = model_of().answer(RICH)
+    robot = pa.with_payload(pa.load_variant(pa.VariantSpec("v3", 1.2, 1.1)), 0.3, (0.01, 0.0, 0.05))
+    task = pa.StandTask(
+        height=0.1255,
+        roll=np.radians(3.3),
+        pitch=np.radians(-2.0),
+        yaw=np.radians(4.1),
+        com="inside",
+        com_margin=0.005,
+        foot_offsets={"FR": (0.01, -0.0055)},
+        joint_margin=np.radians(2.0),
+        ground_clearance=0.02,
+        self_clearance=0.001,
+        swing={"RL": 0.015},
+        ground=pa.Ground(
+            slope=np.radians(4.0), uphill=np.radians(-30.0), heights={"FL": 0.006, "RR": -0.0035}
+        ),
+    )
+    assert found.refusal is None
+    assert found.task == task
+    assert found.robot is not None
+    assert found.stand is not None
+    assert found.statics is not None
+    stand = pa.sunk_stand(robot, task)
+    statics = pa.stand_statics(robot, stand)
+    assert found.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
+    assert found.statics.joint_torques == pytest.approx(statics.joint_torques, abs=1e-9)
+    settled = sag(found).settled
+    same = pa.steady_state(robot, stand, kp=20.0)
+    assert settled is not None
+    assert settled.height_loss == pytest.approx(same.height_loss, abs=1e-9)
+
+
+def test_an_offset_is_the_bases() -> None:
+    found = model_of("original").answer(State(place="offset", offset=(10.0, -5.0)))
+    assert found.stand is not None
+    centre = np.mean(list(found.stand.contact_points.values()), axis=0)
+    assert found.stand.qpos[:2] - centre[:2] == pytest.approx([0.01, -0.005], abs=1e-9)
+
+
+def test_simulations_are_the_python_interfaces() -> None:
+    found = model_of("original").answer(State(pitch=3.0, kp=40.0, kd=0.6))
+    robot = load("original")
+    assert found.robot is not None
+    held = pa.sunk_stand(robot, pa.StandTask(pitch=np.radians(3.0)))
+    assert found.stand is not None
+    assert found.stand.qpos == pytest.approx(held.qpos, abs=1e-12)
+    report = simulated(found).verification
+    again = pa.verify_stand(robot, held, kp=40.0, kd=0.6)
+    assert report.passed
+    assert report.base_height == pytest.approx(again.base_height, abs=1e-9)
+    assert report.kp == pytest.approx(40.0)
+    trial = pushed(found, 0.5, 1.0, feedforward=True)
+    same = pa.push_trial(robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
+    assert trial.motion == pytest.approx(same.motion, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
+    model = model_of()
+    found = model.answer(State(height=200.0, roll=30.0))
+    assert found.unreachable
+    assert found.stand is None
+    error = explained(found)
+    assert error is not None
+    with pytest.raises(pa.StanceUnreachableError) as same:
+        pa.solve_stand(load("v3"), pa.StandTask(height=0.2, roll=np.radians(30.0)))
+    assert error.limits == same.value.limits
+    nearest = found.state.with_task(error.nearest.task)
+    assert model.answer(nearest).refusal is None
+    for fields in error.limits.values():
+        task = replace(found.state.task(), **fields)
+        assert model.answer(found.state.with_task(task)).refusal is None
+
+
+@pytest.mark.parametrize(
+    ("state", "kind"),
+    [
+        (State(height=-5.0), pa.ConfigurationError),
+        (State(roll=1e9), pa.ConfigurationError),
+        (State(swing={"tail": 20.0}), pa.UnknownNameError),
+        (State(payload=-1.0), pa.ConfigurationError),
+        (State(leg_scale=0.0), pa.VariantError),
+        (State(place="offset", offset=(90.0, 0.0), height=90.0), pa.PupperAnalysisError),
+        (State(slope=44.0, pitch=0.0), pa.PupperAnalysisError),
+        (State(com_margin=500.0), pa.ConfigurationError),
+    ],
+)
+def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> None:
+    found = model_of().answer(state)
+    assert isinstance(found.refusal, kind)
+    assert found.statics is None
+    assert panel(stance_document(found, None, None), ENGLISH)
+
+
+def test_what_slides_is_shown_without_forces() -> None:
+    slope = model_of("original").answer(State(slope=44.0))
+    if slope.stand is not None:
+        assert isinstance(slope.refusal, pa.StaticsInfeasibleError)
+        assert "friction" in panel(stance_document(slope, None, None), ENGLISH)
+
+
+def test_robots_are_kept_and_not_all_of_them() -> None:
+    model = model_of()
+    first = model.robot(State(leg_scale=1.1))
+    assert model.robot(State(leg_scale=1.1, roll=3.0)) is first
+    assert model.made(State(leg_scale=1.1))
+    for scale in np.linspace(1.2, 1.9, 9):
+        model.robot(State(leg_scale=float(scale)))
+    assert not model.made(State(leg_scale=1.1))
+
+
+def outcome(found: Answer) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+    assert found.stand is not None
+    assert found.statics is not None
+    return found.stand.qpos, found.statics.joint_torques
+
+
+def run_python(script: str, folder: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, cwd=folder, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def own_pair(folder: Path) -> Pair:
+    urdf, mjcf = pa.write_variant("v3-heavy", folder)
+    feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
+            {"FR": "front_r", "FL": "front_l", "RR": "back_r", "RL": "back_l"}.items()}  # fmt: skip
+    return Pair.of({"urdf": urdf, "mjcf": mjcf, "feet": feet, "joints": {}, "keyframe": None})
+
+
+SOURCES: dict[str, Callable[[Path], Variants | Pair]] = {
+    "variant": lambda _: Variants(pa.VARIANTS["v3"]),
+    "own": own_pair,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", SOURCES)
+def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
+    source = SOURCES[kind](tmp_path)
+    state = RICH if kind == "variant" else RICH.having(leg_scale=None, torso_mass_scale=None)
+    found = Model(source).answer(state)
+    qpos, torques = outcome(found)
+    script = export.python(source, state)
+    printed = run_python(script + "\nprint(stand.to_json())", tmp_path)
+    assert json.loads(printed[printed.index("\n{") :])["qpos"] == pytest.approx(qpos, abs=1e-12)
+    lines = printed.splitlines()[: len(torques)]
+    assert [float(line.split()[1]) for line in lines] == pytest.approx(torques, abs=5e-5)
+    assert "verified" in printed
+
+    words = shlex.split(export.command(source, state))
+    assert words[0] == "pupper-analysis"
+    done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
+    assert done.returncode in (0, 1), done.stderr
+    saved = json.loads((tmp_path / "stance.json").read_text())
+    assert saved["sunk"]["qpos"] == pytest.approx(qpos, abs=1e-12)
+
+    whole = json.loads(export.json(source, found, sag(found)))
+    assert whole["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
+    assert parse(whole["state"]) == state
+    rows = [line.split(",") for line in export.table(found).splitlines()]
+    assert rows[0] == ["joint", "position_rad", "torque_nm", "limit_nm", "utilisation"]
+    assert [float(row[2]) for row in rows[1:]] == pytest.approx(torques, abs=1e-12)
+    assert [row[0] for row in rows[1:]] == list(found.robot.joint_names if found.robot else ())
+
+
+def test_the_usual_state_is_exported_in_few_words() -> None:
+    source = Variants(pa.VARIANTS["v3-heavy"])
+    assert export.command(source, State()) == "pupper-analysis stand v3-heavy"
+    assert export.live_command(source, State()) == "pupper-analysis live v3-heavy"
+    assert "load_variant('v3-heavy')" in export.python(source, State())
+    assert not export.python(source, State()).startswith("import math")
+    scaled = export.command(source, State(torso_mass_scale=1.5))
+    assert scaled == "pupper-analysis stand --base v3 --torso-mass-scale 1.5"
+    assert export.command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
+    turned = State(pitch=-5.0, slope=3.0, height=150.0, com_margin=7.0)
+    assert export.command(source, turned).split()[3:] == [
+        "--height=0.15", "--pitch=-5deg", "--slope=3deg", "--com-margin=0.007",
+    ]  # fmt: skip
+
+
+def test_links_and_commands_lead_back() -> None:
+    assert export.link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
+    words = shlex.split(export.live_command(Variants(pa.VARIANTS["v3"]), RICH))
+    assert parse(words[words.index("--state") + 1]) == RICH
+    assert "&" not in export.link("127.0.0.1:80", RICH)
+    assert "#" not in export.link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
+
+
+def test_commands_take_a_payload(tmp_path: Path) -> None:
+    done = run_command(
+        "stand", "v3", "--payload", "1", "--payload-at", "0,0,8cm", "--json", "s.json",
+        folder=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    robot = pa.with_payload(load("v3"), 1.0, (0.0, 0.0, 0.08))
+    expected = pa.stand_statics(robot, pa.sunk_stand(robot, pa.StandTask()))
+    saved = json.loads((tmp_path / "s.json").read_text())["statics"]["joint_torques"]
+    assert saved == pytest.approx(expected.joint_torques, abs=1e-9)
+    for wrong in (["--payload", "-1"], ["--payload-at", "1,2"], ["--payload", "nan"]):
+        refused = run_command("stand", "v3", *wrong, folder=tmp_path)
+        assert refused.returncode == 2
+        assert refused.stderr.startswith("error: ")
+
+
+def test_nothing_in_a_name_acts() -> None:
+    found = model_of().answer(State())
+    assert found.robot is not None
+    assert found.statics is not None
+    evil = "<img src=x onerror=alert(1)>\u202e"
+    names = (evil, *found.statics.joint_names[1:])
+    worse = replace(
+        found,
+        robot=replace(found.robot, name=evil),
+        statics=replace(found.statics, joint_names=names),
+        refusal=pa.ConfigurationError(evil, evil),
+    )
+    for html in (
+        panel(stance_document(worse, None, expected(worse, closely=False)), ENGLISH),
+        panel(failure_document(worse.refusal or pa.ModelError("", "")), ENGLISH),
+    ):
+        assert "<img" not in html
+        assert "\u202e" not in html
+        assert "&lt;img" in html
+
+
+def test_the_words_tell_the_numbers() -> None:
+    found = model_of().answer(State(height=120.0))
+    assert found.stand is not None
+    assert found.statics is not None
+    settled = sag(found)
+    html = panel(stance_document(found, settled, expected(found, closely=True)), ENGLISH)
+    assert ">120.0</td><td>mm<" in html
+    assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
+    for torque in found.statics.joint_torques:
+        assert f">{torque:+.4f}<" in html
+    assert settled.settled is not None
+    assert f">{1e3 * settled.settled.height_loss:.3f}</td><td>mm<" in html
+    assert "being worked out" in panel(stance_document(found, None, None), ENGLISH)
+    assert "being worked out" not in html
+
+
+def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
+    """Knees beyond their limits: not green, whatever balances; as `stand` has it."""
+    found = model_of().answer(State(payload=30.0))
+    assert found.statics is not None
+    over = [n for n, share in zip(found.statics.joint_names, found.statics.motor_utilisation,
+                                  strict=True) if share > 1]  # fmt: skip
+    assert over
+    judged = expected(found, closely=False)
+    assert judged is not None
+    assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
+    assert judged.overloaded == tuple(over)
+    for said in (
+        panel(stance_document(found, None, judged), ENGLISH),
+        brief(brief_document(found, judged), ENGLISH),
+    ):
+        assert 'class="good"' not in said
+        assert "OVERLOADED" in said
+        assert all(name in said for name in over)
+    usual = model_of().answer(State())
+    sound = expected(usual, closely=True)
+    assert sound is not None
+    assert sound.code is VerdictCode.IN_BALANCE
+    assert 'class="good"' in panel(stance_document(usual, None, sound), ENGLISH)
+    # Servos too soft: a deviation doubles in 2.5 s, which is found without a simulation.
+    soft = model_of().answer(State(kp=0.3, kd=0.05))
+    shaky = expected(soft, closely=True)
+    assert shaky is not None
+    assert shaky.code is VerdictCode.UNSTABLE
+    assert 'class="good"' not in panel(stance_document(soft, None, shaky), ENGLISH)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("self_clearance:-50", "self_clearance: -50 mm is less than 0 mm"),
+        ("slope:200", "slope: 200° is more than 89.9°"),
+        ("roll:-200", "roll: -200° is less than -180°"),
+        ("height:-3", "height: -3 mm is not above the ground"),
+        ("lift:FL,-1", "lift FL: -1 mm is not above the ground"),
+    ],
+)
+def test_errors_are_in_the_units_of_the_page(words: str, said: str) -> None:
+    found = model_of().answer(parse(words))
+    assert said in str(found.refusal)
+    assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(found.refusal.diagnostic))
+
+
+def test_what_is_possible_is_in_the_units_of_the_page() -> None:
+    found = model_of().answer(State(height=250.0))
+    error = explained(found)
+    assert error is not None
+    told = panel(refusal_document(found, error, pending=False), ENGLISH)
+    assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in told
+    both = model_of().answer(State(roll=35.0))
+    joints = panel(refusal_document(both, explained(both), pending=False), ENGLISH)
+    assert "leg_front_l_2 (+24.1°)" in joints  # of 0.42 rad
+
+
+def test_colours_tell_how_hard_a_motor_works() -> None:
+    assert colour_of(0.0) == SCALE[0][1]
+    assert colour_of(1.0) == SCALE[-1][1]
+    assert colour_of(1.01) == BEYOND
+    assert colour_of(None) == UNLIMITED
+    assert colour_of(float("nan")) == UNLIMITED
+    assert colour_of(0.125) == tuple(
+        round((a + b) / 2) for a, b in zip(SCALE[0][1], SCALE[1][1], strict=True)
+    )
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[type-arg]
+    one, two, three = (vertices[faces[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->i", one, np.cross(two, three)).sum() / 6)
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "expected"),
+    [
+        ("box", (1.0, 2.0, 3.0), 48.0),
+        ("sphere", (1.0, 0.0, 0.0), 4 / 3 * np.pi),
+        ("ellipsoid", (1.0, 2.0, 3.0), 8 * np.pi),
+        ("cylinder", (1.0, 2.0, 0.0), 4 * np.pi),
+        ("capsule", (1.0, 2.0, 0.0), 4 * np.pi + 4 / 3 * np.pi),
+    ],
+)
+def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected: float) -> None:
+    pytest.importorskip("trimesh")
+    vertices, faces = primitive(name, np.array(size))
+    assert volume(vertices, faces) == pytest.approx(expected, rel=0.06)
+    assert vertices.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
+
+
+def test_a_robots_shapes_are_where_mujoco_has_them() -> None:
+    pytest.importorskip("trimesh")
+    model = load("v3").mj_model
+    parts = parts_of(model)
+    assert {part.body for part in parts} == {
+        int(body) for body, group in zip(model.geom_bodyid, model.geom_group, strict=True)
+        if body and group < 3
+    }  # fmt: skip
+    # A vertex of MuJoCo's own mesh, in its geom's frame, is one of the body's part's.
+    geom = next(g for g in range(model.ngeom) if model.geom_dataid[g] >= 0)
+    first = model.mesh_vertadr[model.geom_dataid[geom]]
+    turn = np.zeros(9)
+    __import__("mujoco").mju_quat2Mat(turn, model.geom_quat[geom])
+    place = turn.reshape(3, 3) @ model.mesh_vert[first] + model.geom_pos[geom]
+    near = [np.linalg.norm(part.vertices - place, axis=1).min() for part in parts
+            if part.body == model.geom_bodyid[geom]]  # fmt: skip
+    assert min(near) < 1e-6
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_sliders_hold_what_a_page_opens_with(name: str) -> None:
+    spans = ranges_of(load(name), {"leg_scale": 1.0, "torso_mass_scale": 1.0})
+    for span in spans.values():
+        assert span.low <= span.value <= span.high
+        assert 0 < span.step < span.high - span.low
+    assert spans["height"].value == 1e3 * load(name).stand_height
+    assert fine(100.0) == 0.5
+    assert round_up(131.0) == 150.0
+
+
+def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(pa.MissingPackageError, match=r"pip install viser.*\[live\]"):
+        viser_parts.viser()
+    done = run_command("live", "v3", "--no-browser", folder=Path.cwd())
+    assert done.returncode == 2
+    assert "pupper-analysis[live]" in done.stderr
+
+
+def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(pa.ConfigurationError, match=f"cannot serve on 127.0.0.1:{port}"):
+            viser_parts.free_port("127.0.0.1", port)
+    assert viser_parts.free_port("127.0.0.1", port) == port
+    assert 1024 <= viser_parts.free_port("127.0.0.1", None) <= 65535
+    for host, wrong in (("203.0.113.7", None), ("no such host", None), ("127.0.0.1", 70000)):
+        with pytest.raises(pa.ConfigurationError, match=r"--port|cannot serve"):
+            viser_parts.free_port(host, wrong)
+
+
+class Headers(dict[str, str]):
+    """Of a request, as viser keeps it."""
+
+
+def connected(path: str, headers: dict[str, str]) -> Any:
+    """A server of viser's with one connection, 3."""
+    connection = SimpleNamespace(request=SimpleNamespace(path=path, headers=Headers(headers)))
+    return SimpleNamespace(
+        _websock_server=SimpleNamespace(_live_connections={3: connection}),
+        get_host=lambda: "127.0.0.1",
+        get_port=lambda: 80,
+    )
+
+
+def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
+    own = connected("/?state=roll:3;pitch:-1", {"Host": "pi:81", "Origin": "http://pi:81"})
+    assert viser_parts.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1", "")
+    other = connected("/", {"Host": "127.0.0.1:81", "Origin": "http://example.com"})
+    assert viser_parts.asked_for(other, 3) == ("127.0.0.1:81", "", "")
+    # A viser that keeps it elsewhere: a page without a state.
+    assert viser_parts.asked_for(own, 4) == ("127.0.0.1:80", "", "")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nobody"],
+        ["v3", "--base", "v3"],
+        ["--urdf", "a.urdf"],
+        ["v3", "--urdf", "a.urdf", "--mjcf", "a.xml"],
+        ["v3", "--state", "nonsense"],
+        ["v3", "--state", "lift:tail,20"],
+        ["v3", "--state", "payload:-1"],
+        ["v3", "--port", "99999"],
+        ["v3", "--host", "203.0.113.7"],
+        ["--leg-scale", "-1"],
+    ],
+)
+def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) -> None:
+    pytest.importorskip("viser")
+    done = run_command("live", *arguments, "--no-browser", folder=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert len(done.stderr.splitlines()) == 1

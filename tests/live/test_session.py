@@ -1,0 +1,405 @@
+"""A page's threads, with viser's server in the place of a browser: what is shown is never stale."""
+
+from __future__ import annotations
+
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.live import viser_parts
+from pupper_analysis.live.language import Language
+from pupper_analysis.live.model import Model
+from pupper_analysis.live.motion import between
+from pupper_analysis.live.session import Session
+from pupper_analysis.live.state import State
+from pupper_analysis.pupper.live import Variants
+from tests.support.variants import load
+
+pytest.importorskip("viser", reason="viser is not installed")
+
+PATIENCE = 60.0
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.01)
+
+
+class Browser:
+    """What a session needs of a browser, from viser's server; remembers what it is told."""
+
+    def __init__(self, server: Any) -> None:
+        self.gui, self.scene, self.atomic = server.gui, server.scene, server.atomic
+        self.told: list[tuple[str, str]] = []
+        self.saved: dict[str, bytes] = {}
+
+    def add_notification(self, title: str, body: str, **_: Any) -> None:
+        self.told.append((title, body))
+
+    def send_file_download(self, name: str, content: bytes, **_: Any) -> None:
+        self.saved[name] = content
+
+
+class Open:
+    """A session, and what its page says."""
+
+    def __init__(self, server: Any, state: State | None = None) -> None:
+        self.browser = Browser(server)
+        self.model = Model(Variants(pa.VARIANTS["v3"]))
+        self.session = Session(self.browser, self.model, state or State(), "here:1")
+        self.controls = self.session._panels.controls
+
+    def ask(self, state: State) -> None:
+        self.controls.put(state, told=True)
+
+    @property
+    def numbers(self) -> str:
+        return str(self.session._panels._numbers.content)
+
+    @property
+    def result(self) -> str:
+        return str(self.session._panels._result.content)
+
+    def shows(self, state: State) -> bool:
+        answer, _ = self.session.export()
+        return answer is not None and answer.state == state
+
+    def settled(self) -> bool:
+        answer, sag = self.session.export()
+        return answer is not None and answer.state == self.controls.state and sag is not None
+
+
+@pytest.fixture
+def server() -> Iterator[Any]:
+    host = "127.0.0.1"
+    one = viser_parts.started(host, viser_parts.free_port(host, None), "test")
+    yield one
+    viser_parts.stopped(one)
+
+
+@pytest.fixture
+def page(server: Any) -> Iterator[Open]:
+    one = Open(server)
+    wait_for(one.settled, "nothing is solved")
+    yield one
+    one.session.close()
+    for thread in one.session.threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
+def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
+    angles = np.linspace(0.0, 6.0, 200)
+    for angle in angles:
+        page.ask(State(roll=float(angle)))
+    last = State(roll=6.0)
+    wait_for(lambda: page.shows(last) and page.settled(), "the last one is not shown")
+    stand = pa.sunk_stand(load("v3"), last.task())
+    settled = pa.steady_state(load("v3"), stand)
+    assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
+    for torque in pa.stand_statics(load("v3"), stand).joint_torques:
+        assert f">{torque:+.4f}<" in page.numbers
+    assert page.session._panels._state.value == str(last)
+
+
+def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sag is held back; the page has the torques, and says that it is worked out."""
+    go_on = threading.Event()
+    real = pa.steady_state
+
+    def slow(*arguments: Any, **options: Any) -> Any:
+        go_on.wait(PATIENCE)
+        return real(*arguments, **options)
+
+    monkeypatch.setattr("pupper_analysis.live.model.steady_state", slow)
+    page.ask(State(pitch=4.0))
+    wait_for(lambda: page.shows(State(pitch=4.0)), "it is not solved")
+    assert "being worked out" in page.numbers
+    # Meanwhile the stance changes: what is found then is of none that is shown.
+    page.ask(State(pitch=5.0))
+    wait_for(lambda: page.shows(State(pitch=5.0)), "it waits for the sag")
+    go_on.set()
+    wait_for(page.settled, "no sag")
+    settled = real(load("v3"), pa.sunk_stand(load("v3"), State(pitch=5.0).task()))
+    assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
+
+
+def test_out_of_reach_is_told_at_once_and_explained_later(page: Open) -> None:
+    page.ask(State(roll=35.0))
+    wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
+    wait_for(lambda: "In the way: roll" in page.numbers, "it is not explained")
+    panels = page.session._panels
+    wait_for(lambda: panels._nearest.visible, "there is no way to the nearest")
+    assert "◆ 23.8 possible" in page.controls.sliders["roll"].label
+    assert [mark.value for mark in page.controls.sliders["roll"]._marks] == [23.8]
+    assert page.controls.sliders["pitch"]._marks is None
+    page.session.go_to_nearest()
+    wait_for(lambda: "in balance" in page.numbers, "the nearest is out of reach")
+    assert page.controls.state == State(roll=23.8)
+    wait_for(lambda: not panels._nearest.visible, "there is a way to the nearest still")
+    assert page.controls.sliders["roll"].label == "roll (°)"
+    assert page.controls.sliders["roll"]._marks is None
+
+
+def test_legs_that_grow_during_a_simulation_end_it(page: Open) -> None:
+    page.session.simulate()
+    assert "simulating" in page.result
+    for scale in (1.1, 1.2, 1.3):
+        page.ask(State(leg_scale=scale))
+    wait_for(lambda: page.shows(State(leg_scale=1.3)) and page.settled(), "not shown")
+    time.sleep(0.5)  # longer than what is left of the simulation
+    assert "Not simulated yet" in page.result
+    assert "1.3" in page.session._panels._command.value
+    # What nobody has set is that of the robot that is shown.
+    long = pa.load_variant(pa.VariantSpec("v3", 1.3))
+    assert page.controls.sliders["height"].value == round(1e3 * long.stand_height, 2)
+
+
+def test_a_simulation_is_told(page: Open) -> None:
+    page.session._panels._feedforward.value = True
+    page.session.simulate()
+    wait_for(lambda: "HOLDS" in page.result, "it is not verified")
+    page.session.push()  # while it is played
+    wait_for(lambda: "it recovers" in page.result, "it does not recover")
+
+
+def test_a_simulation_is_beside_the_prediction_for_what_it_commands(page: Open) -> None:
+    """Both are of the stand whose legs are longer by what feet sink: they are half a mm apart."""
+    page.ask(State(roll=5.0))
+    wait_for(lambda: page.shows(State(roll=5.0)), "not shown")
+    page.session.simulate()
+    wait_for(lambda: "base height" in page.result, "it is not simulated")
+    robot, task = load("v3"), State(roll=5.0).task()
+    held = pa.sunk_stand(robot, task)
+    heights = [float(text) for text in re.findall(r">(-?[\d.]+)</td><td>m<", page.result)]
+    assert heights[0] == pytest.approx(pa.steady_state(robot, held).base_height, abs=6e-6)
+    report = pa.verify_stand(robot, held, feedforward=False, duration=12.0)
+    assert heights[1] == pytest.approx(report.base_height, abs=6e-6)
+    assert abs(heights[0] - heights[1]) < 5e-4
+
+
+def test_a_slider_goes_through_what_was_simulated(page: Open, monkeypatch: Any) -> None:
+    drawn: list[Any] = []
+    page.session.push()
+    panels = page.session._panels
+    wait_for(lambda: panels._time.visible, "there is no slider")
+    assert panels._again.visible
+    monkeypatch.setattr(page.session._scene, "twin", lambda _r, qpos, *_, **__: drawn.append(qpos))
+    page.session.go_to_time(0.5)
+    motion = page.session._motion
+    assert motion is not None
+    np.testing.assert_allclose(drawn[-1], motion.at(0.5))
+    robot = load("v3")
+    trial = pa.push_trial(
+        robot, pa.sunk_stand(robot), *panels.push_asked, duration=4.0, feedforward=False
+    )
+    nearest = int(np.argmin(np.abs(trial.motion_time - trial.motion_time[0] - 0.5)))
+    assert np.abs(drawn[-1] - trial.motion[nearest]).max() < 0.02
+    assert panels._time.value == 0.5
+    time.sleep(0.2)
+    count = len(drawn)  # it is no longer played
+    time.sleep(0.3)
+    assert len(drawn) == count
+    page.session.play()
+    wait_for(lambda: len(drawn) > count + 3, "it is not played again")
+    page.ask(State(roll=1.0))
+    wait_for(lambda: not panels._time.visible, "a motion of another stance is left")
+
+
+def test_between_two_moves_of_a_hand_it_is_solved_once_more(
+    page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each picture is a stance that is solved: none is only drawn between two."""
+    monkeypatch.setattr("pupper_analysis.live.session.MOVING", PATIENCE)
+    shown: list[Any] = []
+    real = page.session._scene.show
+
+    def record(answer: Any) -> None:
+        shown.append(answer)
+        real(answer)
+
+    monkeypatch.setattr(page.session._scene, "show", record)
+    page.ask(State(roll=0.5))
+    wait_for(lambda: page.shows(State(roll=0.5)), "not shown")
+    asked = [1.5, 2.5, 3.5, 4.5]
+    for roll in asked:
+        page.ask(State(roll=roll))
+        wait_for(partial(page.shows, State(roll=roll)), "not shown")
+    rolls = [answer.state.roll for answer in shown]
+    assert rolls[0] == 0.25  # from 0 to 0.5
+    assert rolls[1:] == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
+    for answer in shown[1:3]:
+        stand = pa.sunk_stand(load("v3"), answer.state.task())
+        expected = pa.stand_statics(load("v3"), stand).joint_torques
+        assert answer.statics.joint_torques == pytest.approx(expected, abs=1e-9)
+    # What is out of reach is not shown in passing: the last one is.
+    page.ask(State(roll=60.0))
+    wait_for(lambda: page.shows(State(roll=60.0)), "not shown")
+    assert [answer.state.roll for answer in shown[10:]] == [60.0]
+    assert page.session._panels._state.value == "roll:60"
+
+
+HAN = re.compile("[\u4e00-\u9fff]")
+
+
+def test_a_page_goes_on_in_another_language(page: Open) -> None:
+    state = State(roll=35.0, swing={"FL": 10.0}, heights={"RR": 4.0})
+    page.ask(state)
+    wait_for(lambda: "In the way" in page.numbers, "it is not explained")
+    page.session._panels._feedforward.value = True
+    page.session.speak(Language("zh"))
+    page.controls = page.session._panels.controls
+    assert page.controls.state == state
+    assert "妨碍因素：" in page.numbers
+    assert "In the way" not in page.numbers
+    assert "language=zh" in page.session._panels._link.value
+    assert "--language zh" in page.session._panels._live.value
+    assert page.session._panels.feedforward
+    page.ask(State())
+    wait_for(lambda: "受力平衡" in page.numbers, "it does not stand")
+    wait_for(page.settled, "no sag")
+    page.session.simulate()
+    wait_for(lambda: "能保持" in page.result, "it is not verified")
+    for html in (page.numbers, page.result):
+        texts = re.sub(r"<style>.*?</style>|<[^>]*>", "|", html, flags=re.DOTALL)
+        for text in filter(None, (part.strip() for part in texts.split("|"))):
+            known = re.fullmatch(
+                r"(leg_\w+|FR|FL|RR|RL|v3, .* kg|[-+\d.e%/ ]*( ?(N|mm|m|rad|mm/s|s|°))*|0)", text
+            )
+            assert known or HAN.search(text), text
+    for name, slider in page.controls.sliders.items():
+        assert HAN.search(slider.label), name
+    page.session.speak(Language("en"))
+    assert "HOLDS" in page.numbers  # as it was simulated
+    assert not HAN.search(page.numbers)
+    assert "HOLDS" in page.result
+
+
+def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
+    controls = page.controls
+
+    class Event:
+        client = object()
+
+    def by_hand(handle: Any, value: object) -> None:
+        handle.value = value
+        for callback in handle._impl.update_cb:
+            callback(Event())
+
+    for foot, height in (("FL", 12.0), ("RR", 30.0)):
+        by_hand(controls.foot, foot)
+        assert not controls.lifted.value
+        by_hand(controls.sliders["lift"], height)
+        assert controls.lifted.value
+    by_hand(controls.foot, "FR")
+    by_hand(controls.sliders["step"], 15.0)
+    assert controls.state == State(swing={"FL": 12.0, "RR": 30.0}, heights={"FR": 15.0})
+    by_hand(controls.foot, "FL")
+    assert controls.sliders["lift"].value == 12.0
+    assert controls.sliders["step"].value == 0.0
+    by_hand(controls.lifted, False)
+    assert controls.state == State(swing={"RR": 30.0}, heights={"FR": 15.0})
+    wait_for(lambda: "in balance" in page.numbers and page.settled(), "not shown")
+    stand = pa.sunk_stand(load("v3"), controls.state.task())
+    for torque in pa.stand_statics(load("v3"), stand).joint_torques:
+        assert f">{torque:+.4f}<" in page.numbers
+
+
+def test_what_does_not_stand_is_not_simulated_nor_saved(page: Open) -> None:
+    page.ask(State(height=500.0))
+    wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
+    page.session.simulate()
+    assert "no stance" in page.result
+    page.session._panels._save("torques.csv")
+    assert page.browser.told[-1][0] == "Nothing to save"
+    page.ask(State())
+    wait_for(lambda: "in balance" in page.numbers, "it does not stand")
+    for name in ("torques.csv", "stance.json", "stance.py"):
+        page.session._panels._save(name)
+    assert set(page.browser.saved) == {"torques.csv", "stance.json", "stance.py"}
+
+
+def test_a_typed_state_is_taken_or_refused(page: Open) -> None:
+    page.session.go_to("roll:3;move:FL,5,0")
+    state = State(roll=3.0, foot_offsets={"FL": (5.0, 0.0)})
+    wait_for(lambda: page.shows(state), "it is not taken")
+    assert page.controls.foot.value == "FL"  # the sliders are those of the foot that is moved
+    assert page.controls.sliders["move_x"].value == 5.0
+    page.session.go_to("moon:3")
+    assert page.browser.told[-1][0] == "This is no state"
+    assert page.controls.state == state
+    page.session.go_to("lift:tail,10")  # a state, but not of this robot
+    wait_for(lambda: "no foot &#x27;tail&#x27;" in page.numbers, "it has a tail")
+    page.session.reset()
+    wait_for(lambda: page.shows(State()), "it is not reset")
+
+
+def test_what_is_typed_beyond_a_slider_stays_when_another_one_moves(page: Open) -> None:
+    class Event:
+        client = object()
+
+    def by_hand(name: str, value: float) -> None:
+        handle = page.controls.sliders[name]
+        handle.value = value
+        for callback in handle._impl.update_cb:
+            callback(Event())
+
+    payload = page.controls.sliders["payload"]
+    assert payload.max < 12.0
+    by_hand("payload", 12.0)
+    assert payload.max == payload.value == 12.0  # else the browser cuts it off
+    by_hand("roll", 2.0)
+    asked = State(payload=12.0, roll=2.0)
+    assert page.controls.state == asked
+    wait_for(lambda: page.shows(asked), "not shown")
+    assert "payload=12" in page.session._panels._command.value
+
+
+def test_values_beyond_a_slider_make_it_longer(page: Open) -> None:
+    assert page.controls.sliders["payload"].max < 20.0
+    page.ask(State(payload=20.0))
+    wait_for(lambda: page.shows(State(payload=20.0)), "not shown")
+    assert page.controls.sliders["payload"].max == 20.0
+    assert page.controls.sliders["payload"].value == 20.0
+
+
+def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: Any, **__: Any) -> None:
+        raise ZeroDivisionError("<b>oh</b>")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pupper_analysis.live.model.solve_stand", fails)
+        page.ask(State(roll=1.0))
+        wait_for(lambda: "ZeroDivisionError: &lt;b&gt;oh" in page.numbers, "it is not told")
+    page.ask(State(roll=2.0))
+    wait_for(lambda: "in balance" in page.numbers, "it is dead")
+
+
+def test_a_page_that_is_closed_in_a_simulation_ends(server: Any) -> None:
+    one = Open(server)
+    wait_for(one.settled, "nothing is solved")
+    one.session.simulate()
+    one.session.close()
+    for thread in one.session.threads:
+        thread.join(PATIENCE)
+        assert not thread.is_alive()
+
+
+def test_a_motion_is_played_between_its_samples() -> None:
+    qpos = np.array([0.0, 0, 0, 1, 0, 0, 0, 0.5])
+    other = np.array([1.0, 0, 0, -np.cos(0.1), 0, 0, -np.sin(0.1), 0.7])  # turned by 0.2 rad
+    motion, times = np.array([qpos, other]), np.array([0.0, 0.2])
+    middle = between(times, motion, 0.1)
+    assert middle[0] == pytest.approx(0.5)
+    assert middle[7] == pytest.approx(0.6)
+    assert middle[3:7] == pytest.approx([np.cos(0.05), 0, 0, np.sin(0.05)], abs=1e-3)
+    assert between(times, motion, 5.0)[7] == pytest.approx(0.7)

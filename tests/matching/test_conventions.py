@@ -1,0 +1,317 @@
+"""What has no effect on the robot is no cause; what is a convention is told once, as that."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.report.test_comparison import lines
+from tests.support.robots import (
+    FEET,
+    Files,
+    Frame,
+    Part,
+    Parts,
+    arm,
+    changed,
+    compared,
+    found,
+    mjcf_text,
+    quadruped,
+    turned_about,
+    urdf_text,
+    write,
+)
+
+Frames = list[Frame]
+
+
+def rotation_of(part: Part) -> Rotation:
+    return Rotation.from_quat(part.quaternion, scalar_first=True)
+
+
+def reframed(
+    parts: Parts, frames: Frames, link: str, turn: Rotation, shift: np.ndarray
+) -> tuple[Parts, Frames]:
+    """The same robot with the frame of a link turned, and its origin shifted in its old axes."""
+
+    def inside(point: object) -> tuple[float, ...]:
+        return tuple(turn.inv().apply(np.array(point) - shift))
+
+    part = parts[link]
+    xx, yy, zz, xy, xz, yz = part.inertia
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    tensor = turn.as_matrix().T @ tensor @ turn.as_matrix()
+    new = dict(parts)
+    new[link] = replace(
+        part,
+        position=tuple(np.array(part.position) + rotation_of(part).apply(shift)),
+        quaternion=tuple((rotation_of(part) * turn).as_quat(scalar_first=True)),
+        axis=tuple(turn.inv().apply(part.axis)),
+        com=inside(part.com),
+        inertia=(*np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]),
+    )
+    if not part.parent:  # the pose of a base is no number of its file
+        new[link] = replace(new[link], position=part.position, quaternion=part.quaternion)
+    for name, child in parts.items():
+        if child.parent == link:
+            new[name] = replace(
+                child,
+                position=inside(child.position),
+                quaternion=tuple((turn.inv() * rotation_of(child)).as_quat(scalar_first=True)),
+            )
+    moved = [f._replace(position=inside(f.position)) if f.link == link else f for f in frames]
+    return new, moved
+
+
+def pair(folder: Path, mjcf: Parts, frames: Frames = FEET, urdf: Parts | None = None) -> Files:
+    free = "thigh0" in mjcf
+    texts = urdf_text(urdf or quadruped()), mjcf_text(mjcf, frames, free=free)
+    return write(folder, *texts)
+
+
+def along_axis(part: Part, length: float) -> np.ndarray:
+    return length * np.array(part.axis)
+
+
+# ------------------------------------------------------------------------------------- link frames
+
+
+@pytest.mark.parametrize("link", ["thigh0", "shank3"])
+def test_a_joints_origin_slid_along_its_own_axis_is_nothing(tmp_path: Path, link: str) -> None:
+    parts = quadruped()
+    mjcf, feet = reframed(parts, FEET, link, Rotation.identity(), along_axis(parts[link], 0.138))
+    comparison = compared(pair(tmp_path, mjcf, feet))
+    assert comparison.agree
+    assert lines(comparison)[0] == "AGREE: no difference within the tolerances"
+    assert max(q.relative for q in comparison.check.quantities) < 1e-9
+
+
+def test_all_link_frames_elsewhere_are_nothing(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    mjcf, feet = quadruped(), FEET
+    for link, part in quadruped().items():
+        if part.parent:
+            turn = Rotation.random(rng=random)
+            shift = along_axis(mjcf[link], random.normal() * 0.1)
+            mjcf, feet = reframed(mjcf, feet, link, turn, shift)
+    assert compared(pair(tmp_path, mjcf, feet)).agree
+
+
+def test_frames_that_are_turned_in_a_row_and_back_after_the_last_are_nothing(
+    tmp_path: Path,
+) -> None:
+    """As the thumb of a Shadow Hand: by itself no link's frame is nearer to the other file's."""
+    links, axes = ["base", "t5", "t4", "t3", "t2", "t1"], ["z", "x", "x", "y", "y"]
+    thumb = {"base": Part("base", mass=2.0)}
+    for parent, link, axis in zip(links, links[1:], axes, strict=False):
+        thumb[link] = Part(
+            link, parent, f"joint_{link}", position=(0.0, 0.0, 0.03), com=(0.0, 0.0, 0.02),
+            axis=tuple(float(axis == name) for name in "xyz"), inertia=(1e-3,) * 3 + (0.0,) * 3,
+        )  # fmt: skip
+    mjcf, quarter = thumb, Rotation.from_rotvec([0, 0, math.pi / 2])
+    for link in links[1:5]:
+        mjcf, _ = reframed(mjcf, [], link, quarter, np.zeros(3))
+    files = write(tmp_path, urdf_text(thumb), mjcf_text(mjcf, [], free=False))
+    comparison = compared(files)
+    assert comparison.agree, comparison.differences
+    # One axis that really differs is still told, and it alone.
+    axis = tuple(Rotation.from_rotvec([0, 0, 0.1]).apply(mjcf["t3"].axis))
+    files = write(tmp_path, urdf_text(thumb), mjcf_text(changed(mjcf, "t3", axis=axis), free=False))
+    comparison = compared(files)
+    assert found(comparison) == [("axis", "joint_t3")]
+    assert "turned by 5.73 deg" in comparison.differences[0].message
+
+
+def test_the_origin_of_a_slide_is_nothing(tmp_path: Path) -> None:
+    mjcf, _ = reframed(arm(), [], "rod", Rotation.identity(), np.array([0.1, -0.2, 0.05]))
+    assert compared(pair(tmp_path, mjcf, urdf=arm())).agree
+
+
+def test_what_is_off_the_axis_is_found_at_its_size(tmp_path: Path) -> None:
+    """138 mm along the axis, 0.7 mm off it: 0.7 mm is what is wrong."""
+    parts = quadruped()
+    mjcf, feet = reframed(parts, FEET, "shank0", Rotation.identity(), np.array([0, 0.138, 0]))
+    place = np.array(mjcf["shank0"].position) + rotation_of(mjcf["shank0"]).apply([7e-4, 0, 0])
+    comparison = compared(pair(tmp_path, changed(mjcf, "shank0", position=tuple(place)), feet))
+    assert found(comparison) == [("position", "knee0")]
+    assert lines(comparison)[0].startswith("DISAGREE: joint knee0: 0.7 mm apart")
+    assert comparison.complete
+
+
+def test_a_real_slip_along_the_axis_is_still_one(tmp_path: Path) -> None:
+    """Nothing compensates for it: the whole leg is elsewhere."""
+    place = np.array(quadruped()["shank0"].position) + rotation_of(quadruped()["shank0"]).apply(
+        [0, 0.01, 0]
+    )
+    comparison = compared(pair(tmp_path, changed(quadruped(), "shank0", position=tuple(place))))
+    assert found(comparison) == [("position", "knee0")]
+
+
+# ------------------------------------------------------------------------------------- zeros
+
+
+def zero_elsewhere(parts: Parts, link: str, offset: float) -> Parts:
+    part = parts[link]
+    return changed(
+        parts,
+        link,
+        quaternion=turned_about(part, part.axis, offset),
+        lower=part.lower - offset,
+        upper=part.upper - offset,
+    )
+
+
+@pytest.mark.parametrize("offset", [0.3, -2.0])
+def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offset: float) -> None:
+    comparison = compared(pair(tmp_path, zero_elsewhere(quadruped(), "shank1", offset)))
+    assert found(comparison) == [("zero", "knee1")]
+    sign = "+" if offset > 0 else "-"
+    assert lines(comparison)[0].startswith(
+        "ONE ROBOT, OTHER COORDINATES: joint knee1: its zero is elsewhere, and its limits with it: "
+        f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
+    )
+    # The one cause is all there is: at matched zeros the two are the same robot.
+    assert comparison.complete
+    assert max(comparison.deviations.values()) < 1e-9
+    assert comparison.differences[0].effects["gravity"].relative > 1e-4
+
+
+@pytest.mark.slow
+def test_other_coordinates_may_be_allowed(tmp_path: Path) -> None:
+    """Then the files agree, and notes tell what a controller must know; all else still counts."""
+    mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)
+    mjcf, feet = reframed(mjcf, FEET, "base", *POSES["both"])
+    files = pair(tmp_path, mjcf, feet)
+    assert sorted(found(compared(files))) == [("base frame", "base"), ("zero", "knee1")]
+    comparison = compared(files, any_coordinates=True)
+    assert comparison.agree
+    assert comparison.same_robot
+    notes = " ".join(map(str, comparison.notes))
+    assert "joint knee1: its zero is elsewhere" in notes
+    assert "q of the URDF = q of the MJCF + 0.3 rad" in notes
+    assert "the base's frame is elsewhere" in notes
+    files = pair(tmp_path, changed(mjcf, "shank1", mass=mjcf["shank1"].mass * 1.01), feet)
+    for allowed in (True, False):
+        comparison = compared(files, any_coordinates=allowed)
+        assert ("mass", "knee1") in found(comparison)
+        assert not comparison.same_robot
+        assert not comparison.agree
+        assert lines(comparison)[0].startswith("DISAGREE: ")
+
+
+def test_zeros_and_frames_together(tmp_path: Path) -> None:
+    mjcf, feet = reframed(
+        quadruped(), FEET, "thigh2", Rotation.from_rotvec([0.4, 1.0, -2.0]), np.array([0.02, 0, 0])
+    )
+    mjcf = zero_elsewhere(mjcf, "thigh2", 0.4)
+    comparison = compared(pair(tmp_path, mjcf, feet))
+    assert found(comparison) == [("zero", "hip2")]
+    assert comparison.complete
+
+
+def test_the_zero_of_a_slide(tmp_path: Path) -> None:
+    rod = arm()["rod"]
+    place = tuple(np.array(rod.position) + rotation_of(rod).apply([0.02, 0, 0]))
+    mjcf = changed(arm(), "rod", position=place, lower=rod.lower - 0.02, upper=rod.upper - 0.02)
+    comparison = compared(pair(tmp_path, mjcf, urdf=arm()))
+    assert found(comparison) == [("zero", "push")]
+    assert "q of the URDF = q of the MJCF + 0.02 m;" in comparison.differences[0].message
+
+
+def test_limits_that_do_not_follow_are_no_convention(tmp_path: Path) -> None:
+    part = quadruped()["shank1"]
+    mjcf = changed(quadruped(), "shank1", quaternion=turned_about(part, part.axis, 0.3))
+    comparison = compared(pair(tmp_path, mjcf))
+    assert found(comparison) == [("rotation", "knee1")]
+
+
+# ------------------------------------------------------------------------------------- the base
+
+
+POSES = {
+    "turned": (Rotation.from_rotvec([0, 0, math.pi / 2]), np.zeros(3)),
+    "shifted": (Rotation.identity(), np.array([0.05, 0.0, -0.02])),
+    "both": (Rotation.from_rotvec([0.3, -0.2, 1.0]), np.array([0.05, 0.01, -0.02])),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pose", POSES)
+def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: str) -> None:
+    mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])
+    comparison = compared(pair(tmp_path, mjcf, feet))
+    assert found(comparison) == [("base frame", "base")]
+    assert lines(comparison)[0].startswith(
+        "ONE ROBOT, OTHER COORDINATES: the base's frame is elsewhere: that of the "
+    )
+    assert comparison.same_robot
+    assert not comparison.agree
+    assert comparison.complete
+    assert max(comparison.deviations.values()) < 1e-9
+
+
+def test_other_differences_are_told_beside_the_frame_of_the_base(tmp_path: Path) -> None:
+    mjcf, feet = reframed(quadruped(), FEET, "base", *POSES["both"])
+    comparison = compared(pair(tmp_path, changed(mjcf, "shank0", mass=0.3), feet))
+    assert sorted(found(comparison)) == [("base frame", "base"), ("mass", "knee0")]
+    assert comparison.complete
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_the_frame_of_a_fixed_base_elsewhere_is_a_note(tmp_path: Path, pose: str) -> None:
+    mjcf, _ = reframed(arm(), [], "base", *POSES[pose])
+    comparison = compared(pair(tmp_path, mjcf, urdf=arm()))
+    assert comparison.agree
+    said = [note for note in comparison.notes if "the frame of the fixed base" in str(note)]
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize("names", [True, False])
+def test_a_fixed_base_that_is_turned_in_the_world_is_said_once(tmp_path: Path, names: bool) -> None:
+    urdf = arm()
+    if not names:
+        urdf = {name: replace(part, joint=f"j_{part.joint}_x") for name, part in arm().items()}
+    mjcf = changed(arm(), "base", quaternion=(0.5, 0.5, 0.5, 0.5))
+    comparison = compared(pair(tmp_path, mjcf, urdf=urdf))
+    assert comparison.agree
+    said = [str(note) for note in comparison.notes if "stands" in str(note)]
+    assert said == [
+        "the MJCF's fixed base 'base' stands turned by 120 deg about (0.57735, 0.57735, 0.57735), "
+        "in the world; the URDF's was put there"
+    ]
+    assert set(comparison.joints) == {"turn", "lift", "push"}
+
+
+def test_what_only_one_joint_shows_is_no_note(tmp_path: Path) -> None:
+    """A base without mass: is its frame turned by a quarter, or the zero of the joint on it?"""
+    bare = changed(arm(), "base", mass=0.0)
+    mjcf, _ = reframed(bare, [], "base", *POSES["turned"])
+    comparison = compared(pair(tmp_path, mjcf, urdf=bare))
+    assert not comparison.agree
+    assert found(comparison) == [("base frame", "base")]
+    assert "or the zero of the one joint on it is" in lines(comparison)[0]
+    assert comparison.complete
+
+
+def test_the_limits_of_the_one_joint_on_a_base_tell_where_its_zero_is(tmp_path: Path) -> None:
+    """Those of a zero that is elsewhere are so, too: the base is mounted elsewhere, no more."""
+    bare = changed(arm(), "base", mass=0.0)
+    bare = changed(bare, "column", kind="revolute", lower=-1.0, upper=1.5)
+    mjcf, _ = reframed(bare, [], "base", *POSES["turned"])
+    comparison = compared(pair(tmp_path, mjcf, urdf=bare))
+    assert comparison.agree
+    assert (
+        len([note for note in comparison.notes if "the frame of the fixed base" in str(note)]) == 1
+    )
+    # With the limits moved by the quarter, it is the zero, or the frame with other limits.
+    column = mjcf["column"]
+    quarter = math.pi / 2
+    moved = changed(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
+    comparison = compared(pair(tmp_path, moved, urdf=bare))
+    assert not comparison.agree

@@ -1,0 +1,840 @@
+"""Two files of one robot are brought together, however they name and arrange it; or refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.matching.match import read_mapping
+from tests.support.robots import (
+    FEET,
+    Files,
+    Frame,
+    Part,
+    Parts,
+    arm,
+    changed,
+    compared,
+    found,
+    matched,
+    mjcf_text,
+    pendulum,
+    quadruped,
+    urdf_text,
+    write,
+    write_parts,
+)
+
+URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
+JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
+
+
+def compare_texts(folder: Path, urdf: str, mjcf: str, **options: Any) -> Comparison:
+    return compared(write(folder, urdf, mjcf), **options)
+
+
+def light(name: str, parent: str, **values: Any) -> Part:
+    part = Part(name, parent, f"to_{name}", position=(-0.3, 0.0, 0.02), mass=0.1)
+    return replace(part, inertia=(1e-4, 1e-4, 1e-4, 0, 0, 0), **values)
+
+
+def with_root(kind: str, origin: str = "", urdf: str = URDF) -> str:
+    joint = f'<joint name="anchor" type="{kind}">{origin}<parent link="world"/>'
+    head = f'<link name="world"/>\n{joint}<child link="base"/></joint>'
+    return urdf.replace('<robot name="machine">', f'<robot name="machine">\n{head}')
+
+
+# ------------------------------------------------------------------------------------- by name
+
+
+def test_joints_and_actuators_in_another_order(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, quadruped(), quadruped(), backwards=True)
+    comparison = compared(files)
+    assert comparison.agree
+    assert set(comparison.joints) == JOINTS
+    assert comparison.joints[0] == "knee3"  # the MJCF's actuators are in reverse
+    assert comparison.guessed == {}
+    assert comparison.only_urdf == comparison.only_mjcf == ()
+
+
+@pytest.mark.parametrize(
+    "free", ["<freejoint/>", '<freejoint name="root"/>', '<joint type="free"/>']
+)
+def test_the_free_joint_needs_no_name(tmp_path: Path, free: str) -> None:
+    assert compare_texts(tmp_path, URDF, MJCF.replace("<freejoint/>", free)).agree
+
+
+def test_elements_are_matched_in_both_files(tmp_path: Path) -> None:
+    match = matched(write(tmp_path, URDF, MJCF))
+    assert match.urdf_joint == {name: name for name in JOINTS}
+    assert match.urdf_link["knee2"] == match.mjcf_body["knee2"] == "shank2"
+    assert match.urdf_link["base"] == match.mjcf_body["base"] == "base"
+
+
+# ------------------------------------------------------------------------------------- the root
+
+
+@pytest.mark.parametrize("kind", ["fixed", "floating"])
+def test_a_root_link_without_mass_is_left_out_and_said_so(tmp_path: Path, kind: str) -> None:
+    comparison = compare_texts(tmp_path, with_root(kind), MJCF)
+    assert comparison.agree
+    assert "robot.urdf: root link 'world' has no mass and was left out" in map(
+        str, comparison.notes
+    )
+
+
+def test_two_root_links_without_mass(tmp_path: Path) -> None:
+    text = with_root("fixed")
+    text = text.replace(
+        '<link name="world"/>',
+        '<link name="map"/><joint name="m" type="floating"><parent link="map"/>'
+        '<child link="world"/></joint><link name="world"/>',
+    )
+    assert compare_texts(tmp_path, text, MJCF).agree
+
+
+def test_a_root_link_with_mass_is_part_of_the_robot(tmp_path: Path) -> None:
+    """Its mass is folded into the base, and so is a difference."""
+    inertial = (
+        '<inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    heavy = f'<link name="world">{inertial}</link>'
+    text = with_root("fixed").replace('<link name="world"/>', heavy)
+    comparison = compare_texts(tmp_path, text, MJCF)
+    assert found(comparison)[0] == ("mass", "world")
+    assert comparison.differences[0].urdf == pytest.approx(6.5)
+
+
+def test_an_mjcf_in_the_frame_of_the_urdfs_root(tmp_path: Path) -> None:
+    """The base hangs on a root link 0.1 m below it, whose frame the MJCF has kept."""
+    lift = np.array([0.0, 0.0, 0.1])
+    lifted = {
+        name: replace(
+            part,
+            position=tuple(part.position + lift) if part.parent == "base" else part.position,
+            com=tuple(part.com + lift) if name == "base" else part.com,
+        )
+        for name, part in quadruped().items()
+    }
+    text = with_root("fixed", '<origin xyz="0 0 0.1"/>')
+    mjcf = mjcf_text(lifted).replace('<body name="base"', '<body name="world_"')
+    assert found(compare_texts(tmp_path, text, mjcf)) == []
+
+
+def test_a_root_link_above_the_base_whose_frame_the_mjcf_has(tmp_path: Path) -> None:
+    assert compare_texts(tmp_path, with_root("fixed", '<origin xyz="0 0 0.1"/>'), MJCF).agree
+
+
+def test_a_fixed_base_in_both(tmp_path: Path) -> None:
+    files = write_parts(tmp_path, arm(), arm(), free=False, base_position=(0.3, 0.2, 0.1))
+    comparison = compared(files)
+    assert comparison.agree
+    match = matched(files)
+    assert not match.robot.floating
+    assert match.robot.nv == 3
+
+
+def test_one_joint_is_enough(tmp_path: Path) -> None:
+    tip = [Frame("tip", "bob", (0.0, 0.0, -0.5))]
+    urdf, mjcf = urdf_text(pendulum(), tip), mjcf_text(pendulum(), tip, free=False)
+    comparison = compare_texts(tmp_path, urdf, mjcf)
+    assert comparison.agree
+    assert comparison.check.passed
+    assert comparison.joints == ("swing",)
+
+
+def test_an_mjcf_whose_base_has_no_name(tmp_path: Path) -> None:
+    comparison = compare_texts(tmp_path, URDF, MJCF.replace('<body name="base"', "<body"))
+    assert comparison.agree
+
+
+def test_an_mjcf_without_any_body_name(tmp_path: Path) -> None:
+    mjcf = MJCF
+    for name in quadruped():
+        mjcf = mjcf.replace(f'<body name="{name}"', "<body")
+    assert compare_texts(tmp_path, URDF, mjcf).agree
+
+
+# ------------------------------------------------------------------------------------- welds
+
+
+def split(parts: Parts) -> Parts:
+    """The shank of leg 0 as two bodies on a fixed joint, with the same mass in all."""
+    whole = parts["shank0"]
+    com, half = np.array(whole.com), 0.5 * np.array(whole.inertia)
+    shared = {"mass": whole.mass / 2, "inertia": tuple(half)}
+    below = Part("toe0", "shank0", "toe", "fixed", position=(0.0, 0.0, -0.2), **shared)
+    below = replace(below, com=tuple(com - (0.0, 0.0, -0.2)))
+    return {**changed(parts, "shank0", **shared), "toe0": below}
+
+
+@pytest.mark.parametrize("where", ["urdf", "mjcf"])
+def test_fixed_children_may_be_merged_in_one_file(tmp_path: Path, where: str) -> None:
+    urdf = split(quadruped()) if where == "urdf" else quadruped()
+    mjcf = split(quadruped()) if where == "mjcf" else quadruped()
+    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    assert found(comparison) == []
+    assert comparison.agree
+
+
+def test_a_fixed_child_that_is_missing_is_a_mass(tmp_path: Path) -> None:
+    parts = quadruped() | {"pack": replace(light("pack", "thigh1"), kind="fixed", mass=0.4)}
+    comparison = compared(write_parts(tmp_path, parts, quadruped()))
+    assert found(comparison)[0] == ("mass", "hip1")
+    assert comparison.differences[0].urdf == pytest.approx(1.05 + 0.4)
+    assert comparison.complete
+
+
+# ------------------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_a_joint_of_several_degrees_of_freedom_in_the_urdf(tmp_path: Path, kind: str) -> None:
+    text = URDF.replace('<joint name="hip1" type="revolute">', f'<joint name="hip1" type="{kind}">')
+    comparison = compare_texts(tmp_path, text, MJCF)
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert found(comparison) == []  # all else is compared, with the leg at rest
+    assert not comparison.agree
+    (note,) = [note for note in comparison.notes if "hip1" in str(note)]
+    assert str(note).startswith(f"joint 'hip1' of the URDF is {kind} and was fixed at rest;")
+
+
+def test_a_ball_joint_in_the_mjcf(tmp_path: Path) -> None:
+    text = MJCF.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    text = text.replace(motor, "")
+    comparison = compare_texts(tmp_path, URDF, text)
+    assert comparison.only_urdf == comparison.only_mjcf == ("hip1",)
+    assert found(comparison) == []
+    assert not comparison.agree
+    (note,) = [note for note in comparison.notes if "ball" in str(note)]
+    assert str(note).startswith("ball joints, which a URDF cannot state, were fixed at rest: hip1;")
+
+
+def test_what_else_differs_beside_a_ball_joint_is_found(tmp_path: Path) -> None:
+    text = mjcf_text(changed(quadruped(), "shank1", mass=0.4))
+    text = text.replace('name="hip1" type="hinge"', 'name="hip1" type="ball" limited="false"')
+    motor = next(line for line in text.splitlines() if 'joint="hip1"' in line)
+    comparison = compare_texts(tmp_path, URDF, text.replace(motor, ""))
+    assert found(comparison) == [("mass", "knee1")]
+    assert comparison.complete
+
+
+def test_a_closed_loop_is_compared_as_the_tree_that_it_is(tmp_path: Path) -> None:
+    loop = '<equality><connect body1="shank0" body2="shank1" anchor="0 0 0"/></equality>'
+    mjcf = mjcf_text(changed(quadruped(), "shank1", mass=0.4), extra=loop)
+    comparison = compare_texts(tmp_path, URDF, mjcf)
+    assert sorted(kind for kind, _ in found(comparison)) == ["equality", "mass"]
+    assert comparison.complete
+
+
+def test_an_mjcf_without_joints(tmp_path: Path) -> None:
+    text = '<mujoco><worldbody><body><geom size="1"/></body></worldbody></mujoco>'
+    with pytest.raises(ModelError, match="it has no joints"):
+        compare_texts(tmp_path, URDF, text)
+
+
+def test_robots_that_have_nothing_in_common(tmp_path: Path) -> None:
+    """Names and structure differ: no guess, but a hint at mappings."""
+    other = {name: replace(part, joint=f"x{part.joint}") for name, part in arm().items()}
+    with pytest.raises(ModelError, match=r"no joint in common .*name the pairs with a mapping"):
+        compared(write_parts(tmp_path, quadruped(), other))
+
+
+# ------------------------------------------------------------------------------------- the scene
+
+BALL = '<body name="ball" pos="2 0 0"><freejoint/><geom size="0.1"/></body>'
+DOOR = '<body name="door"><joint name="hinge" axis="0 0 1"/><geom size="1"/></body>'
+
+
+def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> None:
+    scene = f'<geom type="plane" size="1 1 1"/>{BALL}{DOOR}'
+    references = (
+        '<sensor><framepos objtype="body" objname="ball"/></sensor>'
+        '<contact><exclude body1="ball" body2="base"/></contact>'
+        '<keyframe><key name="home" qpos="' + "0 " * 23 + '"/></keyframe>'
+    )
+    mjcf = mjcf_text(quadruped(), scene=scene, extra=references)
+    comparison = compare_texts(tmp_path, URDF, mjcf)
+    assert comparison.agree
+    assert "robot.xml: body 'ball' is not part of the robot: left out" in map(str, comparison.notes)
+    assert "robot.xml: body 'door' is not part of the robot: left out" in map(str, comparison.notes)
+
+
+def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
+    """What is static is lumped with a fixed base, but not a table that the URDF has not."""
+    table = '<body name="table" pos="1 0 0"><geom size="0.1"/></body>'
+    mjcf = mjcf_text(arm(), free=False, scene=table)
+    comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
+    assert comparison.agree
+    assert comparison.engines == ()
+    assert "robot.xml: body 'table' is not part of the robot: left out" in map(
+        str, comparison.notes
+    )
+    heavier = mjcf_text(changed(arm(), "base", mass=3.5), free=False, scene=table)
+    assert found(compare_texts(tmp_path, urdf_text(arm()), heavier)) == [("mass", "base")]
+
+
+def test_loose_objects_without_names(tmp_path: Path) -> None:
+    scene = BALL.replace(' name="ball"', "")
+    mjcf = mjcf_text(quadruped(), scene=scene).replace('<body name="base"', "<body")
+    assert compare_texts(tmp_path, URDF, mjcf).agree
+
+
+def test_included_parts_and_default_classes(tmp_path: Path) -> None:
+    """Damping, armature and range come from classes in an included file."""
+    lines = MJCF.replace('damping="0.1" frictionloss="0.2"', 'class="joints"')
+    (tmp_path / "defaults.xml").write_text(
+        '<mujocoinclude><default><default class="joints">'
+        '<joint damping="0.1" frictionloss="0.2" limited="true"/></default></default>'
+        "</mujocoinclude>"
+    )
+    text = lines.replace("<worldbody>", '<include file="defaults.xml"/><worldbody>', 1)
+    assert compare_texts(tmp_path, URDF, text).agree
+    (tmp_path / "defaults.xml").write_text(
+        (tmp_path / "defaults.xml").read_text().replace("0.1", "0.3")
+    )
+    comparison = compare_texts(tmp_path, URDF, text)
+    assert {kind for kind, _ in found(comparison)} == {"damping"}
+    assert len(comparison.differences) == 8
+
+
+def test_inertias_from_geoms(tmp_path: Path) -> None:
+    """A box of density 1000 instead of an inertial: the closed form is the URDF's."""
+    a, b, c = 0.1, 0.2, 0.04
+    mass = 1000 * a * b * c
+    moments = [mass / 12 * (x * x + y * y) for x, y in ((b, c), (a, c), (a, b))]
+    parts = changed(quadruped(), "base", mass=mass, com=(0.1, 0, 0), inertia=(*moments, 0, 0, 0))
+    text = mjcf_text(changed(quadruped(), "base", mass=0.0))
+    geom = f'<geom type="box" size="{a / 2} {b / 2} {c / 2}" pos="0.1 0 0"/>'
+    comparison = compare_texts(
+        tmp_path, urdf_text(parts), text.replace("<freejoint/>", f"<freejoint/>{geom}")
+    )
+    assert found(comparison) == []
+
+
+# ------------------------------------------------------------------------------------- couplings
+
+
+def test_a_mimic_joint_that_the_mjcf_leaves_free_is_a_difference(tmp_path: Path) -> None:
+    mimic = '<mimic joint="hip0" multiplier="2"/>\n<axis xyz="0.0 1.0 0.0"/>'
+    text = URDF.replace('<axis xyz="0.0 1.0 0.0"/>', mimic, 1)
+    comparison = compare_texts(tmp_path, text, MJCF)
+    assert "knee0" in comparison.joints
+    assert found(comparison) == [("mimic", "knee0")]
+    assert comparison.differences[0].message == (
+        "joint knee0: it mimics hip0 in the URDF (times 2, plus 0), and no joint equality of the "
+        "MJCF says so"
+    )
+
+
+def test_joints_that_the_mjcf_alone_couples_are_a_difference(tmp_path: Path) -> None:
+    extra = '<equality><joint joint1="hip0" joint2="hip1"/></equality>'
+    comparison = compare_texts(tmp_path, URDF, mjcf_text(quadruped(), extra=extra))
+    assert found(comparison) == [("equality", "#0")]
+    assert "it is a joint of joint hip0 and joint hip1" in comparison.differences[0].message
+
+
+# ------------------------------------------------------------------------------------- left over
+
+
+@pytest.mark.parametrize("where", ["urdf", "mjcf"])
+def test_a_joint_of_one_file_is_fixed_at_zero_and_named(tmp_path: Path, where: str) -> None:
+    tail = {"tail": light("tail", "base")}
+    still = {"tail": replace(tail["tail"], kind="fixed")}
+    urdf = quadruped() | (tail if where == "urdf" else still)
+    mjcf = quadruped() | (tail if where == "mjcf" else still)
+    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    assert (comparison.only_urdf, comparison.only_mjcf) == (
+        (("to_tail",), ()) if where == "urdf" else ((), ("to_tail",))
+    )
+    assert found(comparison) == []  # what moves in both is alike
+    assert not comparison.agree  # but the joints are not
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        '<equality><joint joint1="to_tail" joint2="hip0"/></equality>',
+        '<sensor><jointpos joint="to_tail"/><actuatorfrc actuator="m_to_tail"/></sensor>',
+        '<tendon><fixed><joint joint="to_tail" coef="1"/></fixed></tendon>',
+        '<tendon><fixed name="t"><joint joint="to_tail" coef="1"/><joint joint="hip0" coef="1"/>'
+        '</fixed></tendon><actuator><motor tendon="t"/></actuator>',
+        f'<keyframe><key name="home" qpos="{"0 " * 16}"/></keyframe>',
+        "",
+    ],
+)
+def test_what_refers_to_a_joint_of_the_mjcf_alone_goes_with_it(tmp_path: Path, extra: str) -> None:
+    mjcf = mjcf_text(quadruped() | {"tail": light("tail", "base")}, extra=extra)
+    comparison = compare_texts(tmp_path, URDF, mjcf)
+    assert comparison.only_mjcf == ("to_tail",)
+    assert [str(part) for part in comparison.parts] == [
+        "the MJCF has a tail that the URDF lacks: body tail on the base (0.1 kg), with joint "
+        "to_tail"
+    ]
+    assert found(comparison) == []  # with it taken off
+    assert not comparison.agree
+    assert comparison.complete
+
+
+# ------------------------------------------------------------------------------------- by structure
+
+
+def renamed(urdf: Parts, **names: str) -> Parts:
+    return {
+        name: replace(part, joint=names.get(part.joint, part.joint)) for name, part in urdf.items()
+    }
+
+
+def other_links(parts: Parts) -> Parts:
+    """The parts with links of names that the other file does not know."""
+    names = {name: f"body{chr(97 + number)}" for number, name in enumerate(parts)}
+    return {
+        names[name]: replace(part, link=names[name], parent=names.get(part.parent, ""))
+        for name, part in parts.items()
+    }
+
+
+def test_names_that_all_differ_are_matched_by_structure_and_said_so(tmp_path: Path) -> None:
+    names = {name: f"joint_{number}" for number, name in enumerate(sorted(JOINTS, reverse=True))}
+    files = write_parts(tmp_path, renamed(quadruped(), **names), other_links(quadruped()))
+    comparison = compared(files)
+    assert comparison.guessed == {new: old for old, new in names.items()}
+    assert comparison.agree
+    assert set(comparison.joints) == JOINTS
+
+
+def test_ambiguous_structure_is_not_guessed(tmp_path: Path) -> None:
+    """Two hinges at the same place, with the same axis: neither name tells which is which."""
+    twins = {
+        f"{side}": light(side, "base", position=(0.3, y, 0.0))
+        for side, y in (("left", 0.005), ("right", -0.005))
+    }
+    urdf = quadruped() | renamed(twins, to_left="one", to_right="two")
+    middle = {
+        "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
+        "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
+    }
+    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped() | middle)))
+    assert comparison.guessed == {}
+    assert comparison.only_urdf == ("one", "two")
+    assert comparison.only_mjcf == ("to_left", "to_right")
+
+
+def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
+    """As Cassie's two models: turned by half a turn about z, its legs match as well, exchanged."""
+
+    def walker(x: float, hip: str, knee: str, last: tuple[float, float, float]) -> Parts:
+        parts = {"base": quadruped()["base"]}
+        for side, y in (("left", 0.13), ("right", -0.13)):
+            names = [word.replace("*", side) for word in (hip, knee, "end_*" + hip)]
+            places, axes = [(x, y, 0.0), (0.0, 0.0, -0.3), (0.0, 0.0, -0.4)], [(1.0, 0.0, 0.0)]
+            axes += [(0.0, 1.0, 0.0), last]
+            parent = "base"
+            for name, place, axis in zip(names, places, axes, strict=True):
+                link = f"{name} link"
+                parts[link] = light(link, parent, position=place, axis=axis)
+                parts[link] = replace(parts[link], joint=name)
+                parent = link
+        return parts
+
+    def files(urdf: str, mjcf: str) -> Files:
+        one = walker(-0.05, f"abduction_{urdf}", f"flexion_{urdf}", (0.0, 1.0, 0.0))
+        two = walker(0.01, f"{mjcf}-roll", f"{mjcf}-pitch", (0.0, 0.0, 1.0))
+        return write(tmp_path, urdf_text(one, []), mjcf_text(two, []))
+
+    comparison = compared(files("*", "*"))
+    assert comparison.guessed == {
+        f"{one}_{side}": f"{side}-{two}"
+        for one, two in (("abduction", "roll"), ("flexion", "pitch"))
+        for side in ("left", "right")
+    }
+    # Names without sides leave it open, and so nothing is guessed.
+    text = files("*", "*")
+    for path, words in ((text.urdf, ("near", "far")), (text.mjcf, ("one", "two"))):
+        new = path.read_text().replace("left", words[0]).replace("right", words[1])
+        path.write_text(new)
+    with pytest.raises(
+        ModelError, match=r"--map abduction_near=[a-z]+-roll or --map abduction_near"
+    ):
+        compared(text)
+
+
+def test_each_is_to_be_the_nearest_of_the_other(tmp_path: Path) -> None:
+    """A joint of the URDF alone, near a renamed one, does not take its place."""
+    hip = quadruped()["thigh0"]
+    near = tuple(np.array(hip.position) + np.array([0.03, 0.0, 0.0]))
+    extra = light("aid", "base", quaternion=hip.quaternion, axis=hip.axis, position=near)
+    urdf = {
+        "base": quadruped()["base"],
+        "aid": replace(extra, joint="a_first"),
+        **{name: part for name, part in quadruped().items() if name != "base"},
+    }
+    mjcf = renamed(quadruped(), hip0="front_hip")
+    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    assert comparison.guessed == {"hip0": "front_hip"}
+    assert comparison.only_urdf == ("a_first",)
+
+
+def test_joints_with_other_axes_are_not_matched(tmp_path: Path) -> None:
+    urdf = changed(quadruped(), "shank3", joint="other", axis=(0.0, 0.0, 1.0))
+    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped())))
+    assert comparison.guessed == {}
+    assert (comparison.only_urdf, comparison.only_mjcf) == (("other",), ("knee3",))
+
+
+def test_joints_far_apart_are_not_matched(tmp_path: Path) -> None:
+    """Half the robot's length away it is another joint, were it the only one left."""
+    urdf = quadruped() | {"tail": light("tail", "base", position=(-0.3, 0.0, 0.0))}
+    mjcf = quadruped() | {"neck": light("neck", "base", position=(0.3, 0.0, 0.0))}
+    comparison = compared(write_parts(tmp_path, urdf, mjcf))
+    assert comparison.guessed == {}
+    assert (comparison.only_urdf, comparison.only_mjcf) == (("to_tail",), ("to_neck",))
+
+
+def test_prefixes_and_suffixes_are_tried(tmp_path: Path) -> None:
+    urdf = {
+        name: replace(part, joint=f"rh_{part.joint}_joint" if part.joint else "")
+        for name, part in quadruped().items()
+    }
+    # Twins at one place: structure would not tell which is which.
+    twins = {
+        side: light(side, "base", position=(0.3, y, 0.0))
+        for side, y in (("left", 0.005), ("right", -0.005))
+    }
+    named = renamed(twins, to_left="rh_to_left_joint", to_right="rh_to_right_joint")
+    comparison = compared(write_parts(tmp_path, urdf | named, quadruped() | twins))
+    assert comparison.agree
+    assert comparison.guessed == {
+        f"rh_{name}_joint": name for name in (*JOINTS, "to_left", "to_right")
+    }
+
+
+def test_a_choice_is_said_with_lines_to_paste(tmp_path: Path) -> None:
+    twins = {
+        f"{side}": light(side, "base", position=(0.3, y, 0.0))
+        for side, y in (("left", 0.005), ("right", -0.005))
+    }
+    middle = {
+        "left": replace(twins["left"], position=(0.3, 0.0, 0.002)),
+        "right": replace(twins["right"], position=(0.3, 0.0, -0.002)),
+    }
+    urdf = quadruped() | renamed(twins, to_left="one", to_right="two")
+    comparison = compared(write_parts(tmp_path, urdf, other_links(quadruped() | middle)))
+    said = [str(note) for note in comparison.notes if "may be" in str(note)]
+    assert said[0] == (
+        "joint one of the URDF may be to_left or to_right of the MJCF; say which: "
+        "--map one=to_left or --map one=to_right"
+    )
+    assert len(said) == 2
+
+
+def test_a_match_that_drops_most_joints_is_refused(tmp_path: Path) -> None:
+    """One name in common is no robot in common."""
+    urdf = {
+        name: replace(part, joint=part.joint if part.joint in ("", "hip0") else f"x{part.joint}")
+        for name, part in quadruped().items()
+    }
+    mjcf = {
+        name: replace(part, axis=(0.0, 0.0, 1.0)) if name != "thigh0" and part.parent else part
+        for name, part in quadruped().items()
+    }
+    with pytest.raises(ModelError, match="only 1 of 8 joints have a partner") as raised:
+        compared(write_parts(tmp_path, urdf, other_links(mjcf)))
+    assert "..." not in str(raised.value)  # what is printed can be pasted
+    assert "the URDF's xknee0, xhip1" in str(raised.value)
+
+
+def exporters_names(parts: Parts) -> Parts:
+    """Joints as an exporter makes their names up; links called as they were."""
+    return {
+        name: replace(part, joint=part.joint and f"{part.link}_to_{part.parent}")
+        for name, part in parts.items()
+    }
+
+
+def prefixed(parts: Parts, prefix: str) -> Parts:
+    return {
+        prefix + name: replace(
+            part, link=prefix + part.link, parent=part.parent and prefix + part.parent
+        )
+        for name, part in parts.items()
+    }
+
+
+def test_joints_are_matched_by_the_links_that_they_move(tmp_path: Path) -> None:
+    """All links are the same but for a prefix; all axes are turned, which hides the structure."""
+    urdf = exporters_names(quadruped())
+    mjcf = prefixed({n: replace(p, axis=(0.0, 0.0, 1.0)) for n, p in quadruped().items()}, "right_")
+    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf_text(mjcf, ())))
+    assert comparison.guessed == {
+        part.joint: f"{'hip' if 'thigh' in name else 'knee'}{name[-1]}"
+        for name, part in urdf.items()
+        if part.joint
+    }
+    assert {kind for kind, _ in found(comparison)} <= {"axis"}
+
+
+def test_a_fixed_base_of_several_bodies(tmp_path: Path) -> None:
+    """The tower stands on a foot: both are the base, and its frame is the root link's."""
+    foot = Part("foot", mass=0.9, com=(0.0, 0.02, 0.01))
+    tower = replace(
+        arm()["base"], parent="foot", joint="tower", kind="fixed", position=(0.0, 0.1, 0.05),
+        quaternion=(0.8, 0.0, 0.6, 0.0),
+    )  # fmt: skip
+    parts = {"foot": foot, **arm(), "base": tower}
+    text = mjcf_text(prefixed(parts, "left_"), (), free=False, base_position=(0.3, 0.0, 0.2))
+    comparison = compared(write(tmp_path, urdf_text(parts, ()), text))
+    assert comparison.agree
+    assert comparison.engines == ()
+    assert comparison.check.passed
+
+
+@pytest.mark.parametrize("where", ["URDF", "MJCF"])
+def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> None:
+    """A hand is fixed to the rod, and carries two fingers."""
+    hand = light("hand", "rod", kind="fixed", position=(0.2, 0.0, 0.0))
+    fingers = {
+        f"finger{n}": light(f"finger{n}", "hand", kind="prismatic", position=(0.02, y, 0.0))
+        for n, y in enumerate((0.03, -0.03))
+    }
+    full, bare = arm() | {"hand": replace(hand, mass=0.5)} | fingers, arm()
+    urdf, mjcf = (full, bare) if where == "URDF" else (bare, full)
+    comparison = compared(write_parts(tmp_path, urdf, mjcf, free=False))
+    other = "MJCF" if where == "URDF" else "URDF"
+    what = "link" if where == "URDF" else "body"
+    assert [str(part) for part in comparison.parts] == [
+        f"the {where} has a gripper that the {other} lacks: {what} hand below push (0.7 kg), with "
+        "joints to_finger0, to_finger1"
+    ]
+    assert found(comparison) == []
+    assert not comparison.agree
+
+
+# ------------------------------------------------------------------------------------- no names
+
+
+def without_name(text: str, *joints: str) -> str:
+    """The MJCF with joints that have no name, and so no motors."""
+    for joint in joints:
+        text = text.replace(f'<joint name="{joint}" ', "<joint ")
+        start = text.index(f'<motor name="m_{joint}"')
+        text = text[:start] + text[text.index("\n", start) + 1 :]
+    return text
+
+
+def test_a_hinge_without_a_name_is_named_after_its_body(tmp_path: Path) -> None:
+    comparison = compare_texts(tmp_path, URDF, without_name(MJCF, "knee2"))
+    assert comparison.guessed == {"knee2": "shank2_joint"}
+    assert "a joint without a name in the MJCF is called 'shank2_joint'" in map(
+        str, comparison.notes
+    )
+    assert found(comparison) == [("effort", "shank2_joint")]
+    (difference,) = comparison.differences
+    assert difference.mjcf_place is not None
+
+
+def test_two_hinges_of_one_body_without_names(tmp_path: Path) -> None:
+    """A universal joint: two hinges in one body, and a link without mass between in the URDF."""
+    fork = Part("fork", "base", "roll", position=(0.3, 0.0, 0.0), mass=0.0)
+    wheel = replace(light("wheel", "fork", axis=(0.0, 1.0, 0.0)), position=(0.0, 0.0, 0.0))
+    urdf = urdf_text(quadruped() | {"fork": fork, "wheel": wheel})
+    body = (
+        '<body pos="0.3 0 0"><joint axis="1 0 0" range="-1 1" damping="0.1" armature="0.01" '
+        'frictionloss="0.2"/><joint axis="0 1 0" range="-1 1" damping="0.1" armature="0.02" '
+        'frictionloss="0.2"/><inertial pos="0 0 0" mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body>'
+    )
+    mjcf = MJCF.replace("<freejoint/>", f"<freejoint/>{body}")
+    comparison = compare_texts(tmp_path, urdf, mjcf)
+    assert set(comparison.guessed) == {"roll", "to_wheel"}
+    assert {kind for kind, _ in found(comparison)} <= {"effort"}
+
+
+def test_a_name_made_up_does_not_hide_a_real_one(tmp_path: Path) -> None:
+    mjcf = without_name(MJCF, "knee2").replace('"knee1"', '"shank2_joint"')
+    urdf = URDF.replace('"knee1"', '"shank2_joint"')
+    comparison = compare_texts(tmp_path, urdf, mjcf)
+    assert len(comparison.joints) == 8
+    assert {kind for kind, _ in found(comparison)} <= {"effort"}
+
+
+# ------------------------------------------------------------------------------------- mappings
+
+
+def test_names_are_mapped(tmp_path: Path) -> None:
+    urdf = renamed(quadruped(), hip1="A", knee1="B")
+    comparison = compared(
+        write_parts(tmp_path, urdf, quadruped()), names={"A": "hip1", "B": "knee1"}
+    )
+    assert comparison.agree
+    assert comparison.guessed == {}
+
+
+def test_a_mapping_goes_before_equal_names(tmp_path: Path) -> None:
+    """The files have swapped the names of two legs."""
+    swapped = renamed(quadruped(), hip0="hip1", knee0="knee1", hip1="hip0", knee1="knee0")
+    files = write_parts(tmp_path, swapped, quadruped())
+    assert not compared(files).agree
+    names = {"hip0": "hip1", "hip1": "hip0", "knee0": "knee1", "knee1": "knee0"}
+    assert compared(files, names=names).agree
+
+
+def test_frames_are_mapped(tmp_path: Path) -> None:
+    frames = [frame._replace(name=f"toe_{frame.name}") for frame in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), frames), MJCF)
+    assert "foot positions" not in compared(files).deviations
+    names = {f"toe_foot{leg}": f"foot{leg}" for leg in range(4)}
+    comparison = compared(files, names=names)
+    assert comparison.deviations["foot positions"] < 1e-12
+    assert comparison.agree
+
+
+def test_an_unknown_name_of_the_urdf_lists_the_valid_ones(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"robot.urdf: no joint .*'hop'; there are: hip0, k"):
+        compare_texts(tmp_path, URDF, MJCF, names={"hop": "hip0"})
+
+
+def test_an_unknown_name_of_the_mjcf_lists_the_valid_ones(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match=r"robot.xml: no joint .*'hop'; there are: hip0, k"):
+        compare_texts(tmp_path, URDF, MJCF, names={"hip0": "hop"})
+
+
+def test_two_joints_cannot_be_the_same(tmp_path: Path) -> None:
+    with pytest.raises((ModelError, UnknownNameError), match="hip0"):
+        compare_texts(tmp_path, URDF, MJCF, names={"hip1": "hip0", "hip0": "hip0"})
+
+
+def test_a_joint_is_no_frame(tmp_path: Path) -> None:
+    """What makes no sense is refused, not passed over."""
+    with pytest.raises((ModelError, UnknownNameError), match="foot0"):
+        compare_texts(tmp_path, URDF, MJCF, names={"hip0": "foot0"})
+
+
+def test_a_joint_left_over_may_have_a_mapped_name(tmp_path: Path) -> None:
+    """``old`` is the MJCF's hip0, and the URDF has another joint called hip0."""
+    urdf = renamed(quadruped(), hip0="old") | {"tail": light("tail", "base")}
+    urdf = changed(urdf, "tail", joint="hip0")
+    still = quadruped() | {"tail": replace(light("tail", "base"), kind="fixed")}
+    comparison = compared(write_parts(tmp_path, urdf, still), names={"old": "hip0"})
+    assert comparison.only_urdf == ("hip0",)
+    assert found(comparison) == []
+
+
+def test_a_mapping_file(tmp_path: Path) -> None:
+    path = tmp_path / "names.toml"
+    path.write_text('# legs\n"lf/haa" = "hip0"\nB = "knee1"\n')
+    assert read_mapping(path) == {"lf/haa": "hip0", "B": "knee1"}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('"a" = ', "not a TOML file of names"),
+        ('a = "b"\na = "c"', "not a TOML file of names"),
+        ("a = 1", "a = 1: give the name in the MJCF, in quotes"),
+        ('[legs]\na = "b"', "give the name in the MJCF, in quotes"),
+    ],
+)
+def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "names.toml"
+    path.write_text(text)
+    with pytest.raises(ModelError, match=message) as error:
+        read_mapping(path)
+    assert str(error.value).startswith(str(path))
+
+
+@pytest.mark.parametrize("content", [None, b"a = \xff"])
+def test_a_mapping_file_that_cannot_be_read(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "names.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ModelError, match="not a TOML file of names"):
+        read_mapping(path)
+
+
+# ------------------------------------------------------------------------------------- frames
+
+
+def test_common_frames_are_links_on_fixed_joints_and_sites_or_bodies(tmp_path: Path) -> None:
+    """foot0 is a site, foot1 a body without joints; lidar is in the URDF alone."""
+    urdf = urdf_text(quadruped(), [*FEET, Frame("lidar", "base", (0.2, 0, 0))])
+    site = '<site name="foot1" pos="0.002 0.0 -0.2"/>'
+    assert site in MJCF
+    mjcf = MJCF.replace(site, '<body name="foot1" pos="0.002 0 -0.21"/>')
+    match = matched(write(tmp_path, urdf, mjcf))
+    assert set(match.robot.description.frames) == {f"foot{leg}" for leg in range(4)}
+    assert found(compared(write(tmp_path, urdf, mjcf))) == [("frame", "foot1")]
+
+
+def test_feet_choose_the_frames(tmp_path: Path) -> None:
+    moved = [f._replace(position=(0, 0, -0.3)) if f.name == "foot1" else f for f in FEET]
+    files = write(tmp_path, urdf_text(quadruped(), moved), MJCF)
+    assert found(compared(files)) == [("frame", "foot1")]
+    assert compared(files, feet=["foot0", "foot2"]).agree
+    with pytest.raises(UnknownNameError, match=r"'toe'; there are: foot0, foot1, foot2, foot3"):
+        compared(files, feet=["toe"])
+
+
+# ------------------------------------------------------------------------------------- continuous
+
+
+def test_continuous_joints(tmp_path: Path) -> None:
+    comparison = compared(write_parts(tmp_path, arm(), arm()))
+    assert comparison.agree
+    free = quadruped() | {"thigh0": replace(quadruped()["thigh0"], kind="continuous")}
+    assert found(compared(write_parts(tmp_path, free, quadruped()))) == [
+        ("lower limit", "hip0"),
+        ("upper limit", "hip0"),
+    ]
+
+
+def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
+    """Matching works on copies: the same files can be matched again."""
+    from pupper_analysis.matching.match import match
+    from pupper_analysis.models.mjcf_file import read_mjcf
+    from pupper_analysis.models.urdf_file import read_urdf
+
+    files = write_parts(tmp_path, quadruped() | {"tail": light("tail", "base")}, quadruped())
+    urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)
+    first, second = match(urdf, mjcf), match(urdf, mjcf)
+    assert first.only_urdf == second.only_urdf == ("to_tail",)
+    assert [joint.name for joint in mjcf.spec.joints if joint.name] == [
+        part.joint for part in quadruped().values() if part.joint
+    ]
+    assert len(mjcf.spec.bodies) == 10
+    assert isinstance(mjcf.compile(), mujoco.MjModel)
+
+
+# ------------------------------------------------------------------------------------- fused
+
+
+def test_a_base_that_is_fused_with_the_world_has_no_mass_there(tmp_path: Path) -> None:
+    """As MuJoCo converts a URDF: all four legs are the robot's, and the base's mass is no cause."""
+    legs = mjcf_text(quadruped(), [], free=False).splitlines()
+    start = next(row for row, line in enumerate(legs) if '<body name="base"' in line)
+    end = legs.index("</worldbody>")
+    assert "<inertial" in legs[start + 1]
+    assert legs[end - 1] == "</body>"
+    fused = "\n".join([*legs[:start], *legs[start + 2 : end - 1], *legs[end:]])
+    comparison = compare_texts(tmp_path, URDF, fused)
+    assert comparison.agree, comparison.differences
+    assert set(comparison.joints) == JOINTS
+    note = next(str(note) for note in comparison.notes if "fused with the world" in str(note))
+    assert "6 kg, 'base'" in note
+    # What is in the legs is still found, and the base is no part of it.
+    heavier = fused.replace('mass="0.2"', 'mass="0.3"')
+    assert heavier != fused
+    assert found(compare_texts(tmp_path, URDF, heavier)) == [("mass", "knee0")]
+    # Other things in the scene are not: they have no name of the URDF's.
+    other = '<body name="door"><joint name="hinge"/><geom size="0.1"/></body></worldbody>'
+    comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))
+    assert comparison.agree
+    assert "'door' is not part of the robot" in " ".join(map(str, comparison.notes))

@@ -1,0 +1,214 @@
+"""A motor's torque limit has four homes in two files; the least counts, wherever it stands."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.efforts import effort_notes
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.payload.limit import motor_limit
+from tests.support.engines import changed
+from tests.support.variants import load, stand_of
+
+WAYS = ("forcerange", "actuatorfrcrange", "ctrlrange")
+KP, KD = 20.0, 0.4
+
+
+def limited(way: str, limit: float, gear: float = 1.0) -> pa.Robot:
+    """v3, whose URDF says 3 N m, with another limit in its MJCF; ctrlrange: of torque motors."""
+    spec = load("v3").description.mjcf.copy()
+    for actuator in spec.actuators:
+        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        actuator.gear[0] = gear
+        if way == "ctrlrange":
+            actuator.set_to_motor()
+            actuator.ctrlrange = (-limit / gear, limit / gear)
+            actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        if way == "forcerange":
+            actuator.forcerange = (-limit / gear, limit / gear)
+            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        if way == "actuatorfrcrange":
+            joint = spec.joint(actuator.target)
+            joint.actfrcrange, joint.actfrclimited = (-limit, limit), True
+    return rebuilt(load("v3"), mjcf=spec)
+
+
+def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
+    """Where the file as it is holds the base up, a PD of one's own commanding its motors."""
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    stand = stand_of("v3")
+    robot.mj_convention.set_state(data, stand.qpos)
+    joints, dofs = robot.mj_convention.qpos_index[7:], robot.mj_convention.qvel_index[6:]
+    used = robot.mj_convention.actuator_index
+    servo = model.actuator_biastype[0] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    while data.time < seconds:
+        asked = KP * (stand.qpos[7:] - data.qpos[joints]) - KD * data.qvel[dofs]
+        data.ctrl[used] = stand.qpos[7:] if servo else asked
+        mujoco.mj_step(model, data)
+    return float(data.qpos[2])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: str) -> None:
+    """v3's knees hold 0.46 N m. Bare MuJoCo collapses with 0.3, and keeps its height with 3."""
+    stand, weak, strong = stand_of("v3"), limited(way, 0.3), limited(way, 3.0)
+    assert bare_height(weak) < 0.6 * stand.qpos[2] < 0.9 * stand.qpos[2] < bare_height(strong)
+    np.testing.assert_allclose(weak.effort_limits, 0.3, rtol=1e-15)
+    assert {limit.origin.attribute for limit in weak.efforts if limit.origin} == {way}
+    held = pa.stand_statics(weak, stand)
+    assert held.motor_utilisation.max() == pytest.approx(
+        np.abs(held.joint_torques).max() / 0.3, rel=1e-12
+    )
+    assert held.motor_utilisation.max() > 1
+    assert motor_limit(weak, stand, (0, 0, 0)).mass == 0
+    assert not pa.verify_stand(weak, stand, kp=KP, kd=KD, duration=2.0).passed
+    with pytest.raises(pa.NoEquilibriumError):
+        pa.steady_state(weak, stand, kp=KP)
+    assert pa.verify_stand(strong, stand, kp=KP, kd=KD, duration=2.0).passed
+
+
+def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
+    """The payload of the same motors, said in three ways, and once by the URDF alone."""
+    stand, masses = stand_of("v3"), []
+    for way in WAYS:
+        found = pa.payload_limit(limited(way, 0.8), stand, (0, 0, 0.05), kp=40.0, kd=0.8)
+        masses.append((found.mass, found.motors.mass, found.servos.mass))
+    np.testing.assert_allclose(masses, np.tile(masses[0], (3, 1)), rtol=1e-9)
+    assert 0 < masses[0][0] < 10
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_simulation_gives_no_more_than_the_least(way: str) -> None:
+    """An arm's length from the command, what MuJoCo gives is the URDF's 3 N m, or 0.7 of 2 N m."""
+    for limit, most in ((50.0, 3.0), (0.7, 0.7)):
+        robot = limited(way, limit, gear=2.0)
+        drive = servos(robot, kp=100.0, kd=0.0)
+        data = mujoco.MjData(drive.model)
+        robot.mj_convention.set_state(data, stand_of("v3").qpos)
+        data.ctrl[:] = drive.command(robot, stand_of("v3").qpos[7:] + np.tile([1.0, -1.0], 6))
+        mujoco.mj_forward(drive.model, data)
+        torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+        np.testing.assert_allclose(torques, most * np.tile([1.0, -1.0], 6), rtol=1e-12)
+
+
+ARM = """<mujoco><worldbody><body name="arm"><joint name="turn" axis="0 1 0" {joint}/>
+<geom size=".1" mass="1"/></body></worldbody><actuator>{motor}</actuator></mujoco>"""
+
+
+def arm(motor: str, joint: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(ARM.format(motor=motor, joint=joint))
+
+
+@pytest.mark.parametrize(
+    ("motor", "joint", "effort", "expected", "attribute"),
+    [
+        ('<motor joint="turn" ctrlrange="-2 2" gear="3"/>', "", 7.0, (-6, 6), "ctrlrange"),
+        ('<general joint="turn" gainprm="5" ctrlrange="-2 2"/>', "", None, (-10, 10), "ctrlrange"),
+        ('<motor joint="turn" forcerange="-1 4" gear="-2"/>', "", 5.0, (-5, 2), "forcerange"),
+        ('<motor joint="turn"/>', 'actuatorfrcrange="-2 3"', 9.0, (-2, 3), "actuatorfrcrange"),
+        ('<position joint="turn" kp="5" ctrlrange="-2 2"/>', "", 4.0, (-4, 4), "effort"),
+        ('<motor joint="turn" forcerange="-4 4"/>', "", 0.0, (-4, 4), "forcerange"),
+        ('<intvelocity joint="turn" kp="5" actrange="-1 1"/>', "", None, None, None),
+        ('<motor joint="turn" ctrlrange="-4 4"/>', "", 4.0, (-4, 4), "effort"),
+    ],
+)
+def test_the_least_of_all_that_is_stated(
+    motor: str,
+    joint: str,
+    effort: float | None,
+    expected: tuple[float, float] | None,
+    attribute: str | None,
+) -> None:
+    limit = effort_of(arm(motor, joint), 0, effort)
+    assert (limit.lower, limit.upper) == (expected or (-math.inf, math.inf))
+    assert (None if limit.origin is None else limit.origin.attribute) == attribute
+
+
+@pytest.mark.parametrize(
+    ("motor", "limit", "gear"),
+    [
+        ('ctrlrange="-4.5 4.5" gear="25"', 112.5, 25.0),  # Cassie's hip
+        ('forcerange="-4.5 4.5" gear="-25"', 112.5, 25.0),
+        ('ctrlrange="-4.5 4.5"', 4.5, 1.0),
+        ('ctrlrange="-4.4 4.4" gear="25"', 4.5, 1.0),  # not exactly: the URDF's is the joint's
+        ('gear="25"', 4.5, 1.0),  # nothing to compare it with
+    ],
+)
+def test_an_effort_before_the_gear_is_multiplied_by_it(
+    motor: str, limit: float, gear: float
+) -> None:
+    model = arm(f'<motor joint="turn" {motor}/>')
+    found = effort_of(model, 0, 4.5)
+    assert (found.upper, found.gear) == (limit, gear)
+    assert found.origin == EffortStatement.of("URDF", "joint", "turn", "effort", (-4.5, 4.5), gear)
+    assert gear_left_out(model, 0, 4.5) == (None if gear == 1.0 else gear)
+    assert len(effort_notes([found])) == (1 if gear != 1.0 or "4.4" in motor else 0)
+
+
+def test_motors_that_differ_by_direction() -> None:
+    """Statics count the lesser; servos give what MuJoCo gives."""
+    spec = limited("forcerange", 0.9).description.mjcf.copy()
+    for actuator in spec.actuators:
+        actuator.forcerange = (-0.9, 0.5)
+    robot, stand = rebuilt(load("v3"), mjcf=spec), stand_of("v3")
+    np.testing.assert_allclose(robot.effort_limits, 0.5)
+    np.testing.assert_allclose(robot.effort_ranges, [(-0.9, 0.5)] * 12)
+    drive = servos(robot, kp=100.0, kd=0.0)
+    data = mujoco.MjData(drive.model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    data.ctrl[:] = drive.command(robot, stand.qpos[7:] + np.tile([1.0, -1.0], 6))
+    mujoco.mj_forward(drive.model, data)
+    torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
+    np.testing.assert_allclose(torques, np.tile([0.5, -0.9], 6), rtol=1e-12)
+    assert any(note.code == "motors-uneven" for note in effort_notes(robot.efforts))
+
+
+def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:
+    """A preparation replaces motors by servos; whose limit it was is told by the file's own."""
+    from pupper_analysis.prepare.drives import with_servos
+
+    robot = limited("ctrlrange", 0.8)
+    stated = {limit.joint: limit for limit in robot.efforts}
+    spec = with_servos(robot.description.mjcf, robot, np.full(12, 20.0), np.full(12, 0.4))
+    made = rebuilt(robot, mjcf=spec, efforts=stated)
+    np.testing.assert_allclose(made.effort_limits, 0.8, rtol=1e-15)
+    assert [limit.origin for limit in made.efforts] == [limit.origin for limit in robot.efforts]
+    assert made.efforts[0].origin is not None
+    assert made.efforts[0].origin.attribute == "ctrlrange"
+    half = spec.copy()
+    for actuator in half.actuators:
+        actuator.forcerange = np.array(actuator.forcerange) / 2
+    scaled = rebuilt(made, mjcf=half)
+    np.testing.assert_allclose(scaled.effort_limits, 0.4, rtol=1e-15)
+
+
+@pytest.mark.parametrize("feedforward", [False, True])
+def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> None:
+    """Knees that must be commanded further hold v3 higher; feed-forward cut off lets it sag."""
+    stand, plain = stand_of("v3"), load("v3")
+    knees = [index for index, name in enumerate(plain.joint_names) if name.endswith("_3")]
+    lead = np.sign(pa.stand_statics(plain, stand).joint_torques[knees])
+    shares = (-1.0, 0.04) if feedforward else (0.04, 1.0)  # rad, beyond the stand's angles
+
+    def change(model: mujoco.MjModel) -> None:
+        cut = plain.mj_convention.actuator_index[knees]
+        model.actuator_ctrllimited[cut] = 1
+        ends = stand.qpos[7:][knees][:, None] + lead[:, None] * np.array(shares)
+        model.actuator_ctrlrange[cut] = np.sort(ends, axis=1)
+        model.dof_frictionloss[:] = 0
+        model.geom_condim[:] = 3
+
+    robot = changed(plain, change)
+    pose = pa.steady_state(robot, stand, feedforward=feedforward)
+    assert pose.failures == ()
+    free = pa.steady_state(plain, stand, feedforward=feedforward)
+    assert abs(pose.height_loss - free.height_loss) > 2e-3
+    run = pa.verify_stand(robot, stand, feedforward=feedforward, duration=4, nudged=0)
+    assert pose.height_loss == pytest.approx(run.height_loss, abs=1e-4)

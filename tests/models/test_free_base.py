@@ -1,0 +1,144 @@
+"""A base that is free by slides and hinges, or a ball, is one free base: in every command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.models.free_base import join_free_base
+from tests.convert.test_model import compiled, converted
+from tests.support.legged import Pair, quadruped
+
+SLIDES = "".join(
+    f'<joint name="pelvis_t{word}" type="slide" axis="{axis}" range="-5 5"/>'
+    for word, axis in (("x", "1 0 0"), ("z", "0 0 1"), ("y", "0 1 0"))
+)
+HINGES = "".join(
+    f'<joint name="{word}" axis="{axis}" range="-3 3"/>'
+    for word, axis in (("list", "1 0 0"), ("tilt", "0 1 0"), ("turn", "0 0 1"))
+)
+BALL = '<joint name="ball" type="ball"/>'
+POSE = "0 0 0.35 1 0 0 0"
+
+
+def in_parts(pair: Pair, turning: str, place: str, rest: str = "") -> Pair:
+    """The same robot with other joints at its base, as OpenSim's models have them."""
+    text = pair.mjcf.read_text()
+    assert text.count("<freejoint/>") == 1
+    assert POSE in text
+    text = text.replace("<freejoint/>", SLIDES + turning).replace(POSE, place)
+    pair.mjcf.write_text(text.replace('<body name="trunk"', f'<body name="trunk" {rest}', 1))
+    return pair
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("turning", "place"), [(HINGES, "0 0.35 0 0 0 0"), (BALL, "0 0.35 0 1 0 0 0")]
+)
+def test_crosscheck_and_convert_take_it_for_free(turning: str, place: str, tmp_path: Path) -> None:
+    pair = in_parts(quadruped(tmp_path), turning, place)
+    compared = pa.compare_models(pair.urdf, pair.mjcf)
+    assert compared.only_mjcf == ()
+    assert {difference.kind for difference in compared.differences} <= {"effort"}  # the motors'
+    _, found = converted(pair.mjcf, "back.urdf")
+    assert found.agree, found.failures
+    assert "pelvis_tx" not in (tmp_path / "back.urdf").read_text()
+
+
+@pytest.mark.slow
+def test_a_robot_stands_on_it_as_on_a_free_joint(tmp_path: Path) -> None:
+    (tmp_path / "whole").mkdir()
+    whole = quadruped(tmp_path / "whole")
+    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    robots = [pa.load_robot(urdf=one.urdf, mjcf=one.mjcf) for one in (whole, pair)]
+    assert robots[1].floating
+    one, two = (pa.solve_stand(robot) for robot in robots)
+    np.testing.assert_allclose(one.qpos, two.qpos, atol=1e-9)
+
+
+def test_keyframes_have_the_same_pose(tmp_path: Path) -> None:
+    """In any order of slides and hinges, and on a body that is turned: by MuJoCo's kinematics."""
+    rest = 'quat="0.9 0.1 0.3 -0.2"'
+    pair = in_parts(quadruped(tmp_path), HINGES, "0.1 0.35 -0.2 0.3 -0.4 0.5", rest)
+    before = compiled(pair.mjcf)
+    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
+    assert join_free_base(spec, pair.mjcf)
+    after = spec.compile()
+    assert after.nq == before.nq + 1
+    data = [mujoco.MjData(model) for model in (before, after)]
+    for model, one in zip((before, after), data, strict=True):
+        mujoco.mj_resetDataKeyframe(model, one, 0)
+        mujoco.mj_kinematics(model, one)
+    for body in range(before.nbody):
+        name = before.body(body).name
+        for field in ("xpos", "xmat"):
+            here, there = (getattr(one.body(name), field) for one in data)
+            np.testing.assert_allclose(here, there, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ('name="pelvis_tx" type="slide"', 'name="pelvis_tx" type="slide" stiffness="9"'),
+        ('axis="0 1 0" range="-5 5"', 'axis="1 0 1" range="-5 5"'),  # in a plane
+        ("<actuator>", '<actuator><motor joint="pelvis_tx"/>'),  # a gantry
+    ],
+)  # fmt: skip
+def test_what_holds_or_drives_it_is_no_freedom(change: tuple[str, str], tmp_path: Path) -> None:
+    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    text = pair.mjcf.read_text()
+    assert change[0] in text
+    spec = mujoco.MjSpec.from_string(text.replace(*change))
+    count = len(spec.joints)
+    assert not join_free_base(spec, pair.mjcf)
+    assert len(spec.joints) == count
+
+
+def test_joints_that_the_urdf_has_too_stay(tmp_path: Path) -> None:
+    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    spec = mujoco.MjSpec.from_file(str(pair.mjcf))
+    assert not join_free_base(spec, pair.mjcf, stated={"tilt"})
+
+
+def test_a_slide_without_limits_is_not_locked(tmp_path: Path) -> None:
+    """TidyBot's cart: two slides and a hinge, whose URDF had limits of 0 to 0."""
+    path = tmp_path / "cart.xml"
+    inertial = '<inertial mass="2" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>'
+    path.write_text(
+        "<mujoco><worldbody><body name='cart'>"
+        "<joint name='x' type='slide' axis='1 0 0'/><joint name='y' type='slide' axis='0 1 0'/>"
+        f"<joint name='turn'/>{inertial}"
+        f"<body name='arm' pos='0 0 0.3'><joint name='lift' axis='0 1 0'/>{inertial}</body>"
+        "</body></worldbody></mujoco>"
+    )
+    _, found = converted(path, "cart.urdf")
+    assert found.passed, found.failures
+    assert sum("slides without limits" in str(text) for text in found.left) == 2
+    model = pin.buildModelFromUrdf(str(tmp_path / "cart.urdf"))
+    for name in ("x", "y"):
+        index = model.joints[model.getJointId(name)].idx_q
+        assert model.lowerPositionLimit[index] == -1e3
+        assert model.upperPositionLimit[index] == 1e3
+
+
+def test_links_without_mass_say_so(tmp_path: Path) -> None:
+    """PyBullet gives 1 kg to each link of a URDF that states no mass."""
+    pair = in_parts(quadruped(tmp_path), HINGES, "0 0.35 0 0 0 0")
+    text = pair.mjcf.read_text()
+    assert '<joint name="list"' in text
+    pair.mjcf.write_text(
+        text.replace('<joint name="list"', '<site name="imu" pos="0.1 0 0"/><joint name="list"')
+    )
+    _, found = converted(pair.mjcf, "back.urdf")
+    assert found.agree
+    root = ElementTree.parse(tmp_path / "back.urdf").getroot()
+    masses = [link.find("inertial/mass") for link in root.iter("link")]
+    assert None not in masses
+    weight = sum(float(mass.get("value", "nan")) for mass in masses if mass is not None)
+    assert weight == pytest.approx(float(compiled(pair.mjcf).body_mass.sum()), rel=1e-9)

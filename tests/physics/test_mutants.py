@@ -1,0 +1,358 @@
+"""Physics at which slips in the code once went unnoticed: each test fails with one of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.convert.servo_gains import SAG, held_gains
+from pupper_analysis.live.model import Model
+from pupper_analysis.live.scene import Scene
+from pupper_analysis.live.state import State
+from pupper_analysis.pupper.derive_mjcf import derive
+from pupper_analysis.pupper.live import Variants
+from pupper_analysis.report.documents import sources
+from pupper_analysis.report.documents.estimate import duration
+from pupper_analysis.report.html import plots
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.configuration import UP
+from pupper_analysis.robot.floor import floor_of, level_ground
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.simulation import tracking
+from pupper_analysis.simulation.payload import _start
+from pupper_analysis.simulation.push import tipping_impulses
+from pupper_analysis.simulation.push_bench import bench_of
+from pupper_analysis.simulation.rollout import full_state
+from pupper_analysis.stance.branches import _unwound
+from pupper_analysis.stance.payload.servo_limit import Command, Failure
+from pupper_analysis.statics.cone_program import ForceBounds
+from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.equilibrium import equilibrium
+from pupper_analysis.statics.inverse_dynamics import rolling_levers
+from pupper_analysis.study.estimate import Estimate
+from tests.support.engines import changed, mujoco_at, with_efforts
+from tests.support.legged import quadruped
+from tests.support.repository import ROOT
+from tests.support.variants import BASES, load, stand_of
+
+GRAVITY = 9.81
+
+
+# --------------------------------------------------------------------------------- held servos
+
+
+def rods(timestep: float) -> mujoco.MjModel:
+    """Two rods of 2 kg at 0.1 m that stay level, on hinges of opposite senses."""
+    bodies = "".join(
+        f'<body pos="0 {y} 1"><joint axis="0 {sense} 0" range="-0.001 0.001"/>'
+        '<inertial pos="0.1 0 0" mass="2" diaginertia="1e-9 1e-9 1e-9"/></body>'
+        for y, sense in ((0, 1), (1, -1))
+    )
+    return mujoco.MjModel.from_xml_string(
+        f'<mujoco><compiler angle="radian" autolimits="true"/><option timestep="{timestep}"/>'
+        f"<worldbody>{bodies}</worldbody></mujoco>"
+    )
+
+
+def test_a_held_joint_gives_way_by_the_sag_whichever_way_gravity_turns_it() -> None:
+    kp, _ = held_gains(rods(1e-3), None, None)
+    np.testing.assert_allclose(kp * SAG, 2 * GRAVITY * 0.1, rtol=1e-2)
+
+
+def test_a_held_joint_is_no_stiffer_than_the_time_step_allows() -> None:
+    """The step is half a radian of the servo's own motion: h sqrt(kp / I)."""
+    kp, _ = held_gains(rods(1e-2), None, None)
+    np.testing.assert_allclose(1e-2 * np.sqrt(kp / (2 * 0.1**2)), 0.5, rtol=1e-2)
+
+
+# ------------------------------------------------------------------------------------- the page
+
+
+class Drawn:
+    """In place of viser's scene: keeps what is drawn, by its name."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[str, Any] = {}
+
+    def __getattr__(self, _: str) -> Callable[..., Any]:
+        def add(name: str, *arguments: object, **options: object) -> Any:
+            return self.nodes.setdefault(name, SimpleNamespace())
+
+        return add
+
+
+def test_a_payload_is_drawn_where_it_is_on_a_base_that_is_turned() -> None:
+    found = Model(Variants(pa.VARIANTS["v3"])).answer(
+        State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
+    )
+    assert found.stand is not None
+    assert found.robot is not None
+    drawn = Drawn()
+    Scene(drawn).show(found)
+    data = mujoco_at(found.robot, found.stand.qpos)
+    base = found.robot.mj_model.body(found.robot.mj_base).id
+    place = data.xpos[base] + data.xmat[base].reshape(3, 3) @ (0.06, 0.04, 0.09)
+    np.testing.assert_allclose(drawn.nodes["/load"].position, place, atol=1e-6)
+
+
+# --------------------------------------------------------------------------------------- models
+
+
+@pytest.mark.slow
+def test_a_sphere_beside_a_foots_site_is_not_the_foot(tmp_path: Path) -> None:
+    """A ball 3 cm above the site is the shin's; the foot is the box at it."""
+    shapes = (
+        '<geom type="sphere" size="0.015" pos="0 0 -0.17"/>'
+        '<geom type="box" size="0.02 0.02 0.01" pos="0 0 -0.2"/><site name="TIP" pos="0 0 -0.2"/>'
+    )
+    pair = quadruped(tmp_path, foot=shapes, floor=True, actuators="position")
+    first, *rest = pair.mjcf.read_text().split("TIP")
+    names = [f"{leg}_tip" for leg in ("FL", "FR", "RL", "RR")]
+    text = first + "".join(name + part for name, part in zip(names, rest, strict=True))
+    pair.mjcf.write_text(text)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, feet=names)
+    boxes = {int(robot.mj_model.geom_type[geom]) for geom in robot.foot_geoms}
+    assert boxes == {mujoco.mjtGeom.mjGEOM_BOX.value}
+
+
+def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
+    """A bar at 45 degrees to the thigh is moved and turned: what lies along it is stretched."""
+    spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / f"{BASES['original']}.xml"))
+    variant = pa.VariantSpec(base="skeleton", leg_scale=1.5)
+    robot = load("original")
+    thigh = spec.site(robot.description.feet[robot.feet[0]][1]).parent.parent
+    calf = next(iter(thigh.bodies))
+    knee = np.array(calf.pos)
+    across = np.array([-knee[2], 0.0, knee[0]])
+    ends = np.concatenate([np.zeros(3), knee + across])
+    thigh.add_geom(
+        name="bar", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=(0.005, 0, 0), mass=0.07
+    )
+    derive(spec, variant)
+    assert spec.geom("bar").mass == 0.07
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("foot", "floor"), [((0, 1), (1, 0)), ((2, 0), (0, 2))])
+def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
+    foot: tuple[int, int], floor: tuple[int, int]
+) -> None:
+    """MuJoCo's rule: contype of one and conaffinity of the other, either way round."""
+    robot, spec = load("original"), load("original").description.mjcf.copy()
+    spec.compile()
+    for geom in spec.geoms:
+        geom.contype, geom.conaffinity = foot if geom.id in robot.foot_geoms else (0, 0)
+    ground = floor_of(spec)
+    assert ground is not None
+    ground.contype, ground.conaffinity = floor
+    stand = stand_of("original")
+    step = pa.Ground(heights={robot.feet[0]: 0.01})
+    there = on_ground(rebuilt(robot, mjcf=spec), step, stand.foot_targets)
+    sunk = stand.qpos.copy()
+    sunk[2] -= 2e-3
+    data = mujoco_at(there, sunk)
+    name, touched = there.mj_model.geom, []
+    for pair in data.contact.geom:
+        ours = next(int(geom) for geom in pair if int(geom) in there.foot_geoms)
+        other = next(int(geom) for geom in pair if int(geom) != ours)
+        touched.append((there.foot_geoms[ours], name(other).name.startswith("step_")))
+    expected = {(other, other == robot.feet[0]) for other in robot.feet}
+    assert set(touched) == expected
+
+
+# -------------------------------------------------------------------------- stances and statics
+
+
+def test_angles_are_unwound_by_whole_turns() -> None:
+    """After it each is the same direction, and none is further than half a turn from home."""
+    robot = load("original")
+    home = robot.home[7:]
+    wide = np.full(robot.nu, 20.0)
+    away = np.linspace(-9.0, 9.0, robot.nu)
+    found = _unwound(robot, home + away, -wide, wide)
+    np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * (home + away)), atol=1e-12)
+    assert np.abs(found - home).max() <= math.pi + 1e-12
+
+
+def test_feet_that_cannot_press_as_wanted_are_named() -> None:
+    """One is to bear ten times the weight, and no other is wrong."""
+    robot = load("v3")
+    config = pa.Configuration(robot, stand_of("v3").qpos)
+    carrying = contacts_of(robot, None, None, None, None)
+    least = np.where(np.array(carrying.feet) == "RL", 10 * robot.total_mass * GRAVITY, 0.0)
+    bounds = ForceBounds(least, np.full(4, np.inf), np.full(robot.nu, np.inf))
+    with pytest.raises(pa.StaticsInfeasibleError) as refused:
+        equilibrium(config, config.load(), config.center_of_mass(), carrying, bounds=bounds)
+    assert refused.value.reason is pa.Infeasibility.PULL
+    assert list(refused.value.feet) == ["RL"]
+
+
+def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    qvel = np.zeros(robot.nv)
+    qvel[5] = 50.0  # far beyond where friction saturates
+    levers = rolling_levers(
+        pa.Configuration(robot, stand.qpos, qvel), np.zeros(robot.nv), dict.fromkeys(robot.feet, UP)
+    )
+    for foot, lever in levers.items():
+        spin, roll = robot.contacts[foot].friction[2:4]
+        assert roll > 0
+        np.testing.assert_allclose(lever, (0.0, 0.0, -spin), atol=1e-2 * spin)
+
+
+def test_scenery_is_named_by_itself_or_its_body() -> None:
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1"/><geom type="box" size="1 1 1"/>'
+        '<body name="table"><geom type="box" size="1 1 1"/><geom name="leg" size="1"/></body>'
+        "</worldbody></mujoco>"
+    )
+    (left_out,) = level_ground(spec)
+    nameless, *names = left_out.values["names"]
+    assert nameless.code == "geom-without-name"
+    assert names == ["table", "leg"]
+
+
+# ----------------------------------------------------------------------------------- simulation
+
+
+def test_it_takes_less_to_tip_a_robot_to_where_its_com_is_nearer_to_the_edge() -> None:
+    """Straight over an edge, on feet of a radius r, with the inertia about it on the ground."""
+    robot = load("original")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.015, 0.0)))
+    config = pa.Configuration(robot, stand.qpos)
+    com, feet = config.center_of_mass(), np.array(list(config.contact_points().values()))
+    found = tipping_impulses(config, com, np.array([[1.0, 0.0], [-1.0, 0.0]]))
+    data, about = mujoco_at(robot, stand.qpos), np.zeros(3)
+    for body in range(1, robot.mj_model.nbody):
+        arm, axes = data.xipos[body] - com, data.ximat[body].reshape(3, 3)
+        tensor = axes @ np.diag(robot.mj_model.body_inertia[body]) @ axes.T
+        about += np.diag(tensor) + robot.mj_model.body_mass[body] * (arm @ arm - arm**2)
+    mass, radius = robot.total_mass, robot.foot_radius[robot.feet[0]]
+    for impulse, edge in zip(found, (feet[:, 0].max(), feet[:, 0].min()), strict=True):
+        over, height = abs(edge - com[0]), com[2] - radius
+        inertia = about[1] + mass * (over**2 + com[2] ** 2)
+        energy = mass * GRAVITY * (math.hypot(height, over) - height)
+        assert impulse == pytest.approx(math.sqrt(2 * inertia * energy) / com[2], rel=1e-3)
+    assert found[0] < 0.9 * found[1]
+
+
+@pytest.mark.slow
+def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() -> None:
+    """Servos so soft that half a percent of torque is some mrad: torques and forces agree."""
+    robot = load("v3")
+    heavier = changed(robot, lambda model: np.multiply(model.body_mass, 1.006, model.body_mass))
+    found = pa.verify_stand(heavier, stand_of("v3"), kp=2.0, kd=0.1)
+    assert found.torque_error < 0.01
+    assert found.force_error < 0.01
+    assert 1e-3 < found.joint_error < 1e-2
+    assert not found.passed
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
+    """At -1 N m and 2 N m: a servo that is told to go far gives that, and no more."""
+    stand, motor = stand_of("v3"), int(load("v3").mj_convention.actuator_index[4])
+
+    def weaker(model: mujoco.MjModel) -> None:
+        model.actuator_forcerange[motor] = (-1.0, 2.0)
+
+    robot = changed(load("v3"), weaker)
+    drive = servos(robot)
+    model = drive.model
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
+    start = full_state(model, data)
+    goal = stand.joint_positions(robot).copy()
+    goal[4] += sign * 10 / drive.kp[4]
+    given = np.zeros((3, robot.nu))
+    given[:, 4] = 2.0 if sign > 0 else -1.0
+    plan = SimpleNamespace(
+        drive=drive,
+        robot=robot,
+        start=start,
+        ctrl=np.tile(drive.command(robot, goal), (3, 1)),
+        time=np.array([0.1, 0.2, 0.3]),
+        torques=given,
+        path=SimpleNamespace(torques=given),
+    )
+    (event,), error = tracking._torques(plan, np.tile(start, (3, 1)))  # type: ignore[arg-type]
+    assert robot.joint_names[4] in str(event)
+    assert error < 1e-9
+
+
+@pytest.mark.parametrize("word", ["leans", "is low"])
+def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
+    """Half a second in which it stands, and a last state in which it does not."""
+    options = {"duration": 1.0, "kp": None, "kd": None, "feedforward": True, "integrator": None}
+    known = SimpleNamespace(stays=True, failures=())
+    robot, stand = load("v3"), stand_of("v3")
+    bench = bench_of(robot, stand, np.zeros(1), **options, verification=known)  # type: ignore[arg-type]
+    ends = np.tile(bench.start, (200, 1))
+    assert bench._unsettled(ends) == []
+    place = 1 + robot.mj_convention.qpos_index
+    if word == "leans":
+        ends[-1, place[3:7]] = (math.cos(0.5), math.sin(0.5), 0.0, 0.0)
+    else:
+        ends[-1, place[2]] = 0.02
+    assert bench._unsettled(ends)
+
+
+def test_a_load_beyond_the_motors_begins_with_its_own_command() -> None:
+    """Its servos are told to hold that load, not the greatest one that they can hold."""
+    robot, stand, mass = load("v3"), stand_of("v3"), 2.0
+    held = pa.stand_statics(
+        pa.with_payload(robot, mass), stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
+    weak = with_efforts(robot, 0.8 * float(np.abs(held).max()))
+    found = _start(weak, stand, mass, np.zeros(3), Command.LOADED, None)
+    assert found.pose is None
+    assert found.failure is Failure.MOTOR
+    asked = servos(found.robot).kp * (found.target - found.start[7:])
+    np.testing.assert_allclose(asked, held, atol=0.05 * np.abs(held).max())
+
+
+def test_a_tolerance_needs_samples_enough_to_tell_its_probability(tmp_path: Path) -> None:
+    """Of 64 designs none may fail if 99 % shall hold: that cannot be told from 98 %."""
+    study = pa.Study("v3", {"kp": pa.normal(5, 0.1)}, ["stands", "utilisation"], samples=64)
+    with pytest.raises(pa.ConfigurationError) as refused:
+        pa.tightest_tolerance(study, tmp_path, wanted=0.99)
+    assert refused.value.field == "samples"
+
+
+def test_workers_share_the_designs_that_are_left() -> None:
+    asked = Estimate(10, there=4, seconds_each=0.5, slowest=0.7, failures=(), left_out=())
+    assert asked.seconds(workers=3) == pytest.approx(1.0)
+
+
+# ------------------------------------------------------------------------------------- in words
+
+
+@pytest.mark.parametrize("seconds", [30.0, 119.0, 600.0, 7199.0, 7200.0, 86000.0, 1e5, 1e6])
+def test_a_duration_is_what_it_says_in_the_greatest_fitting_unit(seconds: float) -> None:
+    number, unit = duration(seconds).split()
+    assert float(number) * {"s": 1, "min": 60, "h": 3600}[unit] == pytest.approx(seconds, rel=0.02)
+    assert unit == "h" or float(number) < 120
+
+
+def test_a_long_element_is_quoted_from_its_beginning(tmp_path: Path) -> None:
+    rows = ['<geom name="a"', *(f'  a{number}="1"' for number in range(4)), '  b="2"/>']
+    (tmp_path / "part.xml").write_text("<x>\n" + "\n".join(rows))
+    quoted = sources.quoted("part.xml:7", str(tmp_path / "main.xml"))
+    assert quoted == "\n".join(row.strip() for row in rows)
+
+
+@pytest.mark.parametrize("ends", [(2.0, 300.0), (1.0, 100.0)])
+def test_a_logarithmic_axis_has_its_ends(ends: tuple[float, float]) -> None:
+    low, high = (math.log10(end) for end in ends)
+    written = plots._values(plots.Axis("gain", "", ".3g", log=True), low, high, ())
+    assert (min(written), max(written)) == pytest.approx(ends)
+    assert len(written) >= 7

@@ -1,0 +1,85 @@
+"""The package computes the numbers that it computed when they were recorded: see `recorded.py`."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+
+from tests.recorded import COARSE, FILE, JOBS, computed, products, setting
+from tests.support.variants import NAMES
+
+JOBS_AND_MARKS = [pytest.param(n, marks=pytest.mark.longest if JOBS[n].slow else ()) for n in JOBS]
+
+
+@cache
+def recorded() -> dict[str, Any]:
+    content: dict[str, Any] = orjson.loads(FILE.read_bytes())
+    return content
+
+
+def coarse(where: str) -> list[float]:
+    return [0.0, *(limit for field, limit in COARSE.items() if where.endswith(field))]
+
+
+def changes(found: dict[str, Any], expected: dict[str, Any], tolerance: float) -> list[str]:
+    """What is not as it was, in words."""
+    told = [f"{where} is new" for where in found.keys() - expected.keys()]
+    for where, old in expected.items():
+        if where not in found:
+            told.append(f"{where} is gone")
+            continue
+        one, other = np.atleast_1d(np.array(found[where])), np.atleast_1d(np.array(old))
+        scale = max(1.0, float(np.abs(other).max()))
+        if one.shape != other.shape:
+            told.append(f"{where} had {other.shape} numbers, and has {one.shape}")
+        elif not np.abs(one - other).max() <= max(tolerance, *coarse(where)) * scale:
+            told.append(f"{where} was {old}, and is {found[where]}")
+    return told
+
+
+@pytest.mark.parametrize("job", JOBS_AND_MARKS)
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_are_unchanged(name: str, job: str) -> None:
+    wanted, now = JOBS[job], setting()
+    then = recorded()["setting"]
+    if wanted.same_engines and now != then:
+        other = ", ".join(
+            f"{key} {then[key]}, now {now[key]}" for key in now if now[key] != then[key]
+        )
+        pytest.skip(f"{wanted.why}; recorded with {other}")
+    found = computed(name, job)
+    assert found, "nothing was computed"
+    assert changes(found, recorded()["results"][name][job], wanted.tolerance) == []
+
+
+def test_all_jobs_of_all_variants_are_recorded() -> None:
+    assert list(recorded()["results"]) == list(NAMES)
+    for results in recorded()["results"].values():
+        assert list(results) == list(JOBS)
+
+
+def test_any_element_of_a_long_array_counts() -> None:
+    """A change of one element, or of two in opposite directions, is seen."""
+    values = np.random.default_rng(0).normal(size=19)
+    for one in range(19):
+        for other in range(one):
+            changed = values.copy()
+            changed[one] += 1e-9
+            changed[other] -= 1e-9
+            after, before = ({"qpos": products(array)} for array in (changed, values))
+            assert changes(after, before, 1e-12)
+
+
+def test_changes_are_told() -> None:
+    before = {"a": 1.0, "b": [1.0, 2.0], "c": 3.0}
+    assert changes(dict(before), before, 1e-12) == []
+    assert changes(before | {"a": 1.0 + 1e-11}, before, 1e-12)
+    assert changes(before | {"b": [2.0, 1.0]}, before, 1e-12)
+    assert changes(before | {"b": [1.0]}, before, 1e-12)
+    assert changes(before | {"c": float("nan")}, before, 1e-12)
+    assert changes({"a": 1.0, "b": [1.0, 2.0]}, before, 1e-12) == ["c is gone"]
+    assert changes(before | {"d": 1.0}, before, 1e-12) == ["d is new"]

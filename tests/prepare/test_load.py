@@ -1,0 +1,664 @@
+"""Robots as they are published stand without preparation by hand: MuJoCo is the proof."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.prepare import drives
+from pupper_analysis.robot.robot import Robot
+from tests.support.legged import BIPED_FEET, Pair, biped, from_the_ground, fused, quadruped
+
+
+def load(pair: Pair, **values: object) -> Robot:
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, **values)  # type: ignore[arg-type]
+
+
+def said(robot: Robot, text: str) -> str:
+    found = [note for note in robot.notes if text in str(note)]
+    assert found, robot.notes
+    return str(found[0])
+
+
+def stands(robot: Robot) -> pa.StandVerification:
+    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    assert found.passed, found.failures
+    assert found.torque_error < 1e-5
+    assert found.force_error < 1e-5
+    return found
+
+
+def test_nothing_is_named_and_it_stands(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path))
+    assert set(robot.soles) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
+    assert "FL_calf on FL_calf" in said(robot, "no feet were named")
+    assert "'home'" in said(robot, "start pose")
+    said(robot, "a plane with MuJoCo's default contact was added")
+    said(robot, "no position servos")
+    assert stands(robot).torque_error < 1e-6
+
+
+def test_the_start_pose_is_the_keyframes(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, keyframe="0 0.7 -1.4"))
+    np.testing.assert_allclose(robot.home[7:], [0, 0.7, -1.4] * 4)
+    # Two links of 0.2 m, bent to both sides of the vertical, on a sphere of 0.02 m.
+    assert robot.stand_height == pytest.approx(0.4 * np.cos(0.7) + 0.02)
+
+
+def test_servos_of_the_model_are_kept(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, actuators="position", floor=True))
+    assert not [note for note in robot.notes if "servos" in str(note) or "plane" in str(note)]
+    assert robot.mj_model.actuator_gainprm[0, 0] == 150
+    stands(robot)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keyframe", ["", "0 2.4 -2.6", "0 0.1 0.4"])
+def test_a_start_pose_is_found(keyframe: str, tmp_path: Path) -> None:
+    """There is none, or it is one in which the robot lies, or one beyond the limits."""
+    robot = load(quadruped(tmp_path, keyframe=keyframe))
+    assert "a stand was found" in said(robot, "keyframe")
+    assert (robot.home[7:] > robot.lower_limits).all()
+    assert (robot.home[7:] < robot.upper_limits).all()
+    stands(robot)
+
+
+def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, free=False))
+    assert robot.floating
+    said(robot, "a free joint was added")
+    stands(robot)
+
+
+@pytest.mark.slow
+def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
+    """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
+    whole = quadruped(tmp_path, keyframe="", floor=True)
+    there = load(whole)
+    robot = load(fused(whole))
+    assert "with the mass of the URDF's 'trunk' (4 kg)" in said(robot, "limbs in the world")
+    stands(robot)
+    # It is the robot that it was before, in MuJoCo too.
+    assert robot.total_mass == pytest.approx(4 + 4 * 1.1)
+    assert robot.stand_height == there.stand_height
+    body = robot.mj_model.body(robot.mj_base)
+    before = there.mj_model.body(there.mj_base)
+    assert float(body.mass[0]) == float(before.mass[0]) == 4
+    assert np.sort(body.inertia) == pytest.approx(np.sort(before.inertia), rel=1e-12)
+
+
+def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, free=False), fixed_base=True)
+    assert not robot.floating
+    assert not robot.soles
+
+
+def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, prefix="rob_"))
+    assert "FL_roll = rob_FL_roll" in said(robot, "another name")
+    stands(robot)
+
+
+def test_a_joint_that_only_one_file_has_is_held_and_named(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, head=True))
+    assert "nod" in said(robot, "only the MJCF has, held at zero")
+    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    # Its head of 0.3 kg is in the MJCF alone, and that is said.
+    assert found.failures[-1].code == "files-of-two-robots"
+    assert "8.700 kg" in str(found.failures[-1])
+    assert "8.400 kg" in str(found.failures[-1])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "frame"),
+    [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
+)
+def test_feet_that_are_named_in_one_file_only(name: str, frame: object, tmp_path: Path) -> None:
+    foot = '<geom name="{}" type="sphere" size="0.02" pos="0 0 -0.2"/>'
+    pair = quadruped(tmp_path, foot="@")
+    text = pair.mjcf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        text = text.replace("@", foot.format(f"{leg}_toe"), 1)
+    pair.mjcf.write_text(text)
+    feet: dict[str, object] = {leg: f"{leg}_toe" for leg in ("FL", "FR", "RL", "RR")}
+    if isinstance(frame, tuple):
+        feet["FL"] = frame
+    robot = load(pair, feet=feet)
+    assert set(robot.soles) == {"FL", "FR", "RL", "RR"}
+    place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL"]
+    np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=1e-12)
+    assert robot.foot_radius["FL"] == 0.02
+
+
+def test_a_foot_that_neither_file_has(tmp_path: Path) -> None:
+    with pytest.raises(pa.UnknownNameError, match="paw") as caught:
+        load(quadruped(tmp_path), feet=["paw"])
+    assert "FL_calf" in str(caught.value)
+
+
+def test_a_keyframe_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(pa.UnknownNameError, match=r"crouch.*home"):
+        load(quadruped(tmp_path), keyframe="crouch")
+
+
+def test_a_robot_whose_limbs_touch_nothing(tmp_path: Path) -> None:
+    with pytest.raises(pa.ModelError, match=r"no feet were found.*FL_calf"):
+        load(quadruped(tmp_path, foot=""))
+
+
+COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", BIPED_FEET)
+def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
+    robot = load(biped(tmp_path, BIPED_FEET[shape]))
+    assert {foot: len(points) for foot, points in robot.soles.items()} == {
+        "left_tilt_link": COUNTS[shape],
+        "right_tilt_link": COUNTS[shape],
+    }
+    found = stands(robot)
+    assert set(found.foot_forces) == set(robot.soles)
+    weight = robot.total_mass * 9.81
+    for force in found.foot_forces.values():
+        assert force[2] == pytest.approx(weight / 2, rel=1e-3)
+
+
+def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
+    """Where MuJoCo has the contacts of the robot in its stand."""
+    robot = load(biped(tmp_path))
+    stand = pa.sunk_stand(robot)
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, stand.qpos)
+    mujoco.mj_forward(robot.mj_model, data)
+    theirs = sorted(tuple(np.round(touch.pos[:2], 6)) for touch in data.contact)
+    ours = sorted(tuple(np.round(p[:2], 6)) for p in stand.contact_points.values())
+    np.testing.assert_allclose(theirs, ours, atol=1e-5)
+    depths = sorted(-touch.dist for touch in data.contact)
+    np.testing.assert_allclose(sorted(stand.depths.values()), depths, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> None:
+    """By hand: force times lever, less the weight of the foot below the joint."""
+    robot = load(biped(tmp_path))
+    task = pa.StandTask(com=(0.05, 0.0), com_margin=0.01)
+    stand = pa.solve_stand(robot, task)
+    held = pa.stand_statics(robot, stand)
+    ankle = robot.joint_names.index("left_ankle")
+    joint = pa.Configuration(robot, stand.qpos).joint_position("left_ankle")
+    points = robot.soles["left_tilt_link"]
+    about = sum(
+        np.cross(held.contact_points[point] - joint, held.contact_forces[point]) for point in points
+    )
+    # The foot, 0.6 kg, has its com 0.02 m ahead of the joint; its weight turns the other way.
+    foot = np.cross([0.02, 0, -0.05], [0, 0, -0.6 * 9.81])
+    assert held.joint_torques[ankle] == pytest.approx(-(about + foot)[1], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    stand = pa.sunk_stand(robot)
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0, nudged=0)
+    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-4)
+    assert sag.height_loss > 1e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("ahead", "held"), [(0.088, True), (0.092, False)])
+def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_path: Path) -> None:
+    """The soles, 0.18 m long, reach 0.09 m to either side of their middle."""
+    robot = load(biped(tmp_path))
+    points = pa.solve_stand(robot).contact_points
+    middle = float(np.mean([place[0] for place in points.values()]))
+    task = pa.StandTask(com=(middle + ahead, 0.0), height=0.5)
+    if held:
+        statics = pa.stand_statics(robot, pa.solve_stand(robot, task))
+        assert statics.com_margin == pytest.approx(0.09 - ahead, abs=1e-9)
+    else:
+        with pytest.raises(pa.ConfigurationError, match=r"2\.0 mm outside the support polygon"):
+            pa.solve_stand(robot, task)
+
+
+@pytest.mark.slow
+def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    ground = pa.Ground(slope=0.1, uphill=0.4)
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+    centres = pa.Configuration(robot, stand.qpos).foot_positions()
+    for point, place in centres.items():
+        assert place @ ground.normal() == pytest.approx(robot.foot_radius[point], abs=1e-9)
+    assert pa.verify_stand(robot, pa.sunk_stand(robot, stand.task)).passed
+
+
+@pytest.mark.slow
+def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    task = pa.StandTask(swing={"left_tilt_link": 0.03}, com="inside", com_margin=0.005)
+    stand = pa.solve_stand(robot, task)
+    assert robot.feet_with(stand.stance_feet) == ("right_tilt_link",)
+    centres = pa.Configuration(robot, stand.qpos).foot_positions()
+    for point in robot.soles["left_tilt_link"]:
+        assert centres[point][2] == pytest.approx(0.03, abs=1e-9)
+    held = pa.stand_statics(robot, stand)
+    assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", sorted(BIPED_FEET.keys() - {"cylinder"}))  # its points turn
+def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
+    robot = load(biped(tmp_path, BIPED_FEET[shape]))
+    ground = pa.Ground(heights={"left_tilt_link": 0.03})
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    heights = {
+        foot: min(stand.contact_points[point][2] for point in points)
+        for foot, points in robot.soles.items()
+    }
+    assert heights["left_tilt_link"] - heights["right_tilt_link"] == pytest.approx(0.03, abs=1e-9)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert max(found.torque_error, found.force_error) < 1e-4
+
+
+@pytest.mark.slow
+def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
+    ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    for foot, points in robot.soles.items():
+        for point in points:
+            place = stand.contact_points[point]
+            assert ground.height(place[:2], foot) == pytest.approx(place[2], abs=1e-9)
+    assert pa.verify_stand(robot, stand).mujoco_foot_error < 1e-9
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    on_one = pa.StandTask(ground=ground, swing={"left_tilt_link": 0.03})
+    assert pa.verify_stand(robot, pa.sunk_stand(robot, on_one)).passed
+
+
+def test_one_foot_with_one_point_is_not_enough(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path))
+    swing = {"FL_calf": 0.02, "RR_calf": 0.02}
+    with pytest.raises(pa.ConfigurationError, match="at least 3 must, or a flat one"):
+        pa.solve_stand(robot, pa.StandTask(swing=swing))
+
+
+def test_shapes_beside_a_foot_are_kept_off_the_ground(tmp_path: Path) -> None:
+    shapes = (
+        '<geom type="sphere" size="0.02" pos="0 0 -0.2" solimp="0.02 0.9 0.02" priority="1"/>'
+        '<geom type="capsule" size="0.018" fromto="0 0 -0.05 0 0 -0.199"/>'
+    )
+    robot = load(quadruped(tmp_path, foot=shapes))
+    said(robot, "reach down beside the feet")
+    stands(robot)
+
+
+def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
+    """MuJoCo's contact pushes from its margin on: a foot may stand above the ground."""
+    sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.2" margin="0.004"/>'
+    robot = load(quadruped(tmp_path, foot=sphere))
+    stand = pa.sunk_stand(robot)
+    bare = pa.sunk_stand(load(quadruped(tmp_path)))
+    for foot, depth in stand.depths.items():
+        assert depth == pytest.approx(bare.depths[foot] - 0.004, abs=1e-9)
+    stands(robot)
+
+
+@pytest.mark.slow
+def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
+    assert len(robot.soles) == 4
+
+
+@pytest.mark.slow
+def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
+    """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
+    plain = load(biped(tmp_path))
+    robot = load(from_the_ground(biped(tmp_path), 0.78))
+    assert "0.880 m higher, to the base's com" in said(robot, "below all limbs")
+    # The pelvis' com is 0.1 m above the frame that it has otherwise.
+    height = plain.stand_height
+    one = pa.solve_stand(plain, pa.StandTask(height=height))
+    two = pa.solve_stand(robot, pa.StandTask(height=height + 0.1))
+    np.testing.assert_allclose(two.qpos[7:], one.qpos[7:], atol=1e-8)
+    assert two.qpos[2] - one.qpos[2] == pytest.approx(0.1, abs=1e-9)
+    stands(robot)
+    assert not [note for note in plain.notes if note.code == "base-frame-lifted"]
+
+
+@pytest.mark.slow
+def test_preparing_changes_no_file(tmp_path: Path) -> None:
+    pair = biped(tmp_path)
+    before = pair.urdf.read_bytes(), pair.mjcf.read_bytes()
+    load(pair)
+    assert before == (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.longest
+def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    stances = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
+    path = pa.stance_path(robot, stances, seconds=3.0)
+    assert not path.infeasible.any()
+    tracked = pa.track_path(robot, path)
+    assert tracked.passed, tracked.failures
+
+
+ICOSPHERE = """<asset><mesh name="ball" vertex="{}"/></asset>"""
+
+
+def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
+    """MuJoCo's contacts of a mesh jump from vertex to vertex; the sphere through them does not."""
+    directions = np.random.default_rng(0).normal(size=(600, 3))
+    places = 0.025 * directions / np.linalg.norm(directions, axis=1)[:, None]
+    text = " ".join(f"{value:.9g}" for value in places.ravel())
+    pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="ball" pos="0 0 -0.2"/>')
+    mjcf = pair.mjcf.read_text().replace("<worldbody>", ICOSPHERE.format(text) + "<worldbody>", 1)
+    pair.mjcf.write_text(mjcf)
+    robot = load(pair)
+    said(robot, "balls that fit to them touch the ground instead")
+    for radius in robot.foot_radius.values():
+        assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
+    place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
+    np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=3e-4)
+    stands(robot)
+
+
+def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_path: Path) -> None:
+    """As Cassie's, whose left and right legs have bits of their own."""
+    foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'
+    robot = load(quadruped(tmp_path, foot=foot))
+    assert len(robot.feet) == 4
+    stands(robot)
+
+
+@pytest.mark.longest
+def test_servos_with_which_it_comes_to_rest_otherwise_are_the_last_resort(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As Pi Plus does, whose light feet rest against each other: torques are off by 45 %."""
+    pair = biped(tmp_path)
+    stiffest = float(load(pair).mj_model.actuator_gainprm[:, 0].max())
+
+    def soft_ones_are(_robot: Robot, _stand: pa.Stand, kp: np.ndarray, _kd: np.ndarray) -> bool:
+        return bool(kp.max() < stiffest)
+
+    monkeypatch.setattr(drives, "_as_predicted", soft_ones_are)
+    softer = load(pair)
+    assert 0 < softer.mj_model.actuator_gainprm[:, 0].max() < stiffest
+    assert stands(softer).passed
+    monkeypatch.setattr(drives, "_as_predicted", lambda *_: False)
+    none = load(pair)  # it rests with the first, so that is better than nothing
+    assert none.mj_model.actuator_gainprm[:, 0].max() == stiffest
+    assert not [note for note in none.notes if "come to rest" in str(note)]
+
+
+def advised(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """The stiffness and damping (nu,) of which a note says that they would hold it."""
+    advice = re.search(
+        r"let it fall over .*; --kp (\S+) --kd (\S+) would", " ".join(map(str, robot.notes))
+    )
+    assert advice, robot.notes
+    kp, kd = (np.full(robot.nu, float(word)) for word in advice.groups())
+    return kp, kd
+
+
+@pytest.mark.slow
+def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
+    """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
+    pair = biped(tmp_path, damping=0.02)
+    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="3" kv="0.01" ')
+    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
+    robot = load(pair)
+    kp, kd = advised(robot)
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand).tilt > 0.5
+    assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
+
+
+@pytest.mark.slow
+def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
+    """As T1's and G1's of mujoco_playground: upright for 5 s, and on the ground after 12."""
+    pair = biped(tmp_path)
+    soft = pair.mjcf.read_text().replace("<motor ", '<position kp="20" kv="4" ')
+    pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
+    robot = load(pair)
+    kp, kd = advised(robot)
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand, duration=5.0, nudged=0).tilt < 0.01
+    assert not pa.verify_stand(robot, stand, duration=5.0, nudged=0).passed  # for it buckles
+    assert pa.verify_stand(robot, stand).tilt > 0.5
+    assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
+
+
+def test_a_foot_with_a_mesh_that_is_not_round_is_told(tmp_path: Path) -> None:
+    mesh = '<asset><mesh name="block" vertex="{}"/></asset><worldbody>'
+    corners = [(x, y, z) for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.02, 0.02)]
+    vertices = " ".join(str(value) for corner in corners for value in corner)
+    pair = quadruped(tmp_path, foot='<geom type="mesh" mesh="block" pos="0 0 -0.2"/>')
+    text = pair.mjcf.read_text().replace("<worldbody>", mesh.format(vertices))
+    pair.mjcf.write_text(text)
+    robot = load(pair)
+    said(robot, "meshes that are not round")
+    stands(robot)
+    assert not any(note.code == "balls-for-edges" for note in load(quadruped(tmp_path)).notes)
+
+
+def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) -> None:
+    """Else Cassie's feet, of condim 1, would have no friction on it."""
+    pair = quadruped(tmp_path)
+    default = (
+        '<default><geom contype="0" conaffinity="0" condim="1" margin="0.01" solref="0.005 1" '
+        'type="box"/></default><worldbody>'
+    )
+    text = pair.mjcf.read_text().replace("<worldbody>", default)
+    pair.mjcf.write_text(text.replace('type="sphere"', 'type="sphere" contype="1" margin="0"'))
+    robot = load(pair)
+    plain = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><geom type="plane" size="0 0 1"/></worldbody></mujoco>'
+    )
+    floor = robot.mj_model.geom("floor")
+    for word in ("type", "condim", "friction", "solref", "solimp", "margin", "gap", "priority"):
+        assert getattr(floor, word).tolist() == getattr(plain.geom(0), word).tolist(), word
+    stands(robot)
+
+
+@pytest.mark.slow
+def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
+    """As on a B2 or an M20: what MuJoCo lets touch the ground is the MJCF's, and that is a sphere.
+
+    The cylinder would be in the ground as soon as the calf leans sideways.
+    """
+    pair = quadruped(tmp_path, keyframe="")
+    text = pair.urdf.read_text()
+    for leg in ("FL", "FR", "RL", "RR"):
+        shape = (
+            '<origin xyz="0 0 -0.2" rpy="1.5707963 0 0"/>'
+            '<geometry><cylinder radius="0.02" length="0.03"/></geometry>'
+        )
+        head = f'<link name="{leg}_calf">'
+        assert head in text
+        text = text.replace(head, f"{head}<collision>{shape}</collision>")
+    pair.urdf.write_text(text)
+    robot = load(pair)
+    said(robot, "a stand was found")
+    stands(robot)
+    pa.solve_stand(robot, pa.StandTask(roll=0.1))
+    # A longer one of the MJCF's, which is no foot, may be no deeper in the ground than the foot.
+    long = '<geom type="cylinder" size="0.02 0.15" euler="1.5707963 0 0" pos="0 0 -0.188"/>'
+    text = pair.mjcf.read_text().replace('pos="0 0 -0.2"/>', f'pos="0 0 -0.2"/>{long}')
+    pair.mjcf.write_text(text)
+    with pytest.raises(pa.StanceUnreachableError, match=r"calf is .* mm in the ground"):
+        pa.solve_stand(load(pair), pa.StandTask(offset=(0.0, 0.06)))
+
+
+def test_a_leg_of_three_joints_has_one_contact_point(tmp_path: Path) -> None:
+    """It cannot lay its box flat: the box's lowest corner touches, in the start pose."""
+    box = '<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.2"/>'
+    robot = load(quadruped(tmp_path, foot=box))
+    assert all(len(points) == 1 for points in robot.soles.values())
+
+
+def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    text = pair.mjcf.read_text()
+    fat = '<geom type="sphere" size="0.09" pos="0 0 -0.1"/>'
+    pair.mjcf.write_text(text.replace('<body name="FL_calf"', fat + '<body name="FL_calf"', 1))
+    robot = load(pair)
+    assert "FL_thigh and trunk" in said(robot, "overlap in the start pose")
+    stands(robot)
+
+
+@pytest.mark.slow
+def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
+    """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
+    pair = quadruped(tmp_path)
+    plain = load(pair)
+    text = pair.urdf.read_text()
+    origin = (
+        '<child link="FL_calf"/><origin xyz="0.0 0.0 -0.2"/><axis xyz="0 1 0"/>'
+        '<limit lower="-2.6" upper="-0.4"'
+    )
+    turned = origin.replace('-0.2"/>', '-0.2" rpy="0 -0.3 0"/>')
+    turned = turned.replace('lower="-2.6" upper="-0.4"', 'lower="-2.3" upper="-0.1"')
+    assert text.count(origin) == 1
+    pair.urdf.write_text(text.replace(origin, turned))
+    robot = load(pair)
+    assert "FL_knee by +0.3" in said(robot, "zero is elsewhere")
+    np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
+    one, two = (pa.sunk_stand(each).qpos for each in (robot, plain))
+    np.testing.assert_allclose(one, two, atol=1e-9)
+    stands(robot)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"feet": 3},
+        {"feet": "FL_calf"},
+        {"feet": {"FL": 1}},
+        {"feet": {"FL": ("FL_calf",)}},
+        {"feet": ["FL_calf", "FL_calf"]},
+        {"joints": [1]},
+        {"keyframe": 3},
+    ],
+    ids=str,
+)
+def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path: Path) -> None:
+    with pytest.raises(pa.ConfigurationError, match=next(iter(wrong))):
+        load(quadruped(tmp_path), **wrong)
+
+
+@pytest.mark.slow
+def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path) -> None:
+    robot = load(biped(tmp_path))
+    again = pickle.loads(pickle.dumps(robot))
+    assert (again.fingerprint, again.notes) == (robot.fingerprint, robot.notes)
+    assert dict(again.soles) == dict(robot.soles)
+    one, two = (pa.sunk_stand(each) for each in (robot, again))
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+    assert pa.verify_stand(again, two).torque_error < 1e-6
+
+
+@pytest.mark.slow
+def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
+    """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
+    pair = quadruped(tmp_path, keyframe="")
+    assert 'range="-1.5 2.5"' in pair.mjcf.read_text()
+    pair.mjcf.write_text(pair.mjcf.read_text().replace('range="-1.5 2.5"', 'range="-1.5 0.6"'))
+    robot = load(pair)
+    assert "_pitch -1.5 to 0.6" in said(robot, "limits that are narrower in the MJCF")
+    names = [name for name in robot.joint_names if name.endswith("_pitch")]
+    found = dict(zip(robot.joint_names, robot.home[7:].tolist(), strict=True))
+    assert max(found[name] for name in names) <= 0.6
+    stands(robot)
+    assert not [note for note in load(quadruped(tmp_path)).notes if "limits" in str(note)]
+    # And where the URDF's joints turn round and round, without a <limit>, as NimbRo-OP2X's.
+    text = re.sub(r'<limit lower="-1.5" [^>]*>', "", pair.urdf.read_text())
+    pair.urdf.write_text(re.sub(r'(_pitch" type=)"revolute"', r'\1"continuous"', text))
+    robot = load(pair)
+    pitches = [robot.joint_names.index(name) for name in names]
+    np.testing.assert_array_equal(robot.upper_limits[pitches], 2.5)
+    np.testing.assert_array_equal(robot.effort_limits[pitches], 30.0)  # the MJCF's
+    stands(robot)
+
+
+@pytest.mark.slow
+def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
+    """A slide is a direction: where a file puts its origin says nothing of the foot's place."""
+    pair = quadruped(tmp_path, floor=True, keyframe="0 0.1 0")
+    urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
+    urdf, knees = re.subn(
+        r'(<joint name="\w+_knee" type=")revolute(".*?<axis xyz=")0 1 0(".*?lower=")[^"]*'
+        r'(" upper=")[^"]*',
+        r"\g<1>prismatic\g<2>0 0 1\g<3>-0.08\g<4>0.08",
+        urdf,
+    )
+    assert knees == 4
+    pair.urdf.write_text(urdf)
+    mjcf, knees = re.subn(
+        r'(_knee") axis="0 1 0" range="[^"]*"',
+        r'\1 type="slide" axis="0 0 1" range="-.08 .08"',
+        mjcf,
+    )
+    assert knees == 4
+    # The calf's frame 30 mm aside and 50 mm up; the com and the foot's sphere stay.
+    mjcf = re.sub(r'(_calf" pos=")0 0 -0.2', r"\g<1>0.03 0 -0.15", mjcf)
+    mjcf = mjcf.replace('pos="0 0 -0.1" mass="0.2"', 'pos="-0.03 0 -0.15" mass="0.2"')
+    mjcf = mjcf.replace('size="0.02" pos="0 0 -0.2"', 'size="0.02" pos="-0.03 0 -0.25"')
+    pair.mjcf.write_text(mjcf)
+    assert pa.compare_models(pair.urdf, pair.mjcf).differences[0].kind == "effort"  # the motors'
+    robot = load(pair)
+    assert not [note for note in robot.notes if note.code == "last-joint-elsewhere"]
+    stands(robot)
+
+
+@pytest.mark.slow
+def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
+    """As XBot-L's, which was taken for one that hangs in the world."""
+    whole = load(quadruped(tmp_path))
+    pair = quadruped(tmp_path)
+    parts = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    text = pair.mjcf.read_text()
+    assert text.count("<freejoint/>") == 1
+    text = text.replace("<freejoint/>", f'{parts}<joint type="ball"/>')
+    pair.mjcf.write_text(text.replace('qpos="0 0 0.35', 'qpos="0 0 0'))
+    robot = load(pair)
+    said(robot, "free by three slides and a ball joint")
+    assert robot.floating
+    np.testing.assert_allclose(robot.home, whole.home, atol=1e-12)
+    assert robot.stand_height == pytest.approx(whole.stand_height, abs=1e-12)
+    stands(robot)
+
+
+def test_servos_that_hold_with_feed_forward_alone_are_taken_if_none_do_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As HyQ's, whose feet slide by 5 mm and more as it sags."""
+    rests = drives._rests
+
+    def slides(
+        robot: Robot,
+        stand: pa.Stand,
+        kp: np.ndarray,
+        kd: np.ndarray,
+        ways: tuple[bool, ...] = (False, True),
+    ) -> bool:
+        return False not in ways and rests(robot, stand, kp, kd, ways)
+
+    monkeypatch.setattr(drives, "_rests", slides)
+    robot = load(quadruped(tmp_path))
+    assert any(n.code == "rests-with-feed-forward-alone" for n in robot.notes)
+    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed

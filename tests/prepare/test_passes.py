@@ -1,0 +1,156 @@
+"""The passes that make two files a robot: in which order, each alone, and what they tell."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pupper_analysis as pa
+from pupper_analysis.cli import group
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.prepare.draft import Draft, Request
+from pupper_analysis.prepare.load import explain_loading
+from pupper_analysis.prepare.passes import PASSES, Pass
+from tests.support.legged import Pair, fused, quadruped
+
+
+def named(name: str) -> Pass:
+    return next(each for each in PASSES if each.name == name)
+
+
+def draft_of(pair: Pair, **asked: object) -> Draft:
+    mjcf = read_mjcf(pair.mjcf)
+    return Draft(read_urdf(pair.urdf), mjcf, Request(**asked), mjcf.spec.copy())  # type: ignore[arg-type]
+
+
+def run(draft: Draft, *names: str) -> tuple[Draft, list[str]]:
+    codes: list[str] = []
+    for name in names:
+        draft, told = named(name).apply(draft)
+        codes += [note.code for note in told]
+    return draft, codes
+
+
+def test_names_are_distinct_and_the_file_is_read_only(tmp_path: Path) -> None:
+    assert len({each.name for each in PASSES}) == len(PASSES)
+    pair = quadruped(tmp_path)
+    before = (pair.urdf.read_bytes(), pair.mjcf.read_bytes())
+    mjcf = read_mjcf(pair.mjcf)
+    bodies = mjcf.spec.to_xml()
+    explain_loading(read_urdf(pair.urdf), mjcf, Request())
+    assert mjcf.spec.to_xml() == bodies
+    assert (pair.urdf.read_bytes(), pair.mjcf.read_bytes()) == before
+
+
+def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    done = {run.name: [note.code for note in run.done] for run in told.passes}
+    assert done["level-ground"] == ["ground-added"]
+    assert done["put-feet"] == ["feet-found"]
+    assert done["start-pose"][-1].startswith("start-pose")
+    assert done["add-servos"][0] == "servos-added"
+    assert done["free-base"] == done["narrow-limits"] == done["solve-exactly"] == []
+    of_passes = [note for run in told.passes for note in run.done]
+    assert list(robot.notes[: len(of_passes)]) == of_passes
+    assert told.feet == tuple(robot.soles)
+    assert told.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
+
+
+def test_a_fixed_base_is_built_and_needs_no_ground(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    told, robot = explain_loading(
+        read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(fixed_base=True)
+    )
+    assert not robot.floating
+    assert [run.name for run in told.passes][-1] == "build-held"
+    assert "level-ground" not in {run.name for run in told.passes}
+
+
+def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True))
+    names = {run.name for run in told.passes}
+    assert not names & {"add-servos", "add-motors", "keep-apart", "touch-with-feet-alone"}
+    motors = robot.mj_model.actuator_biastype == mujoco.mjtBias.mjBIAS_NONE.value
+    assert motors.all()
+
+
+def test_a_base_that_was_fused_with_the_world_is_freed_alone(tmp_path: Path) -> None:
+    pair = fused(quadruped(tmp_path))
+    draft = draft_of(pair)
+    assert not [joint for joint in draft.spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    freed, codes = run(draft, "name-elements", "free-base")
+    assert codes == ["base-added"]
+    model = freed.spec.copy().compile()
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
+    assert model.body_mass.sum() == pytest.approx(
+        pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf).total_mass
+    )
+
+
+def test_ground_motors_and_friction_are_of_the_drafts_own_copy(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    draft = draft_of(pair)
+    draft, _ = run(draft, "name-elements", "free-base", "match", "weigh-parts", "couple-mimics")
+    untouched = draft.described.mjcf
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    planes = [geom for geom in untouched.geoms if geom.type == plane]
+    free = next(joint for joint in untouched.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE)
+    free.frictionloss = 0.3
+    grounded, codes = run(draft, "level-ground", "free-of-friction")
+    assert codes == ["ground-added", "free-joint-friction-taken-off"]
+    assert free.frictionloss == pytest.approx(0.3)
+    found = [
+        geom for geom in grounded.described.mjcf.geoms if geom.type == mujoco.mjtGeom.mjGEOM_PLANE
+    ]
+    assert (len(planes), len(found)) == (0, 1)
+
+
+def test_the_narrower_limit_is_kept_by_one_pass(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    text = pair.mjcf.read_text()
+    draft = draft_of(pair)
+    upto = [each.name for each in PASSES[: [p.name for p in PASSES].index("narrow-limits")]]
+    draft, _ = run(draft, *(name for name in upto if name != "build-held"))
+    joint = draft.robot.joint_names[0]
+    low, high = float(draft.robot.lower_limits[0]), float(draft.robot.upper_limits[0])
+    spec = draft.described.mjcf
+    spec.joint(joint).range = [low + 0.1, high]
+    spec.joint(joint).limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    if spec.compiler.degree:
+        spec.joint(joint).range = np.degrees([low + 0.1, high])
+    narrowed, codes = run(replace(draft, built=None), "build", "narrow-limits")
+    assert codes == ["narrower-limits-kept"]
+    assert narrowed.robot.lower_limits[0] == pytest.approx(low + 0.1)
+    assert narrowed.robot.upper_limits[0] == pytest.approx(high)
+    assert pair.mjcf.read_text() == text
+
+
+def test_the_command_prints_the_passes_in_their_order(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    result = CliRunner().invoke(
+        group, ["load", str(pair.urdf), str(pair.mjcf), "--explain", "--json", str(tmp_path / "o")]
+    )
+    assert result.exit_code == 0, result.output
+    written = json.loads((tmp_path / "o").read_text())
+    ran = [one["name"] for one in written["passes"]]
+    assert ran == [name for name in (each.name for each in PASSES) if name in ran]
+    places = [result.output.index(f"\n{name} ") for name in ran]
+    assert places == sorted(places)
+    codes = [note["code"] for one in written["passes"] for note in one["done"]]
+    assert "servos-added" in codes
+
+
+def test_files_that_are_ready_need_no_pass() -> None:
+    files = read_urdf("urdf/pupper_skeleton.urdf"), read_mjcf("mjcf/pupper_skeleton.xml")
+    feet = pa.load_variant("original").description.feet
+    told, _ = explain_loading(*files, Request(feet=feet))
+    assert told.passes == ()

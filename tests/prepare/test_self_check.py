@@ -1,0 +1,234 @@
+"""What an MJCF does by itself counts: it is simulated as it was published, and judged first."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.models.joint_drives import Drive
+from pupper_analysis.prepare.bare import Bare
+from pupper_analysis.prepare.self_check import own_run
+from pupper_analysis.report.verdict import in_words, of_the_file
+from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from tests.support import legged
+from tests.support.slips import FALLS, SLIPS, by_itself, standing
+
+
+def verdict_of(pair: legged.Pair) -> Verdict:
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    return study_stance(robot, pa.StandTask()).verdict
+
+
+def slipped(folder: Path, name: str, seed: int = 0) -> legged.Pair:
+    pair = standing(folder)
+    text = pair.mjcf.read_text()
+    changed = SLIPS[name](text, np.random.default_rng(seed))
+    assert changed != text
+    pair.mjcf.write_text(changed)
+    return pair
+
+
+def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
+    pair = standing(tmp_path)
+    assert by_itself(pair.mjcf) < 0.02
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.own_ctrl
+    assert not robot.own_run.collapses
+    assert robot.published is not None
+    assert not robot.published.differs
+    assert [run.feedforward for run in robot.published.runs] == [True, False]
+    for run in robot.published.runs:  # predicted to nine digits of the height, feet creep and all
+        assert abs(run.height_error) < 1e-8
+        assert run.torque_error < 1e-4
+    assert not of_the_file(robot)
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    assert verdict.code is VerdictCode.HOLDS
+    assert not verdict.servos.made
+
+
+def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
+    """Pupper v3's own keyframe is 0.15 m above the ground, as many that are dropped from."""
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
+    pair.mjcf.write_text(text.replace("<position ", '<position forcerange="-40 40" '))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert not robot.own_run.collapses
+    assert robot.own_run.end_height == pytest.approx(0.35, abs=0.01)
+    assert robot.own_run.height == pytest.approx(0.35, abs=0.02)  # where its feet touch
+    assert "keyframe-falls" not in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
+def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
+    """It stands upright, as high as ever, and slides away on its feet by g x t^2 / 2."""
+    pair = standing(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    text = pair.mjcf.read_text().replace("<option ", '<option gravity="0.6 0 -9.81" ')
+    text = text.replace('type="plane"', 'priority="1" friction="0.01" type="plane"')
+    pair.mjcf.write_text(text)
+    bare = Bare.of(mujoco.MjModel.from_xml_path(str(pair.mjcf)), robot)
+    run = own_run(bare, robot, ["home"])
+    assert run is not None
+    assert run.end_height == pytest.approx(run.height, rel=0.1)
+    assert run.away == pytest.approx(0.5 * (0.6 - 0.01 * 9.81) * run.duration**2, rel=0.05)
+    assert run.collapses
+    assert run.gone
+    assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
+def test_what_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
+    """With its feet in the air: the height at which it lands is none that it keeps."""
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
+    text = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0 -2.5"] * 4))
+    knee = '<geom type="sphere" size="0.03" pos="0 0 -0.2"/>'
+    pair.mjcf.write_text(re.sub(r'(<body name="\w+_thigh"[^>]*>)', rf"\1{knee}", text))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.end_height == pytest.approx(0.23, abs=0.01)
+    assert robot.own_run.collapses
+    assert not robot.own_run.gone
+    assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
+
+
+def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
+    """``biastype="affine"`` is of a servo: its own commands are tried, and it falls."""
+    pair = standing(tmp_path)
+    servo = 'general gainprm="150" biastype="affine" biasprm="0 0 0"'
+    text = pair.mjcf.read_text().replace('kp="150" kv="5"', "").replace("<position", f"<{servo}")
+    pair.mjcf.write_text(text)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.collapses
+    assert {made.instead_of for made in robot.description.made_servos} == {Drive.OTHER}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("kp of one has the wrong sign", "a servo whose stiffness is negative"),
+        ("kp is 0", "a servo without stiffness"),
+        ("ctrl is of lying down", "COLLAPSES as published from its own keyframe home, with its"),
+        ("gear of all is -1", "as published from its own keyframe home, with its own ctrl"),
+    ],
+)
+def test_a_file_that_falls_by_itself_does_not_hold(tmp_path: Path, name: str, said: str) -> None:
+    pair = slipped(tmp_path, name)
+    assert by_itself(pair.mjcf) > FALLS
+    verdict = verdict_of(pair)
+    assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    assert not verdict.passed
+    assert said in in_words(verdict)
+
+
+def test_what_is_replaced_is_named(tmp_path: Path) -> None:
+    """The servo of one knee, with its own gains, and never as if there were none."""
+    pair = slipped(tmp_path, "kp of one has the wrong sign", seed=3)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    (made,) = robot.description.made_servos
+    assert made.instead_of is Drive.WRONG_SIGN
+    assert not any("no position servos:" in str(note) for note in robot.notes)
+    as_is = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, as_is=True)
+    with pytest.raises(pa.ModelError, match=f"{made.joint}.*is no position servo"):
+        study_stance(as_is, pa.StandTask())
+
+
+# By an edit of the file that stands: (what, old, new, cause, its element, its line's beginning).
+CAUSES = {
+    "exclude": (
+        "<actuator>",
+        '<contact>\n<exclude body1="world" body2="FL_calf"/></contact><actuator>',
+        "world and FL_calf",
+        "<exclude",
+    ),
+    "override": (
+        "<option ",
+        '<option o_solref="0.05 1">\n<flag override="enable"/></option><option ',
+        "flag override",
+        "<flag",
+    ),
+    "weld": (
+        "<actuator>",
+        '<equality>\n<weld name="hung" body1="trunk"/></equality><actuator>',
+        "hung",
+        "<weld",
+    ),
+    "connect": (
+        "<actuator>",
+        '<equality>\n<connect name="hung" body1="trunk" anchor="0 0 0"/></equality><actuator>',
+        "hung",
+        "<connect",
+    ),
+    "ctrlrange": ('kp="150"', 'ctrlrange="-1.1 1.1" kp="150"', "FL_roll", "<position"),
+    "timeconst": ('kp="150"', 'timeconst="20" kp="150"', "FL_roll", "<position"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cause", CAUSES)
+def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
+    old, new, element, line = CAUSES[cause]
+    pair = standing(tmp_path)
+    pair.mjcf.write_text(pair.mjcf.read_text().replace(old, new))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.published is not None
+    assert robot.published.differs
+    (found,) = robot.published.causes
+    assert (found.code, found.elements[0]) == (cause, element)
+    assert found.line is not None
+    assert line in pair.mjcf.read_text().splitlines()[found.line - 1]
+    assert found.remaining is not None
+    assert found.remaining < 0.01
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    assert verdict.code is not VerdictCode.HOLDS
+    assert element in in_words(verdict)
+
+
+def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -> None:
+    pair = standing(tmp_path)
+    heavier = pair.mjcf.read_text().replace('mass="4"', 'mass="5"')
+    pair.mjcf.write_text(heavier)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.published is not None
+    assert robot.published.differs
+    assert [cause.code for cause in robot.published.causes] == ["pair"]
+
+
+def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
+    """How far a file with a slip sinks by itself, whether it is said to hold, and what is said."""
+    pair = standing(folder)
+    text = pair.mjcf.read_text()
+    pair.mjcf.write_text(SLIPS[name](text, np.random.default_rng(seed)))
+    try:
+        lost = by_itself(pair.mjcf)
+    except ValueError:
+        lost = float("inf")  # no engine takes it
+    try:
+        verdict = verdict_of(pair)
+    except pa.PupperAnalysisError as error:
+        return lost, False, str(error)
+    return lost, verdict.passed, in_words(verdict)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_none_that_falls_is_said_to_hold(tmp_path: Path, seed: int) -> None:
+    name = str(np.random.default_rng(seed).choice(list(SLIPS)))
+    lost, holds, said = slip_holds(tmp_path, name, seed)
+    assert not (lost > FALLS and holds), (name, lost, said)
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("name", SLIPS)
+def test_no_slip_that_makes_it_fall_is_said_to_hold(tmp_path: Path, name: str) -> None:
+    for seed in range(3):
+        lost, holds, said = slip_holds(tmp_path, name, seed)
+        assert not (lost > FALLS and holds), (seed, lost, said)

@@ -1,0 +1,93 @@
+"""Numbers with which nothing can be simulated are refused with their place; hands stay hands."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.stance import study_stance
+from tests.support import legged
+from tests.support.slips import standing
+
+REFUSED = {
+    "timestep 0": ("<option ", '<option timestep="0" ', '<option timestep="0">'),
+    "timestep -0.002": ("<option ", '<option timestep="-0.002" ', 'timestep="-0.002"'),
+    "timestep 1e-9": ("<option ", '<option timestep="1e-9" ', "1e-05 to 0.1 s are simulated"),
+    "timestep 1e-300": ("<option ", '<option timestep="1e-300" ', "1e-05 to 0.1 s"),
+    "timestep 10": ("<option ", '<option timestep="10" ', 'timestep="10"'),
+    "impratio -1": ("<option ", '<option impratio="-1" ', "it is a positive number"),
+    "iterations 0": ("<option ", '<option iterations="0" ', "needs one at least"),
+    "tolerance 1e9": ("<option ", '<option tolerance="1e9" ', "before contact forces mean"),
+    "armature -0.01": ('name="FL_knee"', 'armature="-0.01" name="FL_knee"', "negative inertia"),
+    "a margin of 1e9": (
+        'type="plane"',
+        'name="f" margin="1e9" type="plane"',
+        "geom 'f' has margin",
+    ),
+    "a joint 1e9 m away": ('name="FL_knee"', 'pos="0 0 1e9" name="FL_knee"', 'has pos="0 0 1e+09"'),
+    "a motor's armature -1": ('kp="150"', 'armature="-1" kp="150"', "negative inertia"),
+    "gear 1e-300": ('kp="150"', 'gear="1e-300" kp="150"', "joint 'FL_roll' has gear"),
+    "gear 1e300": ('kp="150"', 'gear="1e300" kp="150"', "joint 'FL_roll' has gear"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_simulated_is_refused_with_its_line(tmp_path: Path, case: str) -> None:
+    old, new, said = REFUSED[case]
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text().replace(old, new, 1)
+    pair.mjcf.write_text(text)
+    line = next(n for n, row in enumerate(text.splitlines(), 1) if new.strip() in row)
+    with pytest.raises(pa.ModelError, match=rf"robot\.xml:{line}: .*{re.escape(said)}"):
+        pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+@pytest.mark.parametrize("upper", ["-2.6", "-0.5"])
+def test_limits_the_wrong_way_round_are_refused(tmp_path: Path, upper: str) -> None:
+    pair = standing(tmp_path)
+    text = pair.urdf.read_text()
+    changed = text.replace('lower="-2.6" upper="-0.4"', f'lower="-0.4" upper="{upper}"', 1)
+    assert changed != text
+    pair.urdf.write_text(changed)
+    with pytest.raises(
+        pa.ModelError, match=r"robot\.urdf: joint 'FL_knee': its lower limit -0.4 is"
+    ):
+        pa.solve_stand(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [True, False])
+def test_a_ball_in_the_scene_and_named_feet(tmp_path: Path, first: bool) -> None:
+    """The keyframe is of the robot alone: MuJoCo fills it up with zeros."""
+    urdf, mjcf = pa.write_variant("heavy", tmp_path)
+    ball = '<body name="ball" pos="2 0 0.1"><freejoint/><geom size="0.1"/></body>'
+    text = mjcf.read_text()
+    where = (
+        ("<worldbody>", f"<worldbody>{ball}") if first else ("</worldbody>", f"{ball}</worldbody>")
+    )
+    mjcf.write_text(text.replace(*where, 1))
+    feet = {foot: f"{foot}_foot" for foot in ("FL", "FR", "RL", "RR")}
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=feet)
+    verdict = study_stance(robot, pa.StandTask(height=0.15)).verdict
+    assert verdict.with_feedforward == "holds"
+    assert verdict.passed is not first  # its base is where the keyframe has the ball
+
+
+def test_a_hand_keeps_its_base_in_the_world(tmp_path: Path) -> None:
+    pair = legged.quadruped(tmp_path, foot="", free=False, keyframe="")
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert not robot.floating
+    assert robot.notes[-1].code == "base-kept-in-the-world"
+    with pytest.raises(pa.ConfigurationError, match="has a fixed base and cannot stand; what its"):
+        pa.solve_stand(robot)
+
+
+def test_legs_that_a_file_holds_in_the_world_are_freed(tmp_path: Path) -> None:
+    pair = legged.quadruped(tmp_path, free=False, keyframe="", actuators="position")
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.floating
+    assert robot.published is not None
+    assert [cause.code for cause in robot.published.causes] == ["base-held"]

@@ -1,0 +1,429 @@
+"""Variants derived from the URDF and from the MJCF: against each other and direct integration."""
+
+import itertools
+import os
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+import yourdfpy
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from pupper_analysis.models import mjcf
+from pupper_analysis.pupper import derive_urdf as urdf
+from pupper_analysis.pupper.variant_files import describe
+from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
+from tests.support.engines import mujoco_at
+from tests.support.repository import ROOT
+from tests.support.states import positions
+from tests.support.variants import NAMES, load
+
+leg_scales = st.floats(0.3, 3.0)
+torso_scales = st.floats(0.2, 5.0)
+bases = st.sampled_from(["skeleton", "v3"])
+
+
+def bodies_of(source: str, *spec: object) -> dict[str, Body]:
+    return BODIES[source](pa.load_variant(pa.VariantSpec(*spec)))  # type: ignore[arg-type]
+
+
+def second_moments(inertia: np.ndarray) -> np.ndarray:
+    """The integral of x x^T dm (3, 3), from the inertia tensor."""
+    return np.trace(inertia) / 2 * np.eye(3) - inertia
+
+
+# ------------------------------------------------------------------------------------- two routes
+
+
+@pytest.mark.slow
+@settings(max_examples=30)
+@given(base=bases, leg_scale=leg_scales, torso_mass_scale=torso_scales)
+def test_urdf_and_mjcf_agree_at_any_scale(
+    base: str, leg_scale: float, torso_mass_scale: float
+) -> None:
+    robot = pa.load_variant(pa.VariantSpec(base, leg_scale, torso_mass_scale))
+    assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-9)
+    config, mj = pa.Configuration(robot, robot.neutral()), mujoco_at(robot, robot.neutral())
+    for foot, frame in robot.foot_frames.items():
+        np.testing.assert_allclose(config.foot_positions()[foot], mj.site(frame).xpos, atol=1e-12)
+
+
+def test_urdf_and_mjcf_of_the_variants_agree(robot: pa.Robot) -> None:
+    assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", BODIES)
+@settings(max_examples=15)
+@given(base=bases, leg_scale=leg_scales, torso_mass_scale=torso_scales)
+def test_scaled_bodies_could_exist(
+    source: str, base: str, leg_scale: float, torso_mass_scale: float
+) -> None:
+    """Mass is positive everywhere: so are the masses and the second moments."""
+    for name, body in bodies_of(source, base, leg_scale, torso_mass_scale).items():
+        assert body.mass > 0
+        moments = np.linalg.eigvalsh(second_moments(body.inertia))
+        assert moments.min() > 0, f"{name}: the triangle inequality fails"
+
+
+# ------------------------------------------------------------------------------------- stretching
+
+
+def point_masses(body: Body) -> tuple[np.ndarray, np.ndarray]:
+    """Eight (the Gauss points of a solid box) that have the body's mass, com and inertia."""
+    moments, axes = np.linalg.eigh(second_moments(body.inertia))
+    corners = np.array(list(itertools.product((-1, 1), repeat=3)))
+    points = body.com + corners * np.sqrt(moments / body.mass) @ axes.T
+    return points, np.full(8, body.mass / 8)
+
+
+def lump(points: np.ndarray, masses: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, com and inertia of point masses, by summation."""
+    mass = float(masses.sum())
+    com = masses @ points / mass
+    inertia = sum(
+        m * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        for m, arm in zip(masses, points - com, strict=True)
+    )
+    return mass, com, np.asarray(inertia)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", BODIES)
+@settings(max_examples=15)
+@given(first=leg_scales, second=leg_scales)
+def test_v3_links_are_stretched_matter(source: str, first: float, second: float) -> None:
+    """Stretching the v3 of one scale, point mass by point mass, gives that of another scale."""
+    start, end = (bodies_of(source, "v3", scale) for scale in (first, second))
+    ratio = second / first
+    for leg in ("leg_front_r", "leg_front_l", "leg_back_r", "leg_back_l"):
+        hip, knee = (start[leg + number].position for number in ("_2", "_3"))
+        robot = load("v3")
+        foot = pa.Configuration(robot, robot.neutral()).frame_position(f"{leg}_3_foot_site")
+        thigh = knee - hip
+        assert thigh[1] == pytest.approx(0, abs=1e-12)
+        calf = foot - pinocchio_bodies(robot)[f"{leg}_3"].position
+        calf[1] = 0.0  # in the plane of the leg
+        for number, along in (("_2", thigh), ("_3", calf)):
+            body, stretched = start[leg + number], end[leg + number]
+            axis = along / np.linalg.norm(along)
+            points, masses = point_masses(body)
+            lengths = (points - body.position) @ axis
+            points = points - body.position + (ratio - 1) * np.outer(lengths, axis)
+            mass, com, inertia = lump(points, ratio * masses)
+            assert stretched.mass == pytest.approx(mass, rel=1e-12)
+            np.testing.assert_allclose(stretched.com - stretched.position, com, atol=1e-12)
+            size = np.abs(inertia).max()
+            np.testing.assert_allclose(stretched.inertia, inertia, rtol=0, atol=1e-10 * size)
+        np.testing.assert_allclose(end[f"{leg}_3"].position - hip, ratio * thigh, atol=1e-12)
+
+
+@pytest.mark.parametrize("source", BODIES)
+def test_what_is_not_a_thigh_or_calf_keeps_its_inertia(source: str) -> None:
+    for base in ("skeleton", "v3"):
+        start, end = bodies_of(source, base), bodies_of(source, base, 1.7, 2.5)
+        for name in start:
+            if name.endswith(("_1", "_HAA")):
+                np.testing.assert_allclose(end[name].inertia, start[name].inertia, rtol=1e-12)
+                assert end[name].mass == start[name].mass
+                np.testing.assert_allclose(end[name].position, start[name].position, atol=1e-15)
+        np.testing.assert_allclose(end["base"].inertia, 2.5 * start["base"].inertia, atol=1e-15)
+        np.testing.assert_allclose(end["base"].com, start["base"].com, atol=1e-15)
+        assert end["base"].mass == pytest.approx(2.5 * 1.506, rel=1e-12)
+
+
+# ------------------------------------------------------------------------------------- capsules
+
+
+def integrated_capsule(mass: float, radius: float, length: float) -> tuple[float, float]:
+    """Axial and lateral moment of a solid capsule about its centre, summed up disc by disc."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    total = axial = lateral = 0.0
+    half = length / 2
+    for low, high in ((-half - radius, -half), (-half, half), (half, half + radius)):
+        x = (low + high) / 2 + nodes * (high - low) / 2
+        beyond = np.maximum(np.abs(x) - half, 0.0)
+        square = radius**2 - beyond**2  # of the disc's radius
+        disc = np.pi * square * weights * (high - low) / 2
+        total += disc.sum()
+        axial += disc @ (square / 2)
+        lateral += disc @ (square / 4 + x**2)
+    return mass / total * axial, mass / total * lateral
+
+
+@given(mass=st.floats(0.01, 5), radius=st.floats(0.001, 0.2), length=st.floats(0, 1))
+def test_capsule_inertia_is_the_integral(mass: float, radius: float, length: float) -> None:
+    tensor = urdf.capsule_inertia(mass, radius, length, np.array([1.0, 0, 0]))
+    axial, lateral = integrated_capsule(mass, radius, length)
+    np.testing.assert_allclose(tensor, np.diag([axial, lateral, lateral]), rtol=1e-11, atol=1e-18)
+
+
+@given(mass=st.floats(0.01, 5), size=st.floats(0.001, 0.2))
+def test_capsule_inertia_in_its_limits(mass: float, size: float) -> None:
+    axis = np.array([0.0, 0.6, 0.8])
+    sphere = 0.4 * mass * size**2 * np.eye(3)
+    np.testing.assert_allclose(
+        urdf.capsule_inertia(mass, size, 0.0, axis), sphere, rtol=1e-12, atol=1e-15
+    )
+    rod = mass * size**2 / 12 * (np.eye(3) - np.outer(axis, axis))
+    thin = urdf.capsule_inertia(mass, 1e-9 * size, size, axis)
+    np.testing.assert_allclose(thin, rod, atol=1e-8 * mass * size**2)
+
+
+@settings(max_examples=10)
+@given(radius=st.floats(0.005, 0.05), length=st.floats(0.01, 0.3))
+def test_capsule_inertia_is_mujocos(radius: float, length: float) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><freejoint/>
+        <geom type="capsule" size="{radius!r}" fromto="0 0 0 0 0 {length!r}" mass="0.3"/>
+        </body></worldbody></mujoco>"""
+    )
+    ours = urdf.capsule_inertia(0.3, radius, length, np.array([0, 0, 1.0]))
+    np.testing.assert_allclose(sorted(np.diag(ours)), sorted(model.body_inertia[1]), rtol=1e-10)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("source", BODIES)
+@settings(max_examples=15)
+@given(scale=leg_scales)
+def test_skeleton_links_stay_solid_capsules(source: str, scale: float) -> None:
+    """Longer, not wider: the ends stay hemispheres, and the foot's sphere rides along."""
+    bodies = bodies_of(source, "skeleton", scale)
+    thigh_axial, thigh_lateral = integrated_capsule(0.186 * scale, 0.013, 0.08 * scale)
+    calf_axial, calf_lateral = integrated_capsule(0.05 * scale, 0.011, 0.11 * scale)
+    sphere = 0.4 * 0.02 * 0.018**2
+    calf_mass = 0.05 * scale + 0.02
+    com = -(0.05 * scale * 0.055 * scale + 0.02 * 0.11 * scale) / calf_mass
+    gap = 0.055 * scale  # between the capsule's centre and the foot
+    lateral = calf_lateral + sphere + 0.05 * scale * 0.02 / calf_mass * gap**2
+    for leg in ("FL", "FR", "RL", "RR"):
+        thigh, calf = bodies[f"{leg}_HFE"], bodies[f"{leg}_KFE"]
+        np.testing.assert_allclose(
+            thigh.inertia,
+            np.diag([thigh_lateral, thigh_lateral, thigh_axial]),
+            rtol=1e-10,
+            atol=1e-18,
+        )
+        np.testing.assert_allclose(thigh.com - thigh.position, [0, 0, -0.04 * scale], atol=1e-12)
+        np.testing.assert_allclose(
+            calf.inertia, np.diag([lateral, lateral, calf_axial + sphere]), rtol=1e-10, atol=1e-18
+        )
+        np.testing.assert_allclose(calf.com - calf.position, [0, 0, com], atol=1e-12)
+        assert calf.mass == pytest.approx(calf_mass, rel=1e-12)
+
+
+# ------------------------------------------------------------------------------------- shapes
+
+
+def mujoco_extent(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
+    """The bounds (2, 3) in the world of the meshes of each body."""
+    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    extents = {}
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value):
+        mesh = int(model.geom_dataid[geom])
+        start, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        vertices = model.mesh_vert[start : start + count]
+        points = data.geom_xpos[geom] + vertices @ data.geom_xmat[geom].reshape(3, 3).T
+        name = model.body(int(model.geom_bodyid[geom])).name
+        extents[name] = np.array([points.min(axis=0), points.max(axis=0)])
+    return extents
+
+
+@pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
+def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -> None:
+    robot = load(name)
+    path, _ = pa.write_variant(name, tmp_path)
+    config = pa.Configuration(robot, robot.neutral())
+    theirs = mujoco_extent(robot, robot.neutral())
+    assert len(theirs) == 13
+    for link in ElementTree.parse(path).getroot().iter("link"):
+        for visual in link.iter("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is None:
+                continue
+            body = link.attrib["name"]
+            part = trimesh.load_mesh((path.parent / mesh.attrib["filename"]).resolve())
+            scale = np.array(mesh.attrib.get("scale", "1 1 1").split(), dtype=float)
+            origin = visual.find("origin")
+            assert origin is not None
+            place = np.array(origin.attrib["xyz"].split(), dtype=float)
+            turn = Rotation.from_euler("xyz", np.array(origin.get("rpy", "0 0 0").split(), float))
+            points = turn.apply(part.vertices * scale) + place
+            world = config.frame_position(body) + points @ config.frame_rotation(body).T
+            extent = np.array([world.min(axis=0), world.max(axis=0)])
+            np.testing.assert_allclose(theirs[body], extent, atol=2e-6, err_msg=body)
+
+
+def test_meshes_are_stretched_with_their_links() -> None:
+    """From hip to knee the drawn thigh grows as the joint's distance does; so does the calf."""
+    short, long = (
+        mujoco_extent(load(name), load(name).neutral()) for name in ("v3", "v3-long-leg")
+    )
+    np.testing.assert_allclose(long["base_link"], short["base_link"], atol=1e-7)
+    np.testing.assert_allclose(long["leg_front_r_1"], short["leg_front_r_1"], atol=1e-7)
+    hip = np.array([0.075, -0.0835, 0])
+    for body in ("leg_front_r_2", "leg_front_r_3"):
+        assert np.ptp(long[body][:, 2]) > 1.2 * np.ptp(short[body][:, 2])
+        np.testing.assert_allclose(long[body][:, 1], short[body][:, 1], atol=1e-7)  # as thick
+    reach = [hip[2] - extent["leg_front_r_3"][0, 2] for extent in (short, long)]
+    assert reach[1] / reach[0] == pytest.approx(1.5, abs=0.05)
+
+
+@pytest.mark.parametrize("s", [0.5, 1.5, 2.0])
+def test_skeletons_shapes_are_stretched_in_both_files(s: float) -> None:
+    description = describe(pa.VariantSpec("skeleton", s))
+    model = description.mjcf.copy().compile()
+    links = {
+        link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")
+    }
+    for part, length, radius in (("thigh", 0.08, 0.013), ("calf", 0.11, 0.011)):
+        for leg in ("FL", "FR", "RL", "RR"):
+            geom = int(model.body(f"{leg}_{part}").geomadr[0])
+            np.testing.assert_allclose(model.geom_size[geom, :2], [radius, s * length / 2])
+            np.testing.assert_allclose(model.geom_pos[geom], [0, 0, -s * length / 2], atol=1e-15)
+            for kind in ("visual", "collision"):
+                cylinder = links[f"{leg}_{part}"].find(f"{kind}/geometry/cylinder")
+                assert cylinder is not None
+                assert float(cylinder.attrib["length"]) == pytest.approx(s * length)
+                assert float(cylinder.attrib["radius"]) == radius
+
+
+# ------------------------------------------------------------------------------------- keyframes
+
+
+@pytest.mark.parametrize("base", ["skeleton", "v3"])
+@pytest.mark.parametrize("scale", [0.5, 1.5, 2.5])
+def test_home_keeps_its_clearance(base: str, scale: float) -> None:
+    """The lowest foot of the scaled robot is as high above the ground as that of the base model."""
+    heights = []
+    for robot in (
+        load("v3" if base == "v3" else "original"),
+        pa.load_variant(pa.VariantSpec(base, scale)),
+    ):
+        feet = pa.Configuration(robot, robot.home).foot_positions().values()
+        heights.append(min(foot[2] for foot in feet))
+    assert heights[1] == pytest.approx(heights[0], abs=1e-12)
+
+
+# ------------------------------------------------------------------------------------- writing
+
+
+def reloaded(variant: str, folder: Path) -> pa.Robot:
+    paths = pa.write_variant(variant, folder)
+    return pa.load_robot(
+        urdf=paths[0], mjcf=paths[1], feet=dict(load(variant).foot_frames), name=variant
+    )
+
+
+def test_written_files_are_the_variant(variant: str, tmp_path: Path) -> None:
+    ours, again = load(variant), reloaded(variant, tmp_path)
+    assert_same_bodies(pinocchio_bodies(ours), pinocchio_bodies(again), 1e-12)
+    assert_same_bodies(mujoco_bodies(ours), mujoco_bodies(again), 1e-12)
+    assert_same_bodies(pinocchio_bodies(again), mujoco_bodies(again), 1e-12)
+    np.testing.assert_array_equal(again.home, ours.home)
+    np.testing.assert_allclose(again.lower_limits, ours.lower_limits, rtol=1e-15)
+    for name in (
+        "jnt_range",
+        "dof_armature",
+        "dof_damping",
+        "dof_frictionloss",
+        "actuator_gainprm",
+        "actuator_biasprm",
+        "actuator_forcerange",
+        "geom_size",
+        "geom_pos",
+        "geom_friction",
+        "geom_solimp",
+        "geom_condim",
+        "geom_contype",
+        "geom_conaffinity",
+        "key_ctrl",
+        "site_pos",
+        "mesh_vert",
+    ):
+        np.testing.assert_allclose(
+            getattr(again.mj_model, name),
+            getattr(ours.mj_model, name),
+            rtol=1e-9,
+            atol=1e-12,
+            err_msg=name,
+        )
+    for name in ("timestep", "integrator", "cone", "impratio"):
+        assert getattr(again.mj_model.opt, name) == getattr(ours.mj_model.opt, name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "v3-heavy"])
+@given(data=st.data())
+@settings(max_examples=10)
+def test_written_files_move_like_the_variant(
+    name: str, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    ours, again = load(name), reloaded(name, tmp_path_factory.mktemp("written"))
+    qpos = data.draw(positions(ours))
+    one, two = (pa.Configuration(robot, qpos) for robot in (ours, again))
+    np.testing.assert_allclose(two.mass_matrix(), one.mass_matrix(), atol=1e-12)
+    np.testing.assert_allclose(two.gravity(), one.gravity(), atol=1e-11)
+    np.testing.assert_allclose(
+        mujoco_at(again, qpos).qfrc_bias, mujoco_at(ours, qpos).qfrc_bias, atol=1e-11
+    )
+
+
+def test_any_scale_is_written_without_loss(tmp_path: Path) -> None:
+    spec = pa.VariantSpec("v3", 1 / 3, np.pi, name="odd")
+    paths = pa.write_variant(spec, tmp_path)
+    feet = list(load("v3").foot_frames.values())
+    again = pa.load_robot(urdf=paths[0], mjcf=paths[1], feet=feet)
+    ours = pa.load_variant(spec)
+    assert again.name == "odd"
+    assert_same_bodies(mujoco_bodies(ours), mujoco_bodies(again), 1e-12)
+    assert_same_bodies(pinocchio_bodies(again), mujoco_bodies(again), 1e-12)
+
+
+def test_written_files_open_elsewhere(
+    variant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From another folder, with relative paths, in MuJoCo and in yourdfpy with its meshes."""
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    paths = pa.write_variant(variant, "out/models")
+    assert paths == (
+        Path(f"out/models/urdf/{variant}.urdf"),
+        Path(f"out/models/mjcf/{variant}.xml"),
+    )
+    monkeypatch.chdir(tmp_path)
+    urdf_path, mjcf_path = (os.path.join("elsewhere", path) for path in paths)  # noqa: PTH118
+    model = mujoco.MjModel.from_xml_path(mjcf_path)
+    assert model.body_mass.sum() == pytest.approx(load(variant).total_mass, rel=1e-12)
+    scene = yourdfpy.URDF.load(urdf_path)
+    masses = [link.inertial.mass for link in scene.robot.links if link.inertial is not None]
+    assert sum(masses) == pytest.approx(load(variant).total_mass, rel=1e-12)
+    shapes = sum(len(link.visuals) for link in scene.robot.links)
+    assert len(scene.scene.geometry) == shapes
+    written = {path.name for path in (tmp_path / "elsewhere/out/models").rglob("*.stl")}
+    expected = {"torso.stl", "hip.stl", "thigh.stl", "calf.stl"} if "v3" in variant else set()
+    assert written == expected
+
+
+def test_base_files_are_not_touched(tmp_path: Path) -> None:
+    files = [
+        path for kind in ("urdf", "mjcf") for path in (ROOT / kind).rglob("*") if path.is_file()
+    ]
+    before = {path: path.stat().st_mtime_ns for path in files}
+    pa.write_variant("v3-long-leg", tmp_path)
+    pa.write_variant("v3-long-leg", tmp_path)  # over itself
+    assert {path: path.stat().st_mtime_ns for path in files} == before
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_description_is_fresh_each_time(name: str) -> None:
+    """Deriving twice scales once."""
+    one, two = describe(name), describe(name)
+    assert one.urdf == two.urdf
+    assert mjcf.to_xml(one.mjcf) == mjcf.to_xml(two.mjcf)

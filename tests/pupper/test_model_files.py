@@ -1,0 +1,583 @@
+"""The model files themselves: what they say, and that they say the same."""
+
+from collections.abc import Callable
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
+from tests.support.engines import mujoco_at
+from tests.support.repository import ROOT
+from tests.support.states import numbers, positions
+from tests.support.variants import BASES, load
+
+MJCF = ROOT / "mjcf"
+MIRROR = np.diag([1.0, -1.0, 1.0])
+LEGS = {
+    "v3": {"FR": "leg_front_r_", "FL": "leg_front_l_", "RR": "leg_back_r_", "RL": "leg_back_l_"},
+    "original": {leg: f"{leg}_" for leg in ("FL", "FR", "RL", "RR")},
+}
+SEGMENTS = {"v3": ("1", "2", "3"), "original": ("HAA", "HFE", "KFE")}
+MIRRORED = (("FR", "FL"), ("RR", "RL"))
+
+
+@pytest.fixture(scope="module", params=BASES)
+def base(request: pytest.FixtureRequest) -> str:
+    """The unscaled variant of each pair of files."""
+    return str(request.param)
+
+
+def urdf_of(base: str) -> ElementTree.Element:
+    return ElementTree.parse(ROOT / "urdf" / f"{BASES[base]}.urdf").getroot()
+
+
+def compiled(file: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_path(str(MJCF / file))
+
+
+def attribute(element: ElementTree.Element, path: str, name: str) -> float:
+    child = element.find(path)
+    assert child is not None
+    return float(child.attrib[name])
+
+
+# ------------------------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize(
+    ("file", "sizes", "mass"),
+    [
+        ("pupper_v3.xml", (19, 18, 12), 3.170),
+        ("pupper_v3_fixed.xml", (12, 12, 12), 3.170),
+        ("pupper_skeleton.xml", (19, 18, 12), 2.710),
+    ],
+)
+def test_mjcf_sizes_and_mass(file: str, sizes: tuple[int, ...], mass: float) -> None:
+    model = compiled(file)
+    assert (model.nq, model.nv, model.nu) == sizes
+    assert model.body_mass.sum() == pytest.approx(mass, abs=1e-12)
+
+
+@pytest.mark.parametrize(("base", "mass"), [("v3", 3.170), ("original", 2.710)])
+def test_urdf_mass(base: str, mass: float) -> None:
+    masses = [float(node.attrib["value"]) for node in urdf_of(base).iter("mass")]
+    assert sum(masses) == pytest.approx(mass, abs=1e-12)
+
+
+V3_AXES = {
+    "r": [(0, -1, 0), (-1, 0, 0), (0, -1, 0)],
+    "l": [(0, 1, 0), (-1, 0, 0), (0, 1, 0)],
+}
+
+
+@pytest.mark.parametrize("side", V3_AXES)
+@pytest.mark.parametrize("end", ["front", "back"])
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_v3_axes_at_zero_angles(end: str, side: str, number: int) -> None:
+    """_1 and _3 turn about y (pitch) and _2 about x (roll)."""
+    robot, name = load("v3"), f"leg_{end}_{side}_{number}"
+    expected = V3_AXES[side][number - 1]
+    mjcf = mujoco_at(robot, robot.neutral()).joint(name).xaxis
+    np.testing.assert_allclose(mjcf, expected, atol=1e-15)
+    config = pa.Configuration(robot, robot.neutral())
+    urdf = config.frame_jacobian(name)[3:, 6 + robot.joint_names.index(name)]
+    np.testing.assert_allclose(urdf, expected, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("base", "feet", "com"),
+    [
+        (
+            "v3",
+            {
+                "FR": (0.06881, -0.1015, -0.11156),
+                "FL": (0.06881, 0.1015, -0.11156),
+                "RR": (-0.08119, -0.0905, -0.11156),
+                "RL": (-0.08119, 0.0905, -0.11156),
+            },
+            (-0.00272409, 0, -0.00609136),
+        ),
+        (
+            "original",
+            {
+                "FL": (0.075, 0.0835, -0.19),
+                "FR": (0.075, -0.0835, -0.19),
+                "RL": (-0.075, 0.0725, -0.19),
+                "RR": (-0.075, -0.0725, -0.19),
+            },
+            # torso, thighs (0.186 kg), calves (0.05 kg) and feet (0.02 kg) by hand
+            (
+                1.506 * 0.01 / 2.71,
+                0,
+                (1.506 * 0.02 - 4 * (0.186 * 0.04 + 0.05 * 0.135 + 0.02 * 0.19)) / 2.71,
+            ),
+        ),
+    ],
+)
+def test_feet_and_com_at_zero_angles(
+    base: str, feet: dict[str, tuple[float, ...]], com: tuple[float, ...]
+) -> None:
+    robot = load(base)
+    assert robot.feet == tuple(feet)
+    config = pa.Configuration(robot, robot.neutral())
+    mj = mujoco_at(robot, robot.neutral())
+    for foot, place in feet.items():
+        np.testing.assert_allclose(config.foot_positions()[foot], place, atol=1e-9)
+        np.testing.assert_allclose(mj.site(robot.foot_frames[foot]).xpos, place, atol=1e-9)
+    np.testing.assert_allclose(config.center_of_mass(), com, atol=1e-8)
+    np.testing.assert_allclose(mj.body("base_link").subtree_com, com, atol=1e-8)
+
+
+def test_actuators_are_in_the_tutorials_order() -> None:
+    v3 = [f"leg_{end}_{side}_{i}" for end in ("front", "back") for side in "rl" for i in (1, 2, 3)]
+    skeleton = [
+        f"{leg}_{joint}" for leg in ("FL", "FR", "RL", "RR") for joint in ("HAA", "HFE", "KFE")
+    ]
+    for base, expected in (("v3", v3), ("original", skeleton)):
+        model = compiled(f"{BASES[base]}.xml")
+        assert [model.actuator(index).name for index in range(model.nu)] == expected
+        driven = [model.joint(int(model.actuator_trnid[i, 0])).name for i in range(model.nu)]
+        assert driven == expected
+        assert load(base).joint_names == tuple(expected)
+
+
+@pytest.mark.parametrize(
+    ("file", "qpos", "ctrl"),
+    [
+        ("pupper_v3.xml", [0, 0, 0.28, 1, 0, 0, 0, *[0] * 12], [0] * 12),
+        ("pupper_v3_fixed.xml", [0] * 12, [0] * 12),
+        (
+            "pupper_skeleton.xml",
+            [0, 0, 0.158, 1, 0, 0, 0, *[0, 0.9014, -1.5083] * 4],
+            [0, 0.9014, -1.5083] * 4,
+        ),
+    ],
+)
+def test_home_keyframe(file: str, qpos: list[float], ctrl: list[float]) -> None:
+    key = compiled(file).key("home")
+    np.testing.assert_allclose(key.qpos, qpos)
+    np.testing.assert_allclose(key.ctrl, ctrl)
+
+
+# ------------------------------------------------------------------------------------- symmetry
+
+
+def mirror_matrix(robot: pa.Robot, base: str) -> np.ndarray:
+    """L (nv, nv): qvel of the mirror image (left and right exchanged) is L qvel.
+
+    The velocity of a point is mirrored like a vector; an angular velocity, and so a joint's axis,
+    with the opposite sign.
+    """
+    matrix = np.zeros((robot.nv, robot.nv))
+    matrix[:3, :3] = MIRROR
+    matrix[3:6, 3:6] = -MIRROR
+    axes = pa.Configuration(robot, robot.neutral())
+    for right, left in MIRRORED:
+        for segment in SEGMENTS[base]:
+            one, two = (LEGS[base][leg] + segment for leg in (right, left))
+            columns = [6 + robot.joint_names.index(name) for name in (one, two)]
+            turn = [
+                axes.frame_jacobian(child_of(robot, name))[3:, column]
+                for name, column in zip((one, two), columns, strict=True)
+            ]
+            sign = turn[1] @ (-MIRROR @ turn[0])
+            assert abs(sign) == pytest.approx(1.0, abs=1e-12)
+            matrix[columns, columns[::-1]] = sign
+    return matrix
+
+
+def child_of(robot: pa.Robot, joint: str) -> str:
+    model = robot.mj_model
+    return str(model.body(int(model.joint(joint).bodyid[0])).name)
+
+
+@pytest.mark.slow
+@given(data=st.data())
+def test_the_robot_is_its_own_mirror_image(variant: str, data: st.DataObject) -> None:
+    """Mirrored, it has the same mass matrix, gravity and feet: in the URDF and in the MJCF."""
+    robot, base = load(variant), "v3" if variant.startswith("v3") else "original"
+    mirror = mirror_matrix(robot, base)
+    qpos = data.draw(positions(robot))
+    turn = Rotation.from_quat(qpos[3:7], scalar_first=True)
+    mirrored = np.concatenate(
+        [
+            MIRROR @ qpos[:3],
+            Rotation.from_rotvec(-MIRROR @ turn.as_rotvec()).as_quat(scalar_first=True),
+            mirror[6:, 6:] @ qpos[7:],
+        ]
+    )
+    one, two = pa.Configuration(robot, qpos), pa.Configuration(robot, mirrored)
+    np.testing.assert_allclose(two.center_of_mass(), MIRROR @ one.center_of_mass(), atol=1e-12)
+    for right, left in MIRRORED:
+        np.testing.assert_allclose(
+            two.foot_positions()[left], MIRROR @ one.foot_positions()[right], atol=1e-12
+        )
+    inertia = mirror @ one.mass_matrix() @ mirror.T
+    np.testing.assert_allclose(two.mass_matrix(), inertia, atol=1e-12)
+    np.testing.assert_allclose(two.gravity(), mirror @ one.gravity(), atol=1e-12)
+    for name, limits in (("lower", robot.lower_limits), ("upper", robot.upper_limits)):
+        images = mirror[6:, 6:] @ limits
+        others = robot.upper_limits if name == "lower" else robot.lower_limits
+        flipped = mirror[6:, 6:].sum(axis=1) < 0
+        np.testing.assert_allclose(images, np.where(flipped, others, limits), atol=1e-15)
+
+
+@pytest.mark.parametrize("source", BODIES)
+def test_left_bodies_mirror_the_right_ones(variant: str, source: str) -> None:
+    base = "v3" if variant.startswith("v3") else "original"
+    bodies = BODIES[source](load(variant))
+    for right, left in MIRRORED:
+        for segment in SEGMENTS[base]:
+            one, two = (bodies[LEGS[base][leg] + segment] for leg in (right, left))
+            assert two.mass == pytest.approx(one.mass, rel=1e-12)
+            np.testing.assert_allclose(two.com, MIRROR @ one.com, atol=1e-12)
+            np.testing.assert_allclose(two.inertia, MIRROR @ one.inertia @ MIRROR, atol=1e-15)
+            np.testing.assert_allclose(two.position, MIRROR @ one.position, atol=1e-15)
+    torso = bodies["base"]
+    assert torso.com[1] == pytest.approx(0, abs=1e-15)
+    np.testing.assert_allclose(torso.inertia[[0, 1], [1, 2]], 0, atol=1e-15)
+
+
+@pytest.mark.parametrize("source", BODIES)
+def test_front_and_rear_legs_are_alike(variant: str, source: str) -> None:
+    base = "v3" if variant.startswith("v3") else "original"
+    bodies = BODIES[source](load(variant))
+    legs = LEGS[base]
+    for front, rear in (("FR", "RR"), ("FL", "RL")):
+        hips = [bodies[legs[leg] + SEGMENTS[base][0]].position for leg in (front, rear)]
+        for segment in SEGMENTS[base]:
+            one, two = (bodies[legs[leg] + segment] for leg in (front, rear))
+            assert two.mass == pytest.approx(one.mass, rel=1e-12)
+            np.testing.assert_allclose(two.com - hips[1], one.com - hips[0], atol=1e-12)
+            np.testing.assert_allclose(two.inertia, one.inertia, atol=1e-15)
+
+
+# ------------------------------------------------------------------------------------- two files
+
+
+def test_urdf_and_mjcf_agree_to_rounding(robot: pa.Robot) -> None:
+    assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
+
+
+def test_skeleton_urdf_states_what_mujoco_integrates_from_the_shapes() -> None:
+    """The MJCF gives no inertia at all; the URDF gives every one."""
+    spec = mujoco.MjSpec.from_file(str(MJCF / "pupper_skeleton.xml"))
+    assert not any(body.explicitinertial for body in spec.bodies)
+    model = spec.compile()
+    for link in urdf_of("original").iter("link"):
+        name, inertial = link.attrib["name"], link.find("inertial")
+        if not name.endswith(("_hip", "_thigh")) or inertial is None:
+            continue
+        body = model.body(name)
+        assert body.mass[0] == pytest.approx(attribute(inertial, "mass", "value"), rel=1e-12)
+        stated = [attribute(inertial, "inertia", axis) for axis in ("ixx", "iyy", "izz")]
+        np.testing.assert_allclose(sorted(stated), sorted(body.inertia), rtol=1e-12)
+
+
+def test_limits_and_friction_agree(base: str) -> None:
+    model = compiled(f"{BASES[base]}.xml")
+    joints = [node for node in urdf_of(base).iter("joint") if node.attrib["type"] == "revolute"]
+    assert len(joints) == 12
+    for node in joints:
+        joint = model.joint(node.attrib["name"])
+        low, high = joint.range
+        dof = int(joint.dofadr[0])
+        actuator = model.actuator(node.attrib["name"])
+        for path, name, value in (
+            ("limit", "lower", low),
+            ("limit", "upper", high),
+            ("limit", "effort", actuator.forcerange[1]),
+            ("limit", "effort", -actuator.forcerange[0]),
+            ("limit", "velocity", 100.0),
+            ("dynamics", "damping", float(np.ravel(model.dof_damping[dof])[0])),
+            ("dynamics", "friction", float(np.ravel(model.dof_frictionloss[dof])[0])),
+        ):
+            assert attribute(node, path, name) == pytest.approx(value, rel=1e-12), name
+        assert joint.limited[0]
+        assert actuator.forcelimited[0]
+
+
+@pytest.mark.parametrize(
+    ("base", "armature", "damping", "friction"),
+    [("v3", 0.0016, 0.01, 0.01), ("original", 0.003, 0.04, 0.002)],
+)
+def test_joint_constants(base: str, armature: float, damping: float, friction: float) -> None:
+    model = compiled(f"{BASES[base]}.xml")
+    np.testing.assert_allclose(model.dof_armature, [0] * 6 + [armature] * 12)
+    np.testing.assert_allclose(np.ravel(model.dof_frictionloss), [0] * 6 + [friction] * 12)
+    np.testing.assert_allclose(model.dof_damping.reshape(18, -1)[:, 0], [0] * 6 + [damping] * 12)
+
+
+@pytest.mark.parametrize(
+    ("leg", "limits"),
+    [
+        ("leg_front_r_", [(-1.22, 2.51), (-0.42, 3.14), (-2.79, 0.71)]),
+        ("leg_back_r_", [(-1.22, 2.51), (-0.42, 3.14), (-2.79, 0.71)]),
+        ("leg_front_l_", [(-2.51, 1.22), (-3.14, 0.42), (-0.71, 2.79)]),
+        ("leg_back_l_", [(-2.51, 1.22), (-3.14, 0.42), (-0.71, 2.79)]),
+    ],
+)
+def test_v3_joint_limits(leg: str, limits: list[tuple[float, float]]) -> None:
+    model = compiled("pupper_v3.xml")
+    for number, expected in enumerate(limits, start=1):
+        np.testing.assert_allclose(model.joint(f"{leg}{number}").range, expected)
+
+
+def test_sites_are_links(base: str) -> None:
+    """Every site of the MJCF (feet and IMU) is a link of the URDF, at the same place."""
+    robot = load(base)
+    sites = {robot.mj_model.site(index).name for index in range(robot.mj_model.nsite)}
+    links = {link.attrib["name"] for link in urdf_of(base).iter("link")}
+    bodies = {robot.mj_model.body(index).name for index in range(1, robot.mj_model.nbody)}
+    assert "body_imu_site" in sites
+    assert len(sites) == 5
+    assert sites | bodies == links
+    joints = {node.attrib["name"] for node in urdf_of(base).iter("joint")}
+    assert set(robot.joint_names) < joints
+
+
+# ------------------------------------------------------------------------------------- servos
+
+
+@pytest.mark.parametrize(
+    ("base", "kp", "kd", "limit"), [("v3", 5.0, 0.1, 3.0), ("original", 60.0, 1.0, 18.0)]
+)
+@given(data=st.data())
+def test_servo_law(base: str, kp: float, kd: float, limit: float, data: st.DataObject) -> None:
+    robot = load(base)
+    qpos = data.draw(positions(robot))
+    rates, ctrl = data.draw(numbers(12, 9.0)), data.draw(numbers(12, 2.0))
+    mj = mujoco_at(robot, qpos, np.concatenate([np.zeros(6), rates]))
+    mj.ctrl[:] = ctrl
+    mujoco.mj_forward(robot.mj_model, mj)
+    law = np.clip(kp * (ctrl - qpos[7:]) - kd * rates, -limit, limit)
+    np.testing.assert_allclose(mj.actuator_force, law, atol=1e-12)
+    np.testing.assert_allclose(mj.qfrc_actuator, [*[0] * 6, *law], atol=1e-12)
+
+
+# ------------------------------------------------------------------------------------- sensors
+
+
+@pytest.mark.parametrize(("base", "arm"), [("v3", (0.09, 0, 0.032)), ("original", (0.08, 0, 0.03))])
+@given(place=numbers(3, 1.0), turn=numbers(3, 1.8), qvel=numbers(6, 3.0))
+def test_sensors_by_name(
+    base: str, arm: tuple[float, ...], place: np.ndarray, turn: np.ndarray, qvel: np.ndarray
+) -> None:
+    robot = load(base)
+    rotation = Rotation.from_rotvec(turn)
+    quat = rotation.as_quat(scalar_first=True)
+    qpos = np.concatenate([place, quat, np.zeros(12)])
+    mj = mujoco_at(robot, qpos, np.concatenate([qvel, np.zeros(12)]))
+    omega = rotation.apply(qvel[3:])
+    lever = rotation.apply(arm)
+    for name, expected in {
+        "body_gyro": qvel[3:],
+        "global_angvel": omega,
+        "global_position": place + lever,
+        "global_linvel": qvel[:3] + np.cross(omega, lever),
+    }.items():
+        np.testing.assert_allclose(mj.sensor(name).data, expected, atol=1e-12, err_msg=name)
+    assert abs(mj.sensor("body_quat").data @ quat) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_accelerometer_on_a_held_base_reads_gravity() -> None:
+    model = compiled("pupper_v3_fixed.xml")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.sensor("body_acc").data, [0, 0, 9.81], atol=1e-9)
+
+
+# ------------------------------------------------------------------------------------- shapes
+
+
+def test_meshes_neither_collide_nor_weigh() -> None:
+    spec = mujoco.MjSpec.from_file(str(MJCF / "pupper_v3.xml"))
+    with_meshes = spec.compile()
+    drawn = with_meshes.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value
+    assert drawn.sum() == 13  # torso, and three per leg
+    assert not with_meshes.geom_contype[drawn].any()
+    assert not with_meshes.geom_conaffinity[drawn].any()
+    # Left alone, without inertials and other shapes, they weigh nothing: MuJoCo then gives every
+    # body the least mass that it is told to.
+    spec.compiler.meshdir = str(MJCF / "meshes")
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
+    root = ElementTree.fromstring(spec.to_xml())
+    for body in root.iter("body"):
+        for child in list(body):
+            if child.tag == "inertial" or (child.tag == "geom" and "mesh" not in child.attrib):
+                body.remove(child)
+    alone = mujoco.MjModel.from_xml_string(ElementTree.tostring(root, encoding="unicode"))
+    assert (alone.geom_type == mujoco.mjtGeom.mjGEOM_MESH.value).sum() == 13
+    np.testing.assert_allclose(alone.body_mass[1:], 1e-6, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("base", "radius", "solimp", "friction"),
+    [
+        ("v3", 0.01995, (0.015, 1, 0.015), (0.8, 0.02, 0.01)),
+        ("original", 0.018, None, (1.2, 0.04, 0.01)),
+    ],
+)
+def test_foot_spheres(
+    base: str, radius: float, solimp: tuple[float, ...] | None, friction: tuple[float, ...]
+) -> None:
+    robot = load(base)
+    model = robot.mj_model
+    for frame in robot.foot_frames.values():
+        site = model.site(frame)
+        touching = [
+            geom
+            for geom in range(model.ngeom)
+            if model.geom_bodyid[geom] == site.bodyid[0]
+            and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value
+            and (model.geom_contype[geom] or model.geom_conaffinity[geom])
+        ]
+        assert len(touching) == 1
+        geom = touching[0]
+        np.testing.assert_allclose(model.geom_pos[geom], site.pos, atol=1e-15)
+        assert model.geom_size[geom, 0] == radius
+        np.testing.assert_allclose(model.geom_friction[geom], friction)
+        if solimp:
+            np.testing.assert_allclose(model.geom_solimp[geom, :3], solimp)
+
+
+def test_the_robot_does_not_touch_itself(robot: pa.Robot, stand: pa.Stand) -> None:
+    """In its stand it touches the ground with its feet alone."""
+    mj = mujoco_at(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
+    assert mj.ncon == 4
+    assert all(robot.mj_model.geom_bodyid[pair].min() == 0 for pair in mj.contact.geom)
+
+
+@pytest.mark.parametrize(
+    ("file", "timestep", "impratio"),
+    [
+        ("pupper_v3.xml", 0.002, 100),
+        ("pupper_v3_fixed.xml", 0.002, 100),
+        ("pupper_skeleton.xml", 0.004, 50),
+    ],
+)
+def test_options(file: str, timestep: float, impratio: float) -> None:
+    option = compiled(file).opt
+    assert (option.timestep, option.impratio) == (timestep, impratio)
+    assert option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value
+    np.testing.assert_allclose(option.gravity, [0, 0, -9.81])
+
+
+# ------------------------------------------------------------------------------------- fixed base
+
+
+def arrays(model: mujoco.MjModel) -> dict[str, np.ndarray]:
+    names = (name for name in dir(model) if not name.startswith("_"))
+    values = ((name, getattr(model, name)) for name in names)
+    return {name: value.copy() for name, value in values if isinstance(value, np.ndarray)}
+
+
+def without(spec: mujoco.MjSpec, unwanted: Callable[[str], bool]) -> mujoco.MjModel:
+    """The model without free joint, floor and keyframes, where they are wanted away."""
+    for kind, elements in (
+        ("freejoint", [j for j in spec.joints if j.type == mujoco.mjtJoint.mjJNT_FREE]),
+        ("floor", [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]),
+        ("keyframe", list(spec.keys)),
+    ):
+        if unwanted(kind):
+            assert len(elements) == 1, kind
+            spec.delete(elements[0])
+    spec.modelname = "same"
+    return spec.compile()
+
+
+def test_v3_files_differ_by_freejoint_floor_and_keyframe_alone() -> None:
+    free = mujoco.MjSpec.from_file(str(MJCF / "pupper_v3.xml"))
+    fixed = mujoco.MjSpec.from_file(str(MJCF / "pupper_v3_fixed.xml"))
+    assert {joint.name for joint in free.joints} - {joint.name for joint in fixed.joints} == {
+        "world_to_body"
+    }
+    one = arrays(without(free, lambda kind: True))
+    two = arrays(without(fixed, lambda kind: kind == "keyframe"))
+    assert len(one) > 300
+    assert one.keys() == two.keys()
+    for name, value in one.items():
+        np.testing.assert_array_equal(two[name], value, err_msg=name)
+
+
+def test_v3_files_share_their_parts() -> None:
+    includes = [
+        [node.attrib["file"] for node in ElementTree.parse(MJCF / file).getroot().iter("include")]
+        for file in ("pupper_v3.xml", "pupper_v3_fixed.xml")
+    ]
+    assert includes[0] == includes[1] == ["pupper_v3_shared.xml", "pupper_v3_body.xml"]
+
+
+def test_fixed_file_is_the_variant_with_a_fixed_base() -> None:
+    robot = load("v3", fixed_base=True)
+    assert (robot.nq, robot.nv, robot.nu, robot.floating) == (12, 12, 12, False)
+    assert robot.total_mass == pytest.approx(3.170, abs=1e-12)
+    file = arrays(
+        without(
+            mujoco.MjSpec.from_file(str(MJCF / "pupper_v3_fixed.xml")), lambda k: k == "keyframe"
+        )
+    )
+    ours = arrays(without(robot.description.mjcf.copy(), lambda kind: True))
+    for name, value in file.items():
+        np.testing.assert_array_equal(ours[name], value, err_msg=name)
+
+
+@given(share=numbers(12, 1.0))
+def test_fixed_variant_moves_like_the_fixed_file(share: np.ndarray) -> None:
+    robot, model = load("v3", fixed_base=True), compiled("pupper_v3_fixed.xml")
+    qpos = share * 0.4
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(model, data)
+    config, theirs = pa.Configuration(robot, qpos), mujoco_at(robot, qpos)
+    np.testing.assert_array_equal(theirs.xpos, data.xpos)
+    np.testing.assert_array_equal(theirs.qfrc_bias, data.qfrc_bias)
+    np.testing.assert_allclose(config.gravity(), data.qfrc_bias, atol=1e-12)
+    matrix = np.zeros((12, 12))
+    mujoco.mj_fullM(model, data, matrix)
+    np.testing.assert_allclose(config.mass_matrix(), matrix, atol=1e-14)
+    for foot, frame in robot.foot_frames.items():
+        np.testing.assert_allclose(config.foot_positions()[foot], data.site(frame).xpos, atol=1e-14)
+
+
+def test_holding_the_base_takes_the_base_rows_away() -> None:
+    """The joints' block of the free robot's mass matrix and gravity is the fixed robot's."""
+    free, fixed = load("v3"), load("v3", fixed_base=True)
+    qpos = free.neutral()
+    qpos[2], qpos[7:] = 0.13, np.linspace(-0.4, 0.4, 12)
+    one, two = pa.Configuration(free, qpos), pa.Configuration(fixed, qpos[7:])
+    np.testing.assert_allclose(two.mass_matrix(), one.mass_matrix()[6:, 6:], atol=1e-15)
+    np.testing.assert_allclose(two.gravity(), one.gravity()[6:], atol=1e-15)
+    np.testing.assert_allclose(two.center_of_mass(), one.center_of_mass(), atol=1e-15)
+
+
+def test_bodies_are_named_tuples_of_the_right_scale() -> None:
+    """Guards the helper itself: a mistake there would make all comparisons hollow."""
+    torso = mujoco_bodies(load("v3"))["base"]
+    assert isinstance(torso, Body)
+    np.testing.assert_allclose(
+        torso.inertia, [[0.0024, 0, -0.0005], [0, 0.0085, 0], [-0.0005, 0, 0.0085]], atol=1e-12
+    )
+    np.testing.assert_allclose(torso.com, [0.025, 0, 0.015], atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
+def test_materials_are_defined_and_have_one_colour_in_both_files(name: str) -> None:
+    root = ElementTree.parse(ROOT / "urdf" / f"{name}.urdf").getroot()
+    defined = {
+        material.get("name"): material.find("color").get("rgba").split()
+        for material in root.findall("material")
+    }
+    used = {material.get("name") for material in root.iter("material")}
+    model = mujoco.MjModel.from_xml_path(str(ROOT / "mjcf" / f"{name}.xml"))
+    assert used == set(defined)
+    for material, colour in defined.items():
+        np.testing.assert_allclose(
+            model.mat(material).rgba, np.array(colour, dtype=float), atol=1e-6
+        )

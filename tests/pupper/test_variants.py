@@ -1,0 +1,199 @@
+"""Which variants there are, what they weigh and measure, and what is refused."""
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from tests.support.bodies import BODIES
+from tests.support.engines import mujoco_at
+from tests.support.variants import NAMES, load
+
+MASSES = {
+    "original": 2.710,
+    "long-leg": 3.182,
+    "heavy": 4.216,
+    "v3": 3.170,
+    "v3-long-leg": 3.642,
+    "v3-heavy": 4.676,
+}
+KNEES = {"original": ("FL_HFE", "FL_KFE"), "v3": ("leg_front_l_2", "leg_front_l_3")}
+
+
+def test_the_variants() -> None:
+    assert tuple(MASSES) == NAMES
+    assert all(pa.VARIANTS[name].name == name for name in NAMES)
+
+
+@pytest.mark.parametrize("source", BODIES)
+def test_total_mass(variant: str, source: str) -> None:
+    bodies = BODIES[source](load(variant))
+    assert sum(body.mass for body in bodies.values()) == pytest.approx(MASSES[variant], abs=1e-12)
+    assert load(variant).total_mass == pytest.approx(MASSES[variant], abs=1e-12)
+
+
+def test_variant_sizes(robot: pa.Robot) -> None:
+    assert (robot.nq, robot.nv, robot.nu) == (19, 18, 12)
+    assert (robot.mj_model.nq, robot.mj_model.nv, robot.mj_model.nu) == (19, 18, 12)
+    assert (robot.pin_model.nq, robot.pin_model.nv) == (19, 18)
+
+
+@pytest.mark.parametrize("source", BODIES)
+@pytest.mark.parametrize("base", KNEES)
+def test_thigh_ratio_from_hip_to_knee(base: str, source: str) -> None:
+    def length(name: str) -> float:
+        hip, knee = (BODIES[source](load(name))[joint].position for joint in KNEES[base])
+        return float(np.linalg.norm(knee - hip))
+
+    longer = "long-leg" if base == "original" else "v3-long-leg"
+    assert length(longer) / length(base) == pytest.approx(1.5, abs=1e-12)
+
+
+def test_thigh_ratio_of_the_capsules() -> None:
+    """The shape that is drawn, and that touches, is as long as the way to the knee."""
+    lengths = []
+    for name in ("original", "long-leg"):
+        model = load(name).mj_model
+        for leg in ("FL", "FR", "RL", "RR"):
+            thigh = model.body(f"{leg}_thigh")
+            geom = int(thigh.geomadr[0])
+            assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE.value
+            capsule = 2 * model.geom_size[geom, 1]
+            assert capsule == pytest.approx(
+                np.linalg.norm(model.body(f"{leg}_calf").pos), rel=1e-12
+            )
+            lengths.append(capsule)
+    np.testing.assert_allclose(lengths, [0.08] * 4 + [0.12] * 4, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("heavy", "base", "ratio"), [("heavy", "original", 1.556), ("v3-heavy", "v3", 1.475)]
+)
+def test_heavy_mass_ratio(heavy: str, base: str, ratio: float) -> None:
+    assert load(heavy).total_mass / load(base).total_mass == pytest.approx(ratio, abs=5e-4)
+
+
+@pytest.mark.slow
+@settings(max_examples=15)
+@given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
+def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
+    robot = pa.load_variant(pa.VariantSpec("skeleton", s, t))
+    config = pa.Configuration(robot, robot.neutral())
+    torso, hips, thighs, calves, feet = 1.506 * t, 4 * 0.045, 4 * 0.186 * s, 4 * 0.05 * s, 4 * 0.02
+    total = torso + hips + thighs + calves + feet
+    drop = thighs * 0.04 * s + calves * (0.08 + 0.055) * s + feet * 0.19 * s
+    com = [torso * 0.01 / total, 0, (torso * 0.02 - drop) / total]
+    assert robot.total_mass == pytest.approx(total, rel=1e-12)
+    np.testing.assert_allclose(config.center_of_mass(), com, atol=1e-12)
+    np.testing.assert_allclose(
+        mujoco_at(robot, robot.neutral()).body("base_link").subtree_com, com, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        config.foot_positions()["FL"], [0.075, 0.0835, -0.19 * s], atol=1e-12
+    )
+
+
+@pytest.mark.slow
+@settings(max_examples=15)
+@given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
+def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
+    """Thigh and calf are stretched in the plane of the leg; the sideways offset stays."""
+    robot = pa.load_variant(pa.VariantSpec("v3", s, t))
+    config = pa.Configuration(robot, robot.neutral())
+    total = 1.506 * t + 4 * (0.18 + (0.186 + 0.05) * s)
+    assert robot.total_mass == pytest.approx(total, rel=1e-12)
+    hip = np.array([0.075, -0.0835, 0])
+    foot = np.array([0.06881, -0.1015, -0.11156]) - hip
+    expected = hip + foot * [s, 1, s]  # the leg is in a plane of constant y, 0.018 m outside
+    np.testing.assert_allclose(config.foot_positions()["FR"], expected, atol=1e-9)
+    site = mujoco_at(robot, robot.neutral()).site("leg_front_r_3_foot_site")
+    np.testing.assert_allclose(site.xpos, expected, atol=1e-9)
+
+
+# ------------------------------------------------------------------------------------- refused
+
+
+@pytest.mark.parametrize("name", ["", "Original", "long_leg", "v4"])
+def test_unknown_name_lists_the_known_ones(name: str) -> None:
+    with pytest.raises(pa.VariantError) as caught:
+        pa.load_variant(name)
+    assert repr(name) in str(caught.value)
+    assert all(known in str(caught.value) for known in NAMES)
+    assert (caught.value.field, caught.value.value) == ("name", name)
+
+
+@pytest.mark.parametrize("name", [None, 3, 1.5, ["v3"], {"v3": 1}])
+def test_a_name_that_is_no_string_is_refused(name: object) -> None:
+    with pytest.raises(pa.VariantError, match="known variants"):
+        pa.load_variant(name)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("base", ["", "original", "pupper", None, 3, ["v3"]])
+def test_unknown_base_lists_the_known_ones(base: object) -> None:
+    with pytest.raises(pa.VariantError, match="skeleton, v3") as caught:
+        pa.VariantSpec(base)  # type: ignore[arg-type]
+    assert repr(base) in str(caught.value)
+    assert caught.value.field == "base"
+
+
+@pytest.mark.parametrize("field", ["leg_scale", "torso_mass_scale"])
+@pytest.mark.parametrize(
+    "value", [math.nan, math.inf, -math.inf, 0, 0.0, -1.5, "1.5", True, None, [1.5], 1j]
+)
+def test_bad_scale_is_refused(field: str, value: object) -> None:
+    with pytest.raises(pa.VariantError, match=r"finite number greater than 0") as caught:
+        pa.VariantSpec("v3", **{field: value})  # type: ignore[arg-type]
+    assert field in str(caught.value)
+    assert repr(value) in str(caught.value)
+    assert caught.value.field == field
+    assert isinstance(caught.value, pa.PupperAnalysisError)
+
+
+@pytest.mark.parametrize("number", [np.float64(1.5), np.float32(1.5), np.int64(2), 2])
+def test_numpy_numbers_are_numbers(number: float) -> None:
+    spec = pa.VariantSpec("skeleton", leg_scale=number)
+    assert pa.load_variant(spec).total_mass == pytest.approx(2.710 + (number - 1) * 0.944)
+
+
+# ------------------------------------------------------------------------------------- specs
+
+
+def test_a_spec_names_itself() -> None:
+    assert pa.VariantSpec("v3", 1.2, 2.0).name == "v3-leg1.2-torso2"
+    assert pa.VariantSpec("v3", 1.2, name="mine").name == "mine"
+    assert pa.load_variant(pa.VariantSpec("v3", 1.2, name="mine")).name == "mine"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_variant_is_its_spec(name: str) -> None:
+    spec = pa.VARIANTS[name]
+    assert pa.load_variant(spec).total_mass == load(name).total_mass
+    assert spec == pa.VariantSpec(spec.base, spec.leg_scale, spec.torso_mass_scale)
+
+
+def test_only_a_heavier_torso_shows_ballast() -> None:
+    with_box = [name for name in NAMES if pa.VARIANTS[name].ballast]
+    assert with_box == ["heavy", "v3-heavy"]
+    for name in with_box:
+        model = load(name).mj_model
+        box = model.geom("ballast")
+        assert box.contype[0] == box.conaffinity[0] == 0
+        np.testing.assert_allclose(box.size, [0.065, 0.042, 0.018])
+
+
+def test_variants_cannot_be_changed() -> None:
+    with pytest.raises(TypeError):
+        pa.VARIANTS["v3"] = pa.VARIANTS["original"]  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        pa.VARIANTS["v3"].leg_scale = 2.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("field", ["leg_scale", "torso_mass_scale"])
+def test_scales_that_nobody_builds_are_refused(field: str) -> None:
+    assert getattr(pa.VariantSpec("v3", **{field: 1000.0}), field) == 1000.0
+    with pytest.raises(pa.VariantError, match="at most 1000"):
+        pa.VariantSpec("v3", **{field: 1e8})

@@ -1,0 +1,305 @@
+"""What is printed: the first cause first, groups, all of it when asked, and nothing cut off."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from pupper_analysis.checks.compare import Comparison
+from pupper_analysis.checks.engines import EXTRAS
+from pupper_analysis.checks.passive import find as extras
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.report.comparison import cases, remarks
+from pupper_analysis.report.documents.comparison import SHORT, SHOWN
+from pupper_analysis.report.formats import github, junit
+from tests.support.printing import printed
+from tests.support.robots import (
+    FEET,
+    Files,
+    Parts,
+    all_changed,
+    changed,
+    compared,
+    mjcf_text,
+    quadruped,
+    urdf_text,
+    write,
+    write_parts,
+)
+
+
+def lines(comparison: Comparison, everything: bool = False) -> list[str]:
+    """What is printed, without the files' names in the verdict."""
+    text = printed(comparison, everything=everything)
+    return text.replace(" robot.urdf and robot.xml: ", ": ", 1).splitlines()
+
+
+def many(parts: Parts) -> Parts:
+    """Every mass differs by another amount, every com, and each limit."""
+    result = dict(parts)
+    for number, name in enumerate(parts, start=1):
+        part = parts[name]
+        x, y, z = part.com
+        result = changed(
+            result, name, mass=part.mass * (1 + 0.01 * number), com=(x + 1e-4 * number, y, z)
+        )
+        result = changed(result, name, lower=part.lower - 0.01 * number)
+    return result
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Files:
+    mjcf = changed(all_changed(quadruped(), damping=0.3), "base", mass=7.5)
+    return write_parts(tmp_path, quadruped(), mjcf)
+
+
+def test_the_verdict_names_the_first_cause(files: Files) -> None:
+    assert lines(compared(files))[0] == (
+        "DISAGREE: body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)"
+    )
+
+
+def test_agreement_is_said(tmp_path: Path) -> None:
+    text = lines(compared(write_parts(tmp_path, quadruped(), quadruped())))
+    assert text[0] == "AGREE: no difference within the tolerances"
+    assert not any(line.startswith("1.") for line in text)
+
+
+def test_joints_of_one_file_alone_are_the_cause(tmp_path: Path) -> None:
+    parts = quadruped()
+    still = changed(parts, "shank3", kind="fixed")
+    comparison = compared(write_parts(tmp_path, still, parts))
+    text = printed(comparison)
+    assert text.startswith("DISAGREE robot.urdf and robot.xml: they do not have the same joints\n")
+    assert f"only in {comparison.mjcf}, fixed at zero to compare the rest: knee3" in text
+
+
+def test_guessed_pairs_are_named(tmp_path: Path) -> None:
+    urdf = changed(quadruped(), "shank3", joint="lh_kfe")
+    text = printed(compared(write_parts(tmp_path, urdf, quadruped())))
+    assert (
+        "matched by structure, by link or by part of the name (confirm with --map): lh_kfe=knee3"
+        in text
+    )
+
+
+def test_differences_alike_are_one_group(files: Files) -> None:
+    text = lines(compared(files))
+    group = next(index for index, line in enumerate(text) if line.startswith("2."))
+    assert "damping 0.1 N m s/rad in the URDF, 0.3 N m s/rad in the MJCF" in text[group]
+    assert text[group + 2].startswith("   likewise on 7 more: ")
+    assert not any(line.startswith("3.") for line in text)
+
+
+def test_all_of_a_group_are_printed_with_all(files: Files) -> None:
+    text = lines(compared(files), True)
+    for joint in (f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)):
+        assert any(line.split()[1:3] == ["damping", joint] for line in text), joint
+
+
+def test_places_and_effects_are_printed(files: Files) -> None:
+    text = printed(compared(files))
+    assert re.search(r"^   \S*robot.urdf:5   \S*robot.xml:7$", text, re.MULTILINE)
+    assert "   alone it makes, of the deviation in: " in text
+    assert "gravity 100% (1.3e-01)" in text  # 1.5 kg of 11.16 kg
+
+
+def test_no_effect_is_said(tmp_path: Path) -> None:
+    comparison = compared(
+        write_parts(tmp_path, quadruped(), changed(quadruped(), "thigh0", friction=0.9))
+    )
+    assert "   no effect on the dynamics\n" in printed(comparison, everything=False)
+
+
+def test_the_rest_is_counted_and_printed_with_all(tmp_path: Path) -> None:
+    comparison = compared(write_parts(tmp_path, quadruped(), many(quadruped())))
+    count = len(comparison.differences)
+    assert count > SHORT
+    short, full = lines(comparison), lines(comparison, True)
+    groups = min(count, SHOWN)
+    assert short[-1].startswith(f"with -v: {groups - SHORT} more of these; All differences")
+    assert not any(line.startswith(f"{SHORT + 1}. ") for line in short)
+    assert any(line.startswith(f"{groups}. ") for line in full)
+    listed = [line.split()[:1] for line in full]
+    for number, difference in enumerate(comparison.differences, start=1):
+        assert [str(number)] in listed
+        assert any(difference.element in line and difference.kind in line for line in full)
+
+
+def test_what_is_left_is_printed(files: Files) -> None:
+    text = printed(compared(files))
+    assert "explained: 100 % of the deviation; with the MJCF's values in the URDF's model " in text
+    assert "something is missing" not in text
+
+
+LONG = "knee_of_the_left_hind_leg_whose_name_is_as_long_as_a_whole_line_of_a_terminal_is_wide_1"
+
+
+@pytest.mark.parametrize("spring", [False, True])
+@pytest.mark.parametrize("width", [80, 100, 120])
+def test_nothing_is_cut_off(tmp_path: Path, width: int, spring: bool) -> None:
+    urdf = changed(quadruped(), "shank1", joint=LONG)
+    mjcf = mjcf_text(changed(changed(quadruped(), "shank1", joint=LONG), "shank1", mass=0.9))
+    if spring:
+        mjcf = mjcf.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
+    comparison = compared(write(tmp_path, urdf_text(urdf), mjcf))
+    text = printed(comparison, width=width)
+    assert f"body of {LONG}: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
+    after = text[text.index("Deviation relative to") :].splitlines()
+    for quantity in comparison.check.quantities:
+        rows = " ".join(line for line in after if line.startswith(f"{quantity.name} "))
+        for side, relative in quantity.edges.items():
+            # A side of zeros everywhere is left out: the MJCF has nothing that a URDF has not.
+            assert f"{relative:.1e}" in rows or (side == EXTRAS and not spring)
+    assert "…" not in text
+
+
+def test_brackets_in_names_are_printed(tmp_path: Path) -> None:
+    """Names that look like markup are not taken for it."""
+    mjcf = changed(changed(quadruped(), "shank1", joint="[red]knee"), "shank1", mass=0.9)
+    urdf = changed(quadruped(), "shank1", joint="[red]knee")
+    files = write(tmp_path, urdf_text(urdf), mjcf_text(mjcf), stem="go[blue]1")
+    text = printed(compared(files))
+    assert "body of [red]knee" in text
+    assert "go[blue]1.urdf:" in text
+    assert "go[blue]1.xml:" in text
+
+
+# ------------------------------------------------------------------------------------- machines
+
+
+def test_a_remark_for_each_difference(files: Files) -> None:
+    comparison = compared(files)
+    found = remarks(comparison)
+    assert len(found) == len(comparison.differences) == 9
+    first = found[0]
+    assert (first.level, first.title) == ("error", "mass of base")
+    assert first.message.startswith(comparison.differences[0].message)
+    assert "robot.xml:7" in first.message
+    assert str(first.place).endswith("robot.urdf:5")
+
+
+def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
+    urdf = changed(changed(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
+    comparison = compared(write_parts(tmp_path, urdf, quadruped()))
+    found = {remark.title: remark for remark in remarks(comparison)}
+    assert found["joint knee3"].level == "error"
+    assert found["joint knee3"].message == f"joint knee3 is not in {comparison.urdf}"
+    assert found["joint knee3"].place == comparison.mjcf
+    assert found["guessed joints"].level == "warning"
+    assert "lf_haa=hip0" in found["guessed joints"].message
+
+
+def test_remarks_stand_at_the_path_that_was_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """GitHub shows a remark only at a path from the repository's root."""
+    (tmp_path / "models").mkdir()
+    mjcf = changed(quadruped(), "base", mass=7.5)
+    write_parts(tmp_path / "models", quadruped(), mjcf)
+    monkeypatch.chdir(tmp_path)
+    comparison = compared(Files(Path("models/robot.urdf"), Path("models/robot.xml")))
+    shown = github(remarks(comparison)).splitlines()[0]
+    assert shown.startswith("::error file=models/robot.urdf,line=5,title=")
+    assert shown.endswith(" [mass-differs]")
+
+
+def test_no_remarks_where_the_models_agree(tmp_path: Path) -> None:
+    assert remarks(compared(write_parts(tmp_path, quadruped(), quadruped()))) == []
+
+
+def failures(comparison: Comparison) -> dict[str, str]:
+    root = ElementTree.fromstring(junit("suite", cases(comparison)))
+    failed = [case for case in root.iter("testcase") if case.find("failure") is not None]
+    assert int(root.get("failures", "-1")) == len(failed)
+    return {str(case.get("name")): str(case.findtext("failure")) for case in failed}
+
+
+def test_cases_of_an_agreeing_pair_pass(tmp_path: Path) -> None:
+    comparison = compared(write_parts(tmp_path, quadruped(), quadruped()))
+    names = [case.name for case in cases(comparison)]
+    assert failures(comparison) == {}
+    assert names[0] == "the same joints"
+    assert "parameters of knee2" in names
+    assert "mass matrix agree" in names
+    assert names[-1] == "the differences explain the deviations"
+    assert len(names) == len(set(names))
+
+
+def test_every_body_has_a_case_whether_or_not_it_differs(tmp_path: Path) -> None:
+    """Otherwise the number of tests changes with the result."""
+    same = compared(write_parts(tmp_path, quadruped(), quadruped()))
+    other = compared(write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0)))
+    assert {case.name for case in cases(same)} == {case.name for case in cases(other)}
+
+
+def test_failed_cases_tell_what_and_where(files: Files) -> None:
+    failed = failures(compared(files))
+    assert "mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in failed["parameters of base"]
+    assert re.search(r"robot.urdf:5, \S*robot.xml:7]", failed["parameters of base"])
+    assert "damping 0.1" in failed["parameters of knee3"]
+    assert "gravity agree" in failed
+    assert "foot positions agree" not in failed
+    assert "the same joints" not in failed
+    assert "the differences explain the deviations" not in failed
+
+
+def test_a_joint_left_over_fails_its_case(tmp_path: Path) -> None:
+    still = changed(quadruped(), "shank3", kind="fixed")
+    comparison = compared(write_parts(tmp_path, still, quadruped()))
+    assert failures(comparison)["the same joints"].startswith("joint knee3 is not in ")
+    (joints, *_) = cases(comparison)
+    assert [one.code for one in joints.diagnostics] == ["joint-not-in-file"]
+    assert all(remark.diagnostic is not None for remark in remarks(comparison))
+
+
+@pytest.mark.parametrize("case", ["mass", "limit"])
+def test_no_case_fails_where_the_verdict_is_agreement(tmp_path: Path, case: str) -> None:
+    """Else a job is told of failures, with exit status 0."""
+    narrow = all_changed(quadruped(), lower=-0.4, upper=0.4)
+    frames = FEET
+    mjcf, tolerances = narrow, Tolerances()
+    if case == "mass":
+        mjcf, tolerances = changed(narrow, "base", mass=6.3), Tolerances().changed({"mass": 0.1})
+    else:
+        mjcf = changed(narrow, "shank0", lower=-0.4009)  # 0.9 mrad
+    files = write(tmp_path, urdf_text(narrow, frames), mjcf_text(mjcf, frames))
+    comparison = compared(files, tolerances=tolerances)
+    assert comparison.agree == (failures(comparison) == {})
+
+
+def test_what_is_not_explained_is_the_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a difference to name, the verdict still is not AGREE, in every format."""
+    monkeypatch.setattr(extras, "springs", lambda _: iter(()))
+    text = mjcf_text(quadruped())
+    text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
+    comparison = compared(write(tmp_path, urdf_text(quadruped()), text))
+    first = lines(comparison)[0]
+    assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
+    assert "MuJoCo's qfrc_spring is up to" in first
+    (remark,) = (r for r in remarks(comparison) if r.title == "agreement")
+    assert remark.level == "error"
+    assert "no difference explains" in remark.message
+    failed = {case.name: case.failure for case in cases(comparison) if case.failure}
+    assert "qfrc_spring" in failed["the differences explain the deviations"]
+
+
+def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> None:
+    text = mjcf_text(quadruped())
+    for leg in (0, 2):
+        text = text.replace(f'<joint name="hip{leg}"', f'<joint name="hip{leg}" stiffness="20"')
+    out = printed(compared(write(tmp_path, urdf_text(quadruped()), text)))
+    spring = "no spring in the URDF, one of stiffness 20 N m/rad, at rest at 0 rad in the MJCF"
+    assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
+    assert f": {spring}\n" in out
+    assert "   likewise on 1 more: hip" in out
+    assert re.search(r"alone it makes, of the deviation in: forward dynamics \d+% \(", out)
+    assert "explained: 100 % of the deviation" in out
+    assert "engines differ" not in out
+    header = next(line for line in out.splitlines() if line.strip().startswith("models"))
+    assert header.split()[-1] == "extras"

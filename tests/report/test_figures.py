@@ -1,0 +1,312 @@
+"""The figures: what they draw, and that they are written whole or not at all."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import pupper_analysis as pa
+from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.report.document import Name
+from pupper_analysis.report.figures import style
+from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
+from pupper_analysis.report.figures.drawing import shares_of
+from pupper_analysis.report.figures.ground import ground_corners, step_corners
+from pupper_analysis.report.figures.pose import pose_figure
+from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
+from pupper_analysis.report.plots import Axis, Bar, BarPlot
+from pupper_analysis.report.scene import standing
+from tests.support.variants import load, stand_of
+
+NAMES = ("original", "v3")
+
+PANELS: tuple[Callable[[Any, Path], None], ...] = (
+    torque_figure,
+    height_figure,
+    gain_figure,
+)
+
+
+@cache
+def analysis_of(name: str) -> Any:
+    """What the figures need of an analysis, from short simulations."""
+    robot, stand = load(name), stand_of(name)
+    limits = zip(robot.joint_names, robot.effort_limits, strict=True)
+    return SimpleNamespace(
+        name=name,
+        joints=tuple(SimpleNamespace(name=joint, effort=float(limit)) for joint, limit in limits),
+        stand=stand,
+        statics=pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
+        verification=pa.verify_stand(robot, stand, duration=2.0, nudged=0),
+        sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False, nudged=0),
+        sweep=pa.sweep_gains(robot, stand, kp=(20.0, 60.0), kd=(0.5, 1.0, 2.0), duration=2.0),
+    )
+
+
+def check_picture(path: Path) -> None:
+    assert path.read_bytes().startswith(b"\x89PNG")
+    pixels = imread(path)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * style.DPI, abs=1)
+    assert pixels.shape[0] > 300
+    # Drawn on everywhere: white between, and something in each ninth of it.
+    drawn_on = (pixels[..., :3] < 1.0).any(axis=-1)
+    assert 0.01 < drawn_on.mean() < 0.7
+    for rows in np.array_split(drawn_on, 3, axis=0):
+        assert all(ninth.any() for ninth in np.array_split(rows, 3, axis=1))
+    # Nothing is cut off: the outermost pixels are white.
+    edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
+    assert all((edge[:, :3] == 1.0).all() for edge in edges)
+
+
+def other(analysis: Any, **changes: Any) -> Any:
+    return SimpleNamespace(**{**vars(analysis), **changes})
+
+
+def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
+    """The figure that a function draws, instead of its file."""
+    kept: list[Figure] = []
+    monkeypatch.setattr(style, "save", lambda figure, path: kept.append(figure))
+    draw(*arguments, Path("unused.png"))
+    return kept[0]
+
+
+# ------------------------------------------------------------------------------------- geometry
+
+
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
+    robot, qpos = load(name), stand_of(name).qpos
+    feet = pa.Configuration(robot, qpos).foot_positions()
+    legs = skeleton(robot, qpos).legs
+    assert set(legs) == set(robot.feet)
+    for foot, leg in legs.items():
+        assert leg.shape == (4, 3)  # three joints and the foot
+        np.testing.assert_allclose(leg[-1], feet[foot], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", pa.VARIANTS)
+def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
+    robot, qpos = load(name), stand_of(name).qpos
+    moved = skeleton(robot, qpos).legs
+    still = skeleton(robot, robot.neutral()).legs
+    for foot in robot.feet:
+        lengths = [np.linalg.norm(np.diff(legs[foot], axis=0), axis=1) for legs in (moved, still)]
+        np.testing.assert_allclose(*lengths, atol=1e-12)
+
+
+def test_lengths_are_those_of_the_model() -> None:
+    for name, thigh, calf in (("original", 0.08, 0.11), ("long-leg", 0.12, 0.165)):
+        leg = skeleton(load(name), stand_of(name).qpos).legs["FL"]
+        lengths = np.linalg.norm(np.diff(leg, axis=0), axis=1)
+        np.testing.assert_allclose(lengths, (0.0, thigh, calf), atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
+def test_the_base_is_its_boxes(name: str, count: int) -> None:
+    robot = load(name)
+    boxes = skeleton(robot, robot.neutral()).boxes
+    assert boxes.shape == (count, 8, 3)
+    edges = [np.linalg.norm(boxes[0, 0] - boxes[0, corner]) for corner in (4, 2, 1)]
+    sizes = {"v3": (0.09014, 0.12758, 0.25943)}.get(name, (0.2, 0.11, 0.05))
+    np.testing.assert_allclose(sorted(edges), sorted(sizes), atol=1e-12)
+
+
+def test_a_fixed_base_can_be_drawn() -> None:
+    robot = load("v3", fixed_base=True)
+    assert skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
+
+
+def test_support_polygon() -> None:
+    points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
+    corners = hull_corners(points)
+    assert {tuple(corner) for corner in corners} == {(0, 0), (2, 0), (2, 2)}
+    assert len(hull_corners(points[:2])) == 2
+    assert len(hull_corners(points[:1])) == 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
+    statics = analysis_of(name).statics
+    com = statics.center_of_mass[:2]
+    polygon = hull_corners(statics.contact_points.values())
+    nearest = nearest_edge_point(polygon, com)
+    assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
+
+
+def test_utilisation() -> None:
+    values = zip((-1.0, 1.0, 1.0, 1.0, 1.0), (2.0, 4.0, 0.0, np.inf, None), strict=True)
+    bars = [Bar(Name("m"), value, -0.5 * value, limit) for value, limit in values]
+    named = (Name("value"), Name("other"), Name("limit"))
+    value, other = shares_of(BarPlot(Name("t"), Axis(Name("a"), "N m", "g"), bars, named))
+    np.testing.assert_allclose(value, (50, 25, 0, 0, 0))
+    np.testing.assert_allclose(other, (25, 12.5, 0, 0, 0))
+
+
+# ------------------------------------------------------------------------------------- figures
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_pose_figure(name: str, tmp_path: Path) -> None:
+    analysis = analysis_of(name)
+    pose_figure(load(name), analysis.stand, analysis.statics, tmp_path / "pose.png")
+    check_picture(tmp_path / "pose.png")
+
+
+def test_pose_figure_says_the_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    figure = drawn(monkeypatch, pose_figure, load("v3"), analysis.stand, analysis.statics)
+    texts = [text.get_text() for axes in figure.axes for text in axes.texts]
+    assert f"margin {1e3 * analysis.statics.com_margin:.1f} mm" in texts
+    for foot, force in analysis.statics.contact_forces.items():
+        assert f"{foot}\n{np.linalg.norm(force):.2f} N" in texts
+
+
+def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot = load("v3")
+    ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
+    task = pa.StandTask(ground=ground, swing={"RL": 0.02}, com="inside", com_margin=0.01)
+    stand = pa.solve_stand(robot, task)
+    plane, (step,) = ground_corners(stand), step_corners(standing(robot, stand, None))
+    for corner in plane:
+        assert corner @ ground.normal() == pytest.approx(0, abs=1e-12)
+    feet = np.array(list(stand.foot_targets.values()))
+    assert (plane.min(axis=0)[:2] < feet.min(axis=0)[:2]).all()
+    # The step's top is where the foot touches it, its bottom in the plane.
+    top = max(corner @ ground.normal() for corner in step)
+    touch = stand.contact_points["FR"] @ ground.normal()
+    assert top == pytest.approx(touch, abs=1e-9)
+    assert min(corner @ ground.normal() for corner in step) == pytest.approx(0, abs=1e-9)
+    figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stand_statics(robot, stand))
+    labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert "swing foot" in labels
+    figure.canvas.draw()
+    boxes = [
+        text.get_window_extent() for text in figure.axes[0].texts if text.get_text().endswith(" N")
+    ]
+    assert len(boxes) == 3
+    for number, one in enumerate(boxes):
+        assert not any(one.overlaps(other) for other in boxes[number + 1 :])
+
+
+def test_a_failed_run_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    fields = {**vars(analysis.sagging), "failures": ("it tipped over",)}
+    failed = other(analysis, sagging=SimpleNamespace(**fields))
+    for shown, count in ((analysis, len(analysis.sagging.failures) > 0), (failed, 1)):
+        figure = drawn(monkeypatch, height_figure, [shown])
+        texts = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
+        assert sum(text.endswith("mm, fails") for text in texts) == count
+        marks = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
+        assert len(marks) == count
+
+
+@pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_panels(draw: Callable[[Any, Path], None], count: int, tmp_path: Path) -> None:
+    analyses = [analysis_of(NAMES[index % 2]) for index in range(count)]
+    draw(analyses, tmp_path / "figure.png")
+    check_picture(tmp_path / "figure.png")
+
+
+@pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
+def test_a_figure_without_robots_is_refused(
+    draw: Callable[[Any, Path], None], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError, match="no robot"):
+        draw([], tmp_path / "figure.png")
+
+
+def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    figure = drawn(monkeypatch, torque_figure, [analysis])
+    predicted, simulated, limit = (np.asarray(line.get_xdata()) for line in figure.axes[0].lines)
+    for shown, torques in (
+        (predicted, analysis.statics.joint_torques),
+        (simulated, analysis.verification.joint_torques),
+    ):
+        share = 100 * np.abs(torques) / load("v3").effort_limits
+        np.testing.assert_allclose(shown, np.maximum(share, 0.1))
+    assert set(limit) == {100}
+    both = np.abs([analysis.statics.joint_torques, analysis.verification.joint_torques]).max(axis=0)
+    shares = both / load("v3").effort_limits
+    (mark,) = figure.axes[0].texts
+    most = int(mark.xy[1])
+    assert shares[most] > 0.999 * shares.max()
+    assert mark.get_text() == f"{both[most]:.3f} N m"
+
+
+def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch) -> None:
+    analysis = analysis_of("v3")
+    figure = drawn(monkeypatch, height_figure, [analysis])
+    run, sagging, task = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines)
+    assert set(task) == {1e3 * load("v3").stand_height}
+    np.testing.assert_allclose(run, 1e3 * analysis.verification.height)
+    np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
+
+
+@pytest.mark.slow
+def test_gain_figure_marks_what_fell_and_what_is_not_stable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    sweep = analysis_of("v3").sweep
+    deviation = np.array([[1.5e-3, np.inf, 2e-3], [0.25e-3, 3e-3, np.inf]])
+    fields = {**vars(sweep), "height_deviation": deviation, "fell": np.isinf(deviation)}
+    fields["lasts"] = np.array([[True, False, True], [False, True, True]])
+    analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
+    gain_figure([analysis], tmp_path / "gains.png")
+    check_picture(tmp_path / "gains.png")
+    axes = drawn(monkeypatch, gain_figure, [analysis]).axes[0]
+    texts = [text.get_text() for text in axes.texts]
+    assert texts == ["1.500", "fell", "2.000", "0.250", "3.000", "fell"]
+    marked = [patch.get_xy() for patch in axes.patches if not patch.get_fill()]  # type: ignore[attr-defined]
+    np.testing.assert_allclose(marked, [(-0.46, 0.54)])
+
+
+def test_gain_figure_where_all_fell(tmp_path: Path) -> None:
+    sweep = analysis_of("v3").sweep
+    everywhere = np.full((2, 3), np.inf)
+    fields = {**vars(sweep), "height_deviation": everywhere, "fell": np.isinf(everywhere)}
+    analysis = other(analysis_of("v3"), sweep=SimpleNamespace(**fields))
+    gain_figure([analysis], tmp_path / "gains.png")
+    check_picture(tmp_path / "gains.png")
+
+
+def test_a_name_is_not_taken_for_a_formula(tmp_path: Path) -> None:
+    analysis = other(analysis_of("v3"), name="a$b_c$ \\frac")
+    pose_figure(load("v3"), analysis.stand, analysis.statics, tmp_path / "pose.png")
+    torque_figure([analysis], tmp_path / "torques.png")
+    check_picture(tmp_path / "pose.png")
+    check_picture(tmp_path / "torques.png")
+
+
+# ------------------------------------------------------------------------------------- files
+
+
+def test_a_figure_that_fails_leaves_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def fail(figure: Figure, target: io.BytesIO, **_: Any) -> None:
+        target.write(b"half of it")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Figure, "savefig", fail)
+    with pytest.raises(OutputError, match="No space left"):
+        height_figure([analysis_of("v3")], tmp_path / "heights.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_backend_is_touched(tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    height_figure([analysis_of("v3")], tmp_path / "heights.png")
+    assert dict(matplotlib.rcParams) == before

@@ -1,0 +1,214 @@
+"""GitHub's workflow commands and JUnit's XML, as their readers take them apart."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.report.document import (
+    Column,
+    Document,
+    Lines,
+    Listing,
+    Name,
+    Place,
+    Sides,
+    Table,
+    tell,
+)
+from pupper_analysis.report.formats import Annotation, Case, github, junit, visible
+from pupper_analysis.report.terminal import SafeConsole, print_document
+from tests.support.commands import run_command
+from tests.support.printing import printed
+from tests.support.stubs import problem
+
+
+def read_command(line: str) -> tuple[str, dict[str, str], str]:
+    """Reads a workflow command as GitHub's runner does (ActionCommand.cs)."""
+    parts = re.fullmatch(r"::(\w+) ?(.*?)::(.*)", line)
+    assert parts is not None, line
+    properties = {}
+    for text in parts[2].split(","):
+        name, _, value = text.partition("=")
+        for escaped, plain in (("%0D", "\r"), ("%0A", "\n"), ("%3A", ":"), ("%2C", ",")):
+            value = value.replace(escaped, plain)
+        properties[name] = value.replace("%25", "%")
+    message = parts[3].replace("%0D", "\r").replace("%0A", "\n").replace("%25", "%")
+    return parts[1], properties, message
+
+
+def test_a_place_with_a_line() -> None:
+    remark = Annotation("error", "mass of base", "too heavy", "models/go1.xml:84")
+    assert github([remark]) == ("::error file=models/go1.xml,line=84,title=mass of base::too heavy")
+
+
+@pytest.mark.parametrize(
+    ("place", "parameters"),
+    [
+        (None, "title=t"),
+        ("", "title=t"),
+        ("robot.urdf", "file=robot.urdf,title=t"),
+        ("C:/models/robot.urdf", "file=C%3A/models/robot.urdf,title=t"),
+        ("C:/models/robot.urdf:7", "file=C%3A/models/robot.urdf,line=7,title=t"),
+        ("a,b.urdf:7", "file=a%2Cb.urdf,line=7,title=t"),
+        ("50%.urdf:7", "file=50%25.urdf,line=7,title=t"),
+    ],
+)
+def test_places(place: str | None, parameters: str) -> None:
+    assert github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
+
+
+def test_what_is_escaped() -> None:
+    line = github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
+    assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
+    assert "\n" not in line
+
+
+def test_what_would_act_on_a_log_is_shown() -> None:
+    line = github([Annotation("error", "a\u202e", "b\u009b\x1b[31m\u2028", "c\u202e.xml:3")])
+    assert line == (r"::error file=c\u202e.xml,line=3,title=a\u202e::b\x9b\x1b[31m\u2028")
+
+
+def test_one_line_each() -> None:
+    assert github([]) == ""
+    two = github([Annotation("error", "a", "x"), Annotation("error", "b", "y")])
+    assert two.splitlines() == ["::error title=a::x", "::error title=b::y"]
+
+
+TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-8"), max_size=30)
+
+
+def shown(text: str) -> str:
+    """What is left of a text: ends of lines, and the numbers of what would act on a log."""
+    return "".join(letter if letter in "\r\n" else visible(letter) for letter in text)
+
+
+@given(title=TEXT, message=TEXT)
+def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
+    level, properties, read = read_command(github([Annotation("error", title, message, "r.xml:3")]))
+    assert level == "error"
+    assert properties["file"] == "r.xml"
+    assert properties["line"] == "3"
+    if "%3A" not in title and "%2C" not in title and "%0" not in title:  # as GitHub reads
+        assert properties["title"] == shown(title)
+    if "%0" not in message:
+        assert read == shown(message)
+
+
+def test_junit_counts() -> None:
+    cases = [Case("masses"), Case("limits", "0.9 rad\nand 1.1 rad"), Case("a < b & c", "5 % > 4 %")]
+    root = ElementTree.fromstring(junit("go1.urdf against go1.xml", cases))
+    assert root.tag == "testsuites"
+    (suite,) = root
+    for element in (root, suite):
+        assert element.get("tests") == "3"
+        assert element.get("failures") == "2"
+        assert element.get("errors") == element.get("skipped") == "0"
+    assert suite.get("name") == "go1.urdf against go1.xml"
+    assert [case.get("name") for case in suite] == ["masses", "limits", "a < b & c"]
+    assert [len(case) for case in suite] == [0, 1, 1]
+    assert suite[1][0].text == "0.9 rad\nand 1.1 rad"
+    assert suite[2][0].get("message") == "5 % > 4 %"
+
+
+def test_junit_has_codes_and_values() -> None:
+    differs = diagnose("foot-misses-target", subject=("foot", "FL"), gap=Quantity(0.002, "m"))
+    root = ElementTree.fromstring(junit("s", [Case("feet", "off", (differs, problem("<a>")))]))
+    (case,) = root.iter("testcase")
+    assert [(one.tag, one.get("type")) for one in case][1] == (
+        "failure",
+        "foot-misses-target, problem",
+    )
+    found = {one.get("name"): json.loads(one.get("value", "")) for one in case.iter("property")}
+    assert found["foot-misses-target"] == {"gap": {"value": 0.002, "unit": "m"}}
+    assert found["problem"] == {"problem": "<a>"}
+
+
+def test_junit_without_cases() -> None:
+    root = ElementTree.fromstring(junit("empty", []))
+    assert root.get("tests") == "0"
+
+
+CHARACTERS = st.characters(
+    codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufffe\uffff"
+)
+PRINTABLE = st.text(CHARACTERS, max_size=30)
+
+
+@given(names=st.lists(PRINTABLE, max_size=4), failure=st.none() | PRINTABLE)
+def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) -> None:
+    text = junit("suite", (Case(name, failure) for name in names))
+    root = ElementTree.fromstring(text.encode())
+    assert [case.get("name") for case in root.iter("testcase")] == names
+    assert int(root.get("failures", "-1")) == (0 if failure is None else len(names))
+    for element in root.iter("failure"):
+        assert element.get("message") == failure
+
+
+HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] :smile:"
+
+
+def test_what_would_act_is_shown() -> None:
+    shown = visible(HOSTILE)
+    assert shown.startswith("a\\n::error::forged\\x1b[31mred\\x9b31m\\u202eb\\u2028c\\rd")
+    assert shown.isprintable()
+    assert visible("Füße ≤ 3°") == "Füße ≤ 3°"
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_the_console_shows_what_would_act(terminal: bool) -> None:
+    out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
+    out.print(f"robot {HOSTILE.replace(chr(10), '')}")
+    name, place = Name(HOSTILE), Place(Name(HOSTILE), Name(HOSTILE), HOSTILE)
+    blocks = (
+        Table(name, (Column(name, HOSTILE),), ((name,),), (name,)),
+        Lines((name,), title=name),
+        Sides(tell(problem(HOSTILE)), (place,), (name,), name),
+        Listing(name, HOSTILE.replace("\n", "")),
+    )
+    document = Document(name, name, blocks, passed=False, verdict=name, failures=(name, name))
+    print_document(out, replace(document, notes=(name,)), everything=True)
+    assert isinstance(out.file, io.StringIO)
+    text = out.file.getvalue()
+    plain = re.sub("\x1b\\[[0-9;]*m", "", text) if terminal else text
+    assert not set("\x1b\x9b\u202e\u2028\r") & set(plain)
+    assert not any(line.lstrip().startswith("::") for line in plain.splitlines())
+    assert "\x1b[31m" not in text
+    assert "[bold]e" in plain
+    assert ":smile:" in plain
+
+
+def test_names_in_a_model_are_shown(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "robot\n::error::forged.urdf"
+    name = "a&#10;::error::forged&#x9b;31m&#x202e;"
+    file.write_text(
+        f'<robot name="r"><link name="{name}"><inertial><mass value="-1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+    for style in ("text", "github", "junit"):
+        status, out, err = run_command(capfd, "audit", str(file), "--format", style)
+        assert status in (1, 2)
+        text = out + err
+        assert not set("\x1b\x9b\u202e") & set(text) or style == "github"
+        assert "::error::forged" in text or style == "github"
+        assert not any(line.lstrip().startswith("::error::forged") for line in text.splitlines())
+
+
+def test_a_table_with_long_names_loses_no_column() -> None:
+    """As on a humanoid: a terminal wraps the line, but no header, name or number is cut."""
+    heads = ("joint", "torque", "simulated", "position")
+    name = "left_shoulder_pitch_joint" * 5
+    columns = tuple(Column(Name(head), "N m" if head == "torque" else "") for head in heads)
+    table = Table(Name("title"), columns, ((Name(name), *map(Name, ("+1.5", "+2.5", "+3.5"))),))
+    lines = printed(Document(Name(""), Name("robot"), (table,))).splitlines()
+    assert lines[4].split() == ["joint", "(N", "m)", "simulated", "position"]
+    assert lines[6].split() == [name, "+1.5", "+2.5", "+3.5"]

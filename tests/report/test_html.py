@@ -1,0 +1,782 @@
+"""A report is one file: it has the result's numbers, in both languages; no name acts in it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.push import PushedStance
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.checks.audit import RULES
+from pupper_analysis.report import scene as scenes
+from pupper_analysis.report import words
+from pupper_analysis.report.document import (
+    Column,
+    Document,
+    Motion,
+    Name,
+    OverlayScene,
+    Report,
+    StandScene,
+    Table,
+    Text,
+    View,
+    number,
+    tell,
+)
+from pupper_analysis.report.documents import sources
+from pupper_analysis.report.html import library, plots, scene, write
+from pupper_analysis.report.html.scene import scene_of
+from pupper_analysis.report.plots import Axis, LinePlot, Series
+from pupper_analysis.report.scene import coarser, shapes_of, standing
+from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.simulation.push import PushRecovery
+from pupper_analysis.simulation.verdict import judge
+from tests.support.commands import answer
+from tests.support.html_page import Page, shown
+from tests.support.repository import ROOT
+from tests.support.stubs import problem
+from tests.support.variants import load, stand_of
+
+HTML = ROOT / "pupper_analysis" / "report" / "html"
+EVIL = (
+    "<script>alert(1)</script>",
+    "--></script><img src=x onerror=alert(1)>",
+    '" onload="x',
+    "]]>",
+)
+
+
+@cache
+def analysis() -> pa.Analysis:
+    """Of v3, with distinct numbers where the robot's own are alike."""
+    one = pa.analyze_variant(load("v3"))
+    count = np.arange(1, 13)
+    run = replace(
+        one.verification,
+        base_height=0.111111,
+        height_loss=0.0222222,
+        servo_sag=0.0033333,
+        contact_sag=0.0044444,
+        height_deviation=0.000056,
+        height_drift=-0.0000666,
+        tilt=math.radians(7.7777),
+        foot_slip={"FR": 0.0088888, "FL": 0.0011111},
+        joint_error=9.9e-5,
+        torque_error=0.0101,
+        force_error=0.0202,
+        joint_torques=0.2 * count,
+        foot_forces={foot: np.array([1.0, 2.0, 30.0]) for foot in one.verification.foot_forces},
+        mujoco_foot_error=1.2e-13,
+    )
+    return replace(
+        one,
+        total_mass=12.345,
+        statics=replace(one.statics, joint_torques=-0.1 * count, motor_utilisation=count / 11.0),
+        minimum_peak=replace(one.minimum_peak, joint_torques=0.3 * count),
+        hanging_torques=0.4 * count,
+        joints=tuple(
+            replace(
+                joint,
+                lower=-1.11,
+                upper=2.22,
+                effort=3.3,
+                velocity=44.0,
+                armature=0.0055,
+                damping=0.066,
+                friction=0.0077,
+            )
+            for joint in one.joints
+        ),
+        verification=run,
+        sagging=replace(one.sagging, base_height=0.099999, failures=(problem("it sank <low>"),)),
+    )
+
+
+def drawn_of(what: StandScene | OverlayScene) -> dict[str, Any]:
+    found = scene_of(what)
+    assert found is not None
+    return found
+
+
+@cache
+def page_of(*results: object, robots: bool = True, language: str = "en") -> Page:
+    return Page(written(list(results), robots=robots, language=language))
+
+
+def written(results: object, *, robots: bool = True, language: str = "en") -> str:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "report.html"
+        given = [load("v3")] if robots else []
+        pa.write_report(results, path, robots=given, language=language)  # type: ignore[arg-type]
+        return path.read_text(encoding="utf-8")
+
+
+@cache
+def comparison() -> pa.Comparison:
+    """Of a URDF whose base is heavier, and whose knee is stronger, than the MJCF's."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        urdf, mjcf = pa.write_variant(pa.VariantSpec(base="v3", leg_scale=1.1), folder)
+        text = Path(urdf).read_text()
+        mass = re.search(r'<mass value="(1\.5\d*)"', text)
+        assert mass is not None
+        Path(urdf).write_text(text.replace(mass[0], '<mass value="1.625"'))
+        found = pa.compare_models(urdf, mjcf)
+        page_of(found)  # while the files are there
+        return found
+
+
+def pushed() -> PushRecovery:
+    directions = np.radians([0.0, 90.0, 180.0, 270.0])
+    return PushRecovery(
+        directions=directions,
+        impulses=np.array([1.11, 2.22, 3.33, 4.44]),
+        velocity_steps=np.array([0.111, 0.222, 0.333, 0.444]),
+        failures=(problem("a"), problem("b"), problem("c"), problem("d")),
+        bisected=np.zeros(4),
+        tipping_estimate=np.array([5.55, 6.66, 7.77, 8.88]),
+        weakest_direction=0.0,
+        weakest_impulse=1.11,
+        weakest_failure=problem("it fell <over>"),
+        unpushed=(),
+        mass=3.7,
+        point=np.zeros(3),
+        pulse=0.02,
+        resolution=0.02,
+        feedforward=True,
+        integrator="Euler",
+        timestep=0.002,
+        duration=6.0,
+        kp=np.ones(12),
+        kd=np.ones(12),
+        rollouts=99,
+    )
+
+
+# What the page is
+
+
+@pytest.mark.slow
+def test_it_is_well_formed_and_asks_for_nothing() -> None:
+    page = page_of(analysis())
+    assert page.text.startswith("<!doctype html>")
+    policy = next(a for tag, a in page.strict.tags if "http-equiv" in a)
+    assert str(policy["content"]).startswith("default-src 'none'; script-src 'unsafe-inline';")
+    for tag, attributes in page.strict.tags:
+        assert tag not in ("link", "iframe", "object", "embed", "base", "form", "img"), tag
+        assert "src" not in attributes, attributes
+        assert str(attributes.get("href") or "#").startswith("#"), attributes
+        assert not [name for name in attributes if name.startswith("on")], attributes
+    style = page.root.findtext("head/style")
+    assert not re.search(r"url\(|@import|http", style)
+
+
+@pytest.mark.slow
+def test_every_number_s_header_has_a_unit() -> None:
+    """A column's own, or one beside it for each row."""
+    count = 0
+    for page in (page_of(analysis()), page_of(comparison()), page_of(stance())):
+        for table in page.root.iter("table"):
+            headers = table.findall(".//thead//th")
+            by_row = any(shown(header) == "unit" for header in headers)
+            for index, header in enumerate(headers):
+                assert header.get("scope") == "col"
+                assert shown(header)
+                cells = [row[index] for row in table.findall("tbody/tr")]
+                if any(cell.get("data-v") for cell in cells) and not by_row:
+                    unit = header.find(".//span[@data-unit]")
+                    assert unit is not None, shown(header)
+                    assert unit.get("data-unit"), shown(header)
+                    count += 1
+            for row in table.findall("tbody/tr"):
+                assert row[0].tag == "th"
+                assert row[0].get("scope") == "row"
+    assert count > 40
+
+
+def test_every_text_is_in_both_languages() -> None:
+    for page in (page_of(analysis()), page_of(comparison()), page_of(audit()), page_of(stance())):
+        texts = [e for e in page.root.iter() if "en" in (e.get("class") or "").split()]
+        assert len(texts) > 20
+        for element in texts:
+            other = element.getnext()
+            assert other.get("class").split()[0] == "zh"
+            assert other.get("lang") == "zh-Hans"
+            assert shown(other, "zh")
+        for element in page.root.iter():
+            if element.get("data-en") is not None:
+                assert element.get("data-zh")
+                if element.get("aria-label"):
+                    assert element.get("aria-label") == element.get("data-en")
+
+
+def test_what_is_seen_in_a_language_is_of_that_language() -> None:
+    """Outside of names and of what results say, there is no Chinese in English, nor the reverse."""
+    root = Page(written(analysis())).root.find("body")  # its own, as it is taken apart
+    for element in [e for e in root.iter() if (e.get("class") or "") in ("name", "said")]:
+        element.clear(keep_tail=True)
+    button = root.find(".//button[@id='language']")
+    assert button.text == "中文"
+    button.text = ""
+    assert not re.search(r"[\u4e00-\u9fff]", shown(root, "en"))
+    titles = [shown(h, "zh") for tag in ("h1", "h3", "summary") for h in root.iter(tag)]
+    for title in titles:
+        assert not title or re.search(r"[\u4e00-\u9fff]", title), title
+
+
+def test_the_fields_of_any_result_are_written_out() -> None:
+    stand = stand_of("v3")
+    statics = pa.stand_statics(load("v3"), stand)
+    tables = page_of(stand, statics).tables()
+    rows = {row["field"]: row for name in ("Stand", "GravityCompensation") for row in tables[name]}
+    assert rows["stance_feet"]["value"] == "(FR, FL, RR, RL)"
+    assert rows["task"]["value"] == str(stand.task)
+    place = ", ".join(f"{value:.6g}" for value in stand.foot_targets["FR"])
+    assert rows["foot_targets"]["value"].startswith(f"FR: ({place}); FL: (")
+    torques = ", ".join(f"{value:.6g}" for value in statics.joint_torques)
+    assert rows["joint_torques"]["value"] == f"({torques})"
+    assert rows["joint_torques"]["meaning and unit"] == "(nu,) what the motors hold (N m)."
+    assert rows["ground_clearance"]["value"].startswith("distance 0.0")
+
+
+# Whose numbers these are
+
+
+def test_joints_have_their_limits_and_lines() -> None:
+    row = page_of(analysis()).tables()["Joints, in actuator order"][0]
+    assert row.pop("axis (\N{EN DASH})") == "+0 -1 +0"
+    urdf, mjcf = row.pop("line of the URDF"), row.pop("line of the MJCF")
+    assert row == {
+        "joint": "leg_front_r_1",
+        "motion": "pitch",
+        "lower limit (rad)": "-1.11",
+        "upper limit (rad)": "+2.22",
+        "effort (N m)": "3.3",
+        "velocity (rad/s)": "44",
+        "armature (kg m²)": "0.0055",
+        "damping (N m s/rad)": "0.066",
+        "friction (N m)": "0.0077",
+    }
+    for place, folder in ((urdf, "urdf"), (mjcf, "mjcf")):
+        file, _, line = place.partition(":")
+        standing = (ROOT / folder / file).read_text().split("\n")[int(line) - 1]
+        assert '<joint name="leg_front_r_1"' in standing
+
+
+def test_failures_and_surprises_are_in_the_summary() -> None:
+    failed = replace(analysis(), verified=False, failures=(problem("knees: it fell"),))
+    page = page_of(failed)
+    summary = shown(page.root.get_element_by_id("summary"))
+    assert "✗ FAILED" in summary
+    assert "knees: it fell" in summary
+    assert "it sank <low>" in summary or analysis().sagging.passed
+    assert "Notes: 2" in summary
+    assert "leg_*_1 turns about y" in shown(page.root.get_element_by_id("n1"))
+    both = page_of(failed, replace(analysis(), name="other"))
+    assert "1 of 2 passed." in shown(both.root.get_element_by_id("summary"))
+
+
+@cache
+def stance() -> object:
+    return study_stance(load("v3"), pa.StandTask(swing={"FL": 0.02}, com="inside"))
+
+
+def test_a_stance_is_told() -> None:
+    one = stance()
+    page = page_of(one)
+    assert "v3 ✓ HOLDS" in page.shown()
+    assert "FL lifted 20 mm" in page.shown()
+    rows = page.tables()["Motor torques"]
+    for index, row in enumerate(rows):
+        assert row["position (rad)"] == f"{one.joint_positions[index]:+.4f}"  # type: ignore[attr-defined]
+
+
+def test_pushes_are_told_and_compared() -> None:
+
+    verdict = judge(analysis().verification, None, servos_used(load("v3")))
+    one = PushedStance("v3", stand_of("v3"), pushed(), verdict)
+    other = replace(one, name="b", recovery=replace(pushed(), impulses=pushed().impulses + 1))
+    page = Page(written({"v3": one, "b": other}))
+    titles = [shown(e.find("figcaption")) for e in page.root.iter("figure")]
+    assert titles.count("Largest push that the stand survives, from above: forward is up") == 3
+    rows = page.tables()["Largest push that the stand survives"]
+    assert rows[1] == {"direction (°)": "90", "v3 (N s)": "2.22", "b (N s)": "3.22"}
+    alone = Page(written(one)).tables()["Largest push that the stand survives"][2]
+    assert list(alone.values()) == ["180", "3.33", "0.333", "7.77", "c"]
+    assert "weakest at 0°: 1.11 N s, 0.30 m/s of its 3.70 kg; then it fell <over>" in page.shown()
+    left = page.root.find(".//polygon[@class='series s0']").get("points").split()[1]
+    x, y = map(float, left.split(","))
+    assert x < 210 - 30  # to the left, as seen from above
+    assert y == pytest.approx(210)
+
+
+def test_both_files_lines_are_side_by_side() -> None:
+    page = page_of(comparison())
+    first = page.root.find(".//div[@class='sides']")
+    lines = [pre.text_content() for pre in first.iter("pre")]
+    assert lines[0] == '<mass value="1.625"/>'
+    assert lines[1].startswith("<inertial ")
+    assert "1.625" in shown(first.find("h3"))
+    rows = page.tables()["All differences, what is to be mended first, first"]
+    assert (rows[0]["kind"], rows[0]["in the URDF"], rows[0]["unit"]) == ("mass", "1.625", "kg")
+    assert "✗ DISAGREE" in page.shown()
+
+
+def test_the_overlay_marks_what_differs() -> None:
+    page = page_of(comparison())
+    drawn = next(json.loads(text) for text in page.strict.scripts if '"lines"' in text)
+    names = [body["name"] for body in drawn["bodies"]]
+    marked = {names[geom["body"]] for geom in drawn["geoms"] if geom["marked"]}
+    assert marked == {"base_link"}
+    told = {body["name"]: body["told"] for body in drawn["bodies"] if "told" in body}
+    assert list(told) == ["base_link"]
+    assert "mass 1.625 kg in the URDF" in told["base_link"]["en"]
+    assert "质量在 URDF 中为 1.625 kg" in told["base_link"]["zh"]
+    assert all(joint["told"] == {"en": "", "zh": ""} for joint in drawn["joints"])
+
+
+def test_the_two_files_lie_on_each_other() -> None:
+    """Pinocchio's joints of the URDF are on MuJoCo's axes of the MJCF."""
+    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
+    drawn = drawn_of(OverlayScene(pa.compare_models(urdf, mjcf)))
+    assert drawn is not None
+    model = mujoco.MjModel.from_xml_path(str(mjcf))
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ends = np.array([line[1] for line in drawn["lines"]])
+    assert len(ends) == 12
+    for name in load("v3").joint_names:
+        joint = model.joint(name).id
+        away = ends - data.xanchor[joint]
+        beside = np.linalg.norm(np.cross(away, data.xaxis[joint]), axis=1)
+        assert beside.min() < 2e-5
+    feet = [geom for geom in range(model.ngeom) if model.geom_type[geom] == 2]
+    lowest = min(data.geom_xpos[foot][2] - model.geom_size[foot][0] for foot in feet)
+    assert drawn["ground"][2] == pytest.approx(lowest, abs=2e-5)
+
+
+def test_files_that_have_gone_are_not_drawn(tmp_path: Path) -> None:
+    gone = replace(comparison(), mjcf=str(tmp_path / "gone.xml"))
+    assert scene_of(OverlayScene(gone)) is None
+    assert "The two files over each other" not in Page(written(gone)).shown()
+
+
+def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:
+    (tmp_path / "part.xml").write_text('<a>\n  <body name="b"\n    pos="0 0 1"/>\n</a>\n')
+    main = str(tmp_path / "main.xml")
+    assert sources.quoted("part.xml:3", main) == '<body name="b"\npos="0 0 1"/>'
+    assert sources.quoted("part.xml:1", main) == "<a>"
+    for place in ("part.xml:9", "part.xml", "gone.xml:1", None, "part.xml:0"):
+        assert sources.quoted(place, main) == ""
+
+
+@cache
+def audit() -> pa.Audit:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "bad.urdf"
+        text = (ROOT / "urdf" / "pupper_v3.urdf").read_text()
+        file.write_text(re.sub(r'<mass value="[\d.]+"', '<mass value="-1"', text, count=1))
+        found = pa.audit_model(file)
+        first = Page(written(found)).root.find(".//div[@class='sides']")
+        assert first.find(".//pre").text_content() == '<mass value="-1"/>'
+        return found
+
+
+def test_findings_are_told() -> None:
+    one = audit()
+    page = page_of(one)
+    rows = page.tables()["Findings, the worst first"]
+    assert [row["rule"] for row in rows] == [finding.rule for finding in one.findings]
+    assert rows[0]["severity"] == "error"
+    assert [row["what the rule looks for"] for row in rows] == [
+        RULES[finding.rule].title for finding in one.findings
+    ]
+    assert rows[0]["line"] == f"bad.urdf:{one.findings[0].line}"
+    assert one.findings[0].todo in page.shown()
+    assert "✗ UNSOUND" in page.shown()
+
+
+def test_warnings_are_no_pass_without_more() -> None:
+    counts = {"error": 0, "warning": 2, "note": 0}
+    text = Page(written(replace(audit(), passed=True, counts=counts))).shown()
+    assert "! SUSPECT" in text
+    assert "✓" not in text
+
+
+def test_any_other_result_shows_its_fields() -> None:
+    limit = pa.reachable_heights(load("v3"))
+    page = Page(written({"heights": limit}))
+    rows = page.tables()[type(limit).__name__]
+    assert float(next(r for r in rows if r["field"] == "low")["value"]) == pytest.approx(
+        limit.low, rel=1e-5
+    )
+    assert all(row["meaning and unit"] for row in rows)
+
+
+# What nobody's names can do
+
+
+def evil_analysis() -> pa.Analysis:
+    one = analysis()
+    joints = tuple(
+        replace(joint, name=EVIL[index % len(EVIL)]) for index, joint in enumerate(one.joints)
+    )
+    statics = replace(one.statics, joint_names=tuple(joint.name for joint in joints))
+    return replace(
+        one,
+        name=EVIL[0],
+        joints=joints,
+        statics=statics,
+        notes=tuple(map(problem, EVIL)),
+        failures=tuple(map(problem, EVIL)),
+    )
+
+
+def test_names_cannot_become_markup() -> None:
+    tame, wild = page_of(analysis()), Page(written(evil_analysis(), robots=False))
+    assert len(wild.strict.scripts) == 2  # the words of the scripts, and the page's own
+    assert "img" not in {tag for tag, _ in wild.strict.tags}
+    assert not [a for _, a in wild.strict.tags for name in a if name.startswith("on")]
+    for name in EVIL:
+        assert name in wild.shown()
+    assert len(tame.strict.scripts) == 6
+
+
+@dataclass
+class Drawn:
+    """A scene that is drawn already."""
+
+    data: dict[str, Any]
+
+
+def test_names_in_a_view_cannot_end_their_script() -> None:
+    robot = load("v3")
+    drawn = drawn_of(StandScene(robot, stand_of("v3"), analysis().statics))
+    for index, joint in enumerate(drawn["joints"]):
+        joint["name"] = EVIL[index % len(EVIL)]
+    drawn["bodies"][0]["name"] = EVIL[1]
+    scene_of.register(Drawn, lambda one: one.data)
+    view = View(tell(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
+    document = Document(Name(""), Name(EVIL[0]), (view,))
+    page = Page(write.page(Report(Text(EVIL[1], EVIL[1]), (document,))))
+    data = next(json.loads(text) for text in page.strict.scripts if '"joints"' in text[:200000])
+    assert [joint["name"] for joint in data["joints"][:2]] == list(EVIL[:2])
+    assert len(page.strict.scripts) == 6
+    assert not [a for _, a in page.strict.tags for name in a if name.startswith("on")]
+
+
+def test_what_would_turn_a_line_around_is_shown_as_its_number() -> None:
+    table = Table(Name("t"), (Column(Name("\u202etxt"), left=True),), ((Name("a\x1b[31m"),),))
+    shown_text = Page(written(table)).shown()
+    assert "\\u202etxt" in shown_text
+    assert "a\\x1b[31m" in shown_text
+    assert "\u202e" not in shown_text
+
+
+def test_half_a_letter_is_shown_as_its_number() -> None:
+    """A name that no encoding has: the file can be written all the same."""
+    found = replace(audit(), notes=(problem("half \ud800 letter"),), file="bad\udcff.urdf")
+    assert "half \\ud800 letter" in Page(written(found)).shown()
+
+
+def test_templates_do_not_read_names_as_templates() -> None:
+    assert "{{ 7 * 7 }}" in Page(written(replace(audit(), notes=(problem("{{ 7 * 7 }}"),)))).shown()
+
+
+# Three dimensions
+
+
+def test_bodies_are_where_pinocchio_has_their_joints() -> None:
+    """The frames are MuJoCo's of the MJCF, in whole numbers; Pinocchio's are the URDF's."""
+    robot, stand = load("v3"), stand_of("v3")
+    other = stand.qpos + np.concatenate([[0.01, 0.02, 0.03], np.zeros(4), np.full(12, 0.1)])
+    moved = Motion(words.text("the-path"), np.array([0.5]), other[None])
+    drawn = drawn_of(StandScene(robot, stand, None, [moved]))
+    for qpos, motion in zip((stand.qpos, other), drawn["motions"], strict=True):
+        numbers = np.frombuffer(base64.b64decode(motion["frames"]), "<i2") / 32767
+        poses = numbers.reshape(-1, 7)
+        assert len(poses) == len(drawn["bodies"])
+        config = pa.Configuration(robot, qpos)
+        for joint in drawn["joints"]:
+            place = motion["reach"] * poses[joint["body"], :3]
+            rotated = np.zeros(3)
+            turn = poses[joint["body"], 3:]
+            mujoco.mju_rotVecQuat(rotated, np.array(joint["anchor"]), turn / np.linalg.norm(turn))
+            assert place + rotated == pytest.approx(config.joint_position(joint["name"]), abs=5e-5)
+            mujoco.mju_rotVecQuat(rotated, np.array(joint["axis"]), turn / np.linalg.norm(turn))
+            assert rotated == pytest.approx(config.joint_axis(joint["name"]), abs=2e-4)
+    assert drawn["motions"][1]["time"] == [0.5]
+
+
+def test_forces_masses_and_com_are_in_the_view() -> None:
+    robot = load("v3")
+    drawn = drawn_of(StandScene(robot, stand_of("v3"), analysis().statics))
+    carried = sum(contact["force"][2] for contact in drawn["contacts"])
+    assert carried == pytest.approx(9.81 * robot.total_mass, rel=1e-4)
+    assert sum(body["mass"] for body in drawn["bodies"]) == pytest.approx(robot.total_mass)
+    assert drawn["com"] == pytest.approx(analysis().statics.center_of_mass, abs=1e-5)
+    assert drawn["joints"][1]["torque"] == pytest.approx(-0.2)
+    assert drawn["joints"][1]["motion"] == "roll"
+    polygon = np.array(drawn["polygon"])
+    points = np.array([contact["point"] for contact in drawn["contacts"]])
+    assert polygon[:, :2].min(axis=0) == pytest.approx(points[:, :2].min(axis=0), abs=1e-5)
+    assert not polygon[:, 2].any()  # on the ground, whatever feet sink in
+    shapes = {geom["shape"] for geom in drawn["geoms"]}
+    assert "mesh" in shapes  # what is seen, not what collides
+
+
+def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_pit() -> None:
+    """All lie on the ground or on its steps; the com's plumb line meets the polygon's plane."""
+    robot = load("v3")
+    ground = pa.Ground(slope=0.1, uphill=0.7, heights={"FR": 0.02, "RL": -0.01})
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
+    seen = standing(robot, stand, None)
+    assert not seen.contacts
+    assert {one.foot: one.height for one in seen.steps} == dict(ground.heights)
+    touched = np.array([stand.contact_points[foot] for foot in ("FL", "FR", "RL", "RR")])
+    for corner in seen.polygon:
+        assert np.linalg.norm(touched - corner, axis=1).min() < 1e-9
+    assert seen.middle @ ground.normal() == pytest.approx(0, abs=1e-12)
+    assert seen.com == pytest.approx(pa.Configuration(robot, stand.qpos).center_of_mass())
+    assert seen.below[:2] == pytest.approx(seen.com[:2])
+    low, high = touched[:, 2].min(), touched[:, 2].max()
+    assert low < seen.below[2] < high
+    drawn = drawn_of(StandScene(robot, stand))
+    assert [one["pit"] for one in drawn["steps"]] == [False, True]
+    assert drawn["polygon"] == [pytest.approx(corner, abs=1e-5) for corner in seen.polygon]
+    for joint in seen.joints:
+        config = pa.Configuration(robot, stand.qpos)
+        assert joint.place == pytest.approx(config.joint_position(joint.name))
+        assert joint.torque is None
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_points_in_a_line_span_no_polygon(count: int) -> None:
+    points = np.array([[0.25, 0.5, 0.0], [0.5, 0.75, 0.01], [0.75, 1.0, 0.02]])[:count]
+    corners = scenes.polygon(points)
+    assert corners[0] == pytest.approx(points[0])
+    assert corners[-1] == pytest.approx(points[-1])
+    assert len(corners) == min(count, 2)
+
+
+def decoded(mesh: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+    steps = np.frombuffer(base64.b64decode(str(mesh["vertices"])), "<u2").reshape(-1, 3)
+    kind = "<u4" if mesh["wide"] else "<u2"
+    faces = np.frombuffer(base64.b64decode(str(mesh["faces"])), kind).reshape(-1, 3)
+    return np.array(mesh["low"]) + np.array(mesh["span"]) * steps / 65535, faces
+
+
+def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[type-arg]
+    a, b, c = (vertices[faces[:, index]] for index in range(3))
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+
+
+def test_meshes_keep_their_size() -> None:
+    """The torso's volume by the file's triangles is that of what the page has."""
+    model = load("v3").mj_model
+    shapes, whole_scene = shapes_of(model, int(model.mesh_facenum.sum()))
+    coarse = shapes_of(model, int(0.3 * sum(len(one.faces) for one in whole_scene.values())))[1]
+    assert {shape.mesh for shape in shapes} - {None} == set(whole_scene)
+    for mesh in whole_scene:
+        first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+        start, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+        whole = volume(
+            np.asarray(model.mesh_vert[first : first + count], float),
+            model.mesh_face[start : start + faces],
+        )
+        vertices, triangles = decoded(scene._mesh(whole_scene[mesh]))
+        assert len(triangles) == faces
+        assert volume(vertices, triangles) == pytest.approx(whole, rel=2e-3)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        vertices, triangles = decoded(scene._mesh(coarse[mesh]))
+        assert 0.1 * faces < len(triangles) <= 0.3 * faces
+        cell = float((high - low).max()) / 10
+        assert vertices.min(axis=0) == pytest.approx(low, abs=cell)
+        assert vertices.max(axis=0) == pytest.approx(high, abs=cell)
+
+
+def test_a_coarser_sphere_is_a_sphere() -> None:
+    """Faces are fewer, turned as before, and enclose what a sphere encloses."""
+    around, down = np.meshgrid(np.arange(64), np.arange(1, 40), indexing="ij")
+    angles = 2 * np.pi * around.ravel() / 64, np.pi * down.ravel() / 40
+    ring = np.sin(angles[1])
+    places = np.column_stack(
+        [ring * np.cos(angles[0]), ring * np.sin(angles[0]), np.cos(angles[1])]
+    )
+    faces = ConvexHull(places)
+    outwards = np.einsum("ij,ij->i", faces.equations[:, :3], places[faces.simplices[:, 0]])
+    assert (outwards > 0).all()
+    a, b, c = (places[faces.simplices[:, index]] for index in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
+    triangles = np.where(inwards[:, None], faces.simplices[:, ::-1], faces.simplices)
+    vertices, fewer = coarser(places, triangles.astype(np.int64), 16)
+    assert len(fewer) < 0.6 * len(triangles)
+    assert np.linalg.norm(vertices, axis=1) == pytest.approx(np.ones(len(vertices)), abs=0.03)
+    assert volume(vertices, fewer) == pytest.approx(4 / 3 * np.pi, rel=0.05)
+
+
+def test_the_same_mesh_is_there_once() -> None:
+    robots = [load(name) for name in ("v3", "v3-heavy")]
+    scenes = [drawn_of(StandScene(robot, stand_of(robot.name))) for robot in robots]
+    own = len(scenes[0]["meshes"])
+    assert own > 3
+    assert len(scene.shared(scenes)) <= own + 1  # but for the torso, if it is scaled
+    assert "meshes" not in scenes[0]
+
+
+def test_six_variants_are_under_three_megabytes() -> None:
+    names = tuple(pa.VARIANTS)
+    results = [replace(analysis(), name=name, stand=stand_of(name)) for name in names]
+    text = page_with(results, [load(name) for name in names])
+    assert len(text.encode()) < 3e6
+    assert text.count('class="canvas"') == 6
+
+
+def page_with(results: list[pa.Analysis], robots: list[pa.Robot]) -> str:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        pa.write_report(results, Path(folder) / "r.html", robots=robots)
+        return (Path(folder) / "r.html").read_text(encoding="utf-8")
+
+
+def test_without_the_library_the_view_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "_PACKAGE", "no_such_package")
+    assert library.installed_library() is None
+    page = Page(written(analysis()))
+    assert "three.js was not found" in page.shown()
+    assert "application/json" in page.text
+    assert len(page.text) < 400_000
+
+
+def test_the_library_comes_with_its_licences() -> None:
+    found = library.installed_library()
+    assert found is not None
+    assert not re.search(r"(?i)</script|<!--", found.script)
+    for name in ("MeshCat", "three ", "Permission is hereby granted"):
+        assert name in found.licence
+    assert "Permission is hereby granted" in page_of(analysis()).shown()
+
+
+# Drawings
+
+
+def test_a_line_is_where_its_values_are() -> None:
+    axis = Axis(Name("x"), "s", ".1f"), Axis(Name("y"), "mm", ".1f")
+    drawing = plots.draw(
+        LinePlot(Name("t"), *axis, [Series(Name("a"), [0, 5, 10], [1.0, np.nan, 3.0])])
+    )
+    line = next(mark for mark in drawing.marks if mark["tag"] == "polyline")
+    assert line["labels"] == ["0.0 s, 1.0 mm", "10.0 s, 3.0 mm"]
+    (x0, y0), (x1, y1) = line["points"]
+    assert (x0, x1) == (plots.LEFT, plots.WIDTH - plots.RIGHT)
+    assert y0 > y1  # more is further up
+    grid = {
+        mark["words"].text: mark["y"]
+        for mark in drawing.marks
+        if mark["tag"] == "text" and mark["anchor"] == "end"
+    }
+    assert grid["1"] - 4 == pytest.approx(y0, abs=0.1)
+    assert grid["3"] - 4 == pytest.approx(y1, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0, 10, [0, 2, 4, 6, 8, 10]),
+        (-3, 3, [-2, 0, 2]),
+        (0.11, 0.13, [0.11, 0.115, 0.12, 0.125, 0.13]),
+    ],
+)
+def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
+    assert plots.ticks(low, high) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("value", "form", "expected"),
+    [
+        (-1e-9, "+.3f", "+0.000"),
+        (None, ".1f", "-"),
+        (0.1234, ".1%", "12.3%"),
+        (math.inf, "g", "inf"),
+    ],
+)
+def test_numbers_are_written(value: float | None, form: str, expected: str) -> None:
+    assert number(value, form).text == expected
+
+
+# Files and commands
+
+
+def test_bad_arguments_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(pa.ConfigurationError, match="no result"):
+        pa.write_report([], tmp_path / "r.html")
+    with pytest.raises(pa.ConfigurationError, match="'en' nor 'zh'"):
+        pa.write_report(audit(), tmp_path / "r.html", language="fr")
+    with pytest.raises(pa.OutputError):
+        pa.write_report(audit(), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_opens_in_chinese_if_asked() -> None:
+    page = Page(written(audit(), language="zh"))
+    assert page.root.get("lang") == "zh-Hans"
+    assert page.root.find(".//button[@id='language']").text == "English"
+
+
+def test_commands_write_it(tmp_path: Path) -> None:
+    urdf, mjcf = ROOT / "urdf" / "pupper_v3.urdf", ROOT / "mjcf" / "pupper_v3.xml"
+    for arguments in (
+        ("audit", str(urdf)),
+        ("crosscheck", str(urdf), str(mjcf)),
+        ("stand", "original"),
+    ):
+        file = tmp_path / f"{arguments[0]}.html"
+        found = answer(*arguments, "--report", str(file))
+        assert found.returncode == 0, found
+        assert Page(file.read_text(encoding="utf-8")).root.find(".//h1") is not None
+    refused = answer("audit", str(urdf), "--report", str(tmp_path))
+    assert refused.returncode == 2
+    assert "it is a folder" in refused.stderr
+
+
+def test_a_report_goes_to_standard_output() -> None:
+    found = answer("audit", str(ROOT / "urdf" / "pupper_v3.urdf"), "--report", "-")
+    assert Page(found.stdout).root.find(".//h1") is not None
+    assert "SOUND" in found.stderr
+
+
+@pytest.mark.slow
+def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
+    code = (
+        "import sys, pupper_analysis.cli, pupper_analysis.report.html.write, "
+        "pupper_analysis.pupper.comparison; print('jinja2' in sys.modules)"
+    )
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+    )
+    assert run.stdout.strip() == "False"

@@ -1,0 +1,391 @@
+"""A report in a real browser, without a network: it draws, sorts, switches, without complaint."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import pupper_analysis as pa
+from pupper_analysis.pupper.comparison import Reference, compare, comparison_table
+from tests.report.test_html import EVIL, analysis, evil_analysis
+from tests.report.test_study import outcome
+from tests.support.variants import load
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+OPTIONS = ("--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    found = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+    with sync_api.sync_playwright() as driver:
+        if found is None and not Path(driver.chromium.executable_path).exists():
+            pytest.skip("no chromium: apt install chromium, or playwright install chromium")
+        started = driver.chromium.launch(executable_path=found, args=list(OPTIONS))
+        yield started
+        started.close()
+
+
+class Opened:
+    """A report in a browser without a network, and what it complains of."""
+
+    def __init__(self, browser: Any, file: Path, script: str = "", **options: Any) -> None:
+        self.context = browser.new_context(offline=True, **options)
+        self.context.add_init_script(script)
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.asked: list[str] = []
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("console", self._hear)
+        self.page.on("dialog", lambda dialog: self.complaints.append(dialog.message))
+        self.page.on("request", lambda request: self.asked.append(request.url))
+        self.page.goto(file.as_uri())
+
+    def _hear(self, message: Any) -> None:
+        # A driver that renders in software says that reading pixels is slow.
+        if message.type in ("error", "warning") and "GPU stall" not in message.text:
+            self.complaints.append(message.text)
+
+    def pixels(self, element: Any) -> np.ndarray:  # type: ignore[type-arg]
+        return np.asarray(Image.open(io.BytesIO(element.screenshot())).convert("RGB")).astype(int)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    pa.write_report(analysis(), path, robots=[load("v3")])
+    return path
+
+
+@pytest.fixture(scope="module")
+def opened(browser: Any, file: Path) -> Iterator[Opened]:
+    one = Opened(browser, file, viewport={"width": 1200, "height": 1000})
+    yield one
+    assert one.complaints == []
+    assert [url for url in one.asked if not url.startswith(("file:", "data:", "blob:"))] == []
+    one.context.close()
+
+
+def stage(opened: Opened) -> Any:
+    canvas = opened.page.locator(".canvas canvas")
+    opened.page.locator(".canvas").scroll_into_view_if_needed()
+    canvas.wait_for(timeout=10_000)
+    return canvas
+
+
+@pytest.mark.slow
+def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
+    canvas = stage(opened)
+    before = opened.pixels(canvas)
+    yellow = (before[..., 0] > 150) & (before[..., 2] < 90)  # the torso
+    assert yellow.mean() > 0.005
+    assert len(np.unique(before.reshape(-1, 3), axis=0)) > 500
+    opened.page.locator(".canvas").press("ArrowLeft")
+    turned = opened.pixels(canvas)
+    assert (np.abs(turned - before).max(axis=-1) > 20).mean() > 0.01
+    opened.page.locator(".reset").click()
+    assert (np.abs(opened.pixels(canvas) - before).max(axis=-1) > 20).mean() < 0.001
+    box = canvas.bounding_box()
+    opened.page.mouse.move(box["x"] + 300, box["y"] + 200)
+    opened.page.mouse.down()
+    opened.page.mouse.move(box["x"] + 400, box["y"] + 220, steps=4)
+    opened.page.mouse.up()
+    assert (np.abs(opened.pixels(canvas) - before).max(axis=-1) > 20).mean() > 0.01
+    opened.page.locator(".reset").click()
+
+
+def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: Path) -> None:
+    one = Opened(browser, file, viewport={"width": 900, "height": 300})
+    assert one.page.locator(".canvas canvas").count() == 0  # it is further down
+    one.page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    one.page.emulate_media(media="print")
+    picture = one.page.locator(".canvas .printed")
+    picture.wait_for()
+    shown = one.pixels(picture)
+    yellow = (shown[..., 0] > 150) & (shown[..., 2] < 90)  # the torso
+    assert yellow.mean() > 0.005
+    assert one.page.evaluate("document.documentElement.scrollWidth") <= 900
+    one.page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert picture.count() == 0
+    assert one.complaints == []
+    one.context.close()
+
+
+def test_it_is_whole_beneath_the_navigation(opened: Opened) -> None:
+    canvas = stage(opened)
+    opened.page.evaluate(
+        """() => { const top = document.querySelector(".canvas").getBoundingClientRect().top;
+        scrollTo({ top: scrollY + top + 150, behavior: "instant" }); }"""
+    )
+    opened.page.evaluate("window.report.views[0].turn(0.1, 0)")
+    opened.page.wait_for_timeout(300)
+    box = canvas.bounding_box()
+    assert box["y"] == pytest.approx(-150, abs=2)
+    seen = Image.open(io.BytesIO(opened.page.screenshot())).convert("RGB")
+    below = np.asarray(seen).astype(int)[60 : int(box["y"] + box["height"]) - 4, 100:1000]
+    assert (below.std(axis=1).sum(axis=1) > 3).mean() > 0.95  # of the rows have lines of the floor
+    opened.page.locator(".reset").click()
+
+
+def test_joints_are_drawn_where_pinocchio_has_them(opened: Opened) -> None:
+    """By the page's own transforms of the MJCF's axes; Pinocchio's are the URDF's."""
+    stage(opened)
+    drawn = opened.page.evaluate(
+        """() => { const view = window.report.views[0]; view.scene.updateMatrixWorld(true);
+        return view.axes.map((mesh) => [mesh.matrixWorld.elements.slice(12, 15),
+          mesh.matrixWorld.elements.slice(4, 7)]); }"""
+    )
+    config = pa.Configuration(load("v3"), analysis().stand.qpos)
+    for joint, (place, along) in zip(load("v3").joint_names, drawn, strict=True):
+        assert place == pytest.approx(config.joint_position(joint), abs=5e-5)
+        assert along == pytest.approx(config.joint_axis(joint), abs=2e-4)
+
+
+def test_forces_are_drawn_from_where_feet_touch(opened: Opened) -> None:
+    stage(opened)
+    drawn = opened.page.evaluate(
+        """() => window.report.views[0].layers.forces.map((group) =>
+        [group.position.toArray(), group.matrixWorld.elements.slice(4, 7)])"""
+    )
+    statics = analysis().statics
+    for foot, (place, along) in zip(statics.contact_forces, drawn, strict=True):
+        force = statics.contact_forces[foot]
+        assert place == pytest.approx(statics.contact_points[foot], abs=1e-5)
+        assert along == pytest.approx(force / np.linalg.norm(force), abs=1e-5)
+
+
+def test_a_joint_lights_up_and_says_what_it_does(opened: Opened) -> None:
+    canvas = stage(opened)
+    dark = opened.pixels(canvas)
+    button = opened.page.get_by_role("button", name="leg_front_r_2", exact=True)
+    button.focus()
+    told = opened.page.locator(".told").inner_text()
+    assert told.startswith("leg_front_r_2: roll; position ")
+    assert "torque -0.200 N m / 3 N m" in told
+    lit = opened.pixels(canvas)
+    orange = (lit[..., 0] > 190) & (lit[..., 1] < 140) & (lit[..., 2] < 70)
+    assert orange.sum() > ((dark[..., 0] > 190) & (dark[..., 1] < 140) & (dark[..., 2] < 70)).sum()
+    button.blur()
+    assert opened.page.locator(".told").inner_text().startswith("Drag to turn")
+
+
+def test_parts_can_be_hidden(opened: Opened) -> None:
+    canvas = stage(opened)
+    shapes = opened.page.locator("[data-layer=shapes]")
+    shapes.uncheck()
+    hidden = opened.pixels(canvas)
+    assert ((hidden[..., 0] > 150) & (hidden[..., 2] < 90)).mean() < 0.003
+    shapes.check()
+
+
+def test_the_simulated_motion_can_be_stepped_through(opened: Opened) -> None:
+    canvas = stage(opened)
+    opened.page.locator("select.motion").select_option(label="simulated, without feed-forward")
+    slider = opened.page.locator("input.time")
+    forces = "window.report.views[0].layers.forces.some((arrow) => arrow.visible)"
+    assert not opened.page.evaluate(forces)  # the stand's are not the motion's
+    first = opened.pixels(canvas)
+    count = int(slider.get_attribute("max") or 0)
+    assert count > 20
+    slider.fill(str(count))
+    assert opened.page.locator(".at").inner_text() == "11.90 s"
+    assert (np.abs(opened.pixels(canvas) - first).max(axis=-1) > 20).mean() > 0.001  # it sinks
+    opened.page.locator("select.motion").select_option(index=0)
+    assert opened.page.evaluate(forces)
+
+
+def test_a_table_sorts_by_number_and_back(opened: Opened) -> None:
+    table = opened.page.locator("figure.table", has_text="hanging").first
+    header = table.locator("th", has_text="simulated")
+
+    def column() -> list[str]:
+        return [str(text) for text in table.locator("tbody tr td:nth-child(5)").all_inner_texts()]
+
+    given = column()
+    header.locator("button").click()
+    assert header.get_attribute("aria-sort") == "ascending"
+    assert column() == sorted(given, key=float)
+    header.locator("button").press("Enter")
+    assert header.get_attribute("aria-sort") == "descending"
+    assert column() == sorted(given, key=float, reverse=True)
+    header.locator("button").click()
+    assert header.get_attribute("aria-sort") is None
+    assert column() == given
+
+
+def test_powers_of_ten_sort_as_numbers(opened: Opened) -> None:
+    table = opened.page.locator("figure.table", has_text="Cross-check:")
+    table.locator("th", has_text="relative").locator("button").click()
+    texts = table.locator("tbody tr td:nth-child(7)").all_inner_texts()
+    values = [float(text) for text in texts]
+    assert values == sorted(values)
+    assert len(set(values)) > 5
+
+
+def test_a_drawing_tells_its_values(opened: Opened) -> None:
+    drawing = opened.page.locator("figure.plot", has_text="Height of the simulated base")
+    svg = drawing.locator("svg").first
+    svg.scroll_into_view_if_needed()
+    box = svg.bounding_box()
+    task = svg.locator("polyline").nth(2)
+    place = task.evaluate("line => { const m = line.getScreenCTM(); const p = line.points[1];"
+                          "return [m.a * p.x + m.e, m.d * p.y + m.f]; }")  # fmt: skip
+    opened.page.mouse.move(place[0] + 1, place[1] + 1)
+    height = 1e3 * analysis().stand.qpos[2]
+    # It is where the base is with feed-forward, too: the line that was drawn first is told.
+    assert f"feed-forward: 11.98 s, {height:.2f} mm" in opened.page.locator("#tip").inner_text()
+    opened.page.mouse.move(box["x"] + box["width"] + 30, box["y"])
+    assert not opened.page.locator("#tip").is_visible()
+
+
+@pytest.mark.parametrize("kind", ["svg", "png"])
+def test_a_drawing_can_be_saved(opened: Opened, kind: str) -> None:
+    button = opened.page.locator(f"figure.plot .save[data-as={kind}]").first
+    with opened.page.expect_download() as caught:
+        button.click()
+    saved = Path(caught.value.path()).read_bytes()
+    assert caught.value.suggested_filename == f"plot.{kind}"
+    if kind == "png":
+        assert len(np.unique(np.asarray(Image.open(io.BytesIO(saved)).convert("L")))) > 10
+    else:
+        assert saved.startswith(b"<svg")
+        assert b"stroke" in saved
+        assert b"var(" not in saved
+
+
+def test_the_language_switches_everything(opened: Opened) -> None:
+    page = opened.page
+    assert page.locator("h2").first.inner_text() == "Summary"
+    page.locator("#language").click()
+    assert page.locator("html").get_attribute("lang") == "zh-Hans"
+    assert page.locator("h2").first.inner_text() == "概要"
+    assert page.title() == "分析：v3"
+    assert page.locator(".canvas").get_attribute("aria-label").startswith("机器人三维视图")
+    assert page.locator("select.motion option").nth(1).inner_text().startswith("仿真")
+    page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
+    assert "横滚" in page.locator(".told").inner_text()
+    page.locator("#language").click()
+    assert page.locator("h2").first.inner_text() == "Summary"
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_it_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
+    one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
+    wide = one.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+    assert wide[0] <= wide[1]
+    colour = one.page.evaluate("getComputedStyle(document.body).backgroundColor")
+    light = sum(map(int, colour[4:-1].split(","))) > 600
+    assert light == (scheme == "light")
+    one.page.locator("#theme").click()
+    assert one.page.evaluate("getComputedStyle(document.body).backgroundColor") != colour
+    assert one.complaints == []
+    one.context.close()
+
+
+@pytest.mark.slow
+def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> None:
+    file = tmp_path / "study.html"
+    pa.write_report(outcome(), file)
+    one = Opened(browser, file, viewport={"width": 1000, "height": 900})
+    page, table = one.page, outcome().table
+    tip = page.locator("#tip")
+
+    def point(drawing: Any, line: str, index: int, off: tuple[float, float]) -> None:
+        drawing.scroll_into_view_if_needed()
+        place = drawing.locator(line).first.evaluate(
+            "(line, i) => { const m = line.getScreenCTM(); const p = line.points[i];"
+            "return [m.a * p.x + m.e, m.d * p.y + m.f]; }",
+            index,
+        )
+        page.mouse.move(place[0] + off[0], place[1] + off[1])
+
+    cells = page.locator("figure.plot", has_text="peak_utilisation over").locator("svg").first
+    point(cells, ".unseen", 4, (70, 40))  # far from its middle, but in the cell
+    chosen = table[(table["leg_scale"] == 1.0) & (table["height"] == 0.15)]["peak_utilisation"]
+    assert f"leg_scale 1, height 0.15: {chosen.iloc[0]:.4g}" in tip.inner_text()
+    lines = page.locator("figure.plot", has_text="Designs as lines").locator("svg").first
+    point(lines, "polyline", 0, (1, 1))
+    assert lines.locator(".lit").count() == 1
+    assert "leg_scale" in tip.inner_text()
+    page.mouse.move(2, 2)
+    assert lines.locator(".lit").count() == 0
+    designs = page.locator("figure.table", has_text="no.").last
+    designs.locator("th", has_text="servo_sag").locator("button").click()
+    texts = designs.locator("tbody tr td:nth-child(6)").all_inner_texts()
+    shown = [float(text) for text in texts if text != "-"]
+    assert shown == sorted(shown)
+    assert len(shown) == 12
+    page.locator("#language").click()
+    ends = page.locator("figure.plot", has_text="设计的结果").locator("svg").first
+    point(ends, ".unseen >> nth=1", 0, (3, 3))
+    assert tip.inner_text() == "够不到: leg_scale 0.8, height 0.5: 1 / 1"
+    page.set_viewport_size({"width": 360, "height": 740})
+    wide = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+    assert wide[0] <= wide[1]
+    assert one.complaints == []
+    one.context.close()
+
+
+@pytest.mark.slow
+def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
+    none = "HTMLCanvasElement.prototype.getContext = () => null"
+    one = Opened(browser, file, script=none)
+    one.page.locator(".canvas").scroll_into_view_if_needed()
+    told = one.page.locator(".told")
+    sync_api.expect(told).to_contain_text("The browser has no WebGL")
+    one.page.get_by_role("button", name="leg_front_r_2", exact=True).focus()
+    sync_api.expect(told).to_contain_text("leg_front_r_2: roll")
+    assert one.complaints == []
+    one.context.close()
+
+
+@pytest.mark.slow
+def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
+    file = tmp_path / "evil.html"
+    pa.write_report(evil_analysis(), file, robots=())
+    one = Opened(browser, file)
+    assert EVIL[0] in one.page.locator("h2").nth(1).inner_text()
+    assert one.page.locator("img").count() == 0
+    assert one.complaints == []
+    one.context.close()
+
+
+@pytest.mark.longest
+def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_path: Path) -> None:
+    """Of two robots: each part is opened by its link, and on paper, where a view is there once."""
+    file = tmp_path / "two.html"
+    both = [analysis(), replace(analysis(), name="other")]
+    rows = [compare(one, "v3", Reference(1.0, None, None)) for one in both]
+    pa.write_report([*both, comparison_table(rows)], file, robots=[load("v3")])
+    one = Opened(browser, file, viewport={"width": 1280, "height": 900})
+    page = one.page
+    assert page.title() == "Analysis: v3, other"
+    parts = "[...document.querySelectorAll('details.part')].map((part) => part.open)"
+    assert page.evaluate(parts) == [False, False]
+    assert page.evaluate("document.documentElement.scrollHeight") < 3000
+    page.locator("nav a").nth(1).click()
+    page.locator("#s1 .canvas canvas").wait_for(timeout=10_000)
+    assert page.evaluate(parts) == [True, False]
+    wide = "[...document.querySelectorAll('.scroll')].every((e) => e.scrollWidth <= e.clientWidth)"
+    assert page.evaluate(wide)
+    for _ in range(2):  # a preview asks twice
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate(parts) == [True, True]
+    page.emulate_media(media="print")
+    seen = "[...document.querySelectorAll('.canvas > *')].filter((e) => e.offsetParent).length"
+    page.locator(".canvas .printed").first.wait_for()
+    assert page.evaluate(seen) == page.locator(".canvas").count() == 1
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(parts) == [True, False]
+    assert one.complaints == []
+    one.context.close()

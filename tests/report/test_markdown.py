@@ -1,0 +1,198 @@
+"""Markdown: a document for a comment on a pull request, in which nobody's names act."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import click
+import pytest
+
+from pupper_analysis import cli
+from pupper_analysis.report.document import (
+    Column,
+    Document,
+    Lines,
+    Listing,
+    Name,
+    Number,
+    Place,
+    Report,
+    Sides,
+    Table,
+    tell,
+)
+from pupper_analysis.report.markdown import MOST_LETTERS, MOST_ROWS, markdown
+from pupper_analysis.report.words import text
+from tests.support.commands import answer
+from tests.support.html_page import Page
+from tests.support.repository import ROOT
+from tests.support.stubs import problem
+
+TABLE = Table(
+    text("motor-torques"),
+    (Column(text("joint"), left=True), Column(text("torque"), "N m"), Column(text("verdict"))),
+    (
+        (Name("knee_1"), Number("-0.1234", -0.1234, share=0.5), text("ok")),
+        (Name("hip"), Number("9.9", 9.9, "bad"), text("differs").marked("bad")),
+    ),
+    (text("push-directions"),),
+)
+MASS, SANK = (tell(problem(one)) for one in ("mass 1 kg", "it sank"))
+PLACES = (Place(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
+DOCUMENT = Document(
+    text("stance"),
+    Name("v3"),
+    (
+        TABLE,
+        Sides(
+            tell(problem("mass 1 kg")),
+            PLACES,
+            (text("no-change"),),
+            text("all-ok").marked("warn"),
+        ),
+        Lines((tell(problem("it sank")),), "bad", text("objections"), detail=True),
+        Listing(text("what-would-change"), "-a\n+```b", "diff"),
+    ),
+    passed=False,
+    verdict=text("FAILS"),
+    failures=(tell(problem("it fell over")),),
+    told=(tell(problem("height 0.13 m")),),
+    notes=(tell(problem("a floor was added")),),
+)
+
+
+def test_a_document() -> None:
+    report = Report(text("report"), (DOCUMENT,))
+    assert (
+        markdown(report)
+        == """\
+### ❌ FAILS v3
+
+- **it fell over**
+- height 0.13 m
+
+**Motor torques**
+
+| joint | torque (N m) | verdict |
+| :--- | ---: | ---: |
+| knee\\_1 | -0.1234 | ok |
+| hip | **9.9** | **DIFFERS** |
+
+- Directions about the vertical, of the base: forward 0°, left 90°.
+
+- OK **mass 1 kg**
+  - models/a.urdf:5: ` <mass value="1"/> `
+  - no change
+
+<details><summary>Objections</summary>
+
+**Objections**
+
+- it sank
+
+</details>
+
+**What would change**
+
+````diff
+-a
++```b
+````
+
+<details><summary>1 notes</summary>
+
+- a floor was added
+
+</details>
+"""
+    )
+
+
+def test_where_several_are_compared_each_is_told_in_short() -> None:
+    shown = markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
+    assert shown.count("Motor torques") == 1
+    assert shown.count("### ❌ FAILS v3") == 2
+
+
+EVIL = (
+    "@everyone",
+    "#1",
+    "GH-7",
+    ":tada:",
+    "https://evil.example",
+    "www.evil.example",
+    "[a](javascript:b)",
+    "![a](b)",
+    "<img src=x onerror=alert(1)>",
+    "<!-- a",
+    "&lt;b&gt;",
+    "`a",
+    "a | b",
+    "**a**",
+    "~~a~~",
+    "$a$",
+    "- a",
+    "1. a",
+    "+ a",
+    "a\n\n# b",
+    "\u202eb",
+    "</details>",
+)
+
+
+@pytest.mark.parametrize("name", EVIL)
+def test_no_name_acts(name: str) -> None:
+    said, place = tell(problem(name)), Place(Name(name), Name(name), name)
+    blocks = (
+        Table(said, (Column(said, "N"),), ((said,),), (said,)),
+        Sides(said, (place,), (said,), said),
+        Lines((said,), title=said, detail=True),
+        Listing(said, name, "diff"),
+    )
+    evil = Document(said, said, blocks, True, said, told=(said,), notes=(said,))
+    shown = markdown(Report(said, (replace(evil, passed=False),)))
+    # What is between fences and ticks is shown letter by letter.
+    outside = re.sub(r"```diff\n.*?```|` .*? `", "", shown, flags=re.S)
+    plain = re.sub(r"\\[\\`*_\[\]<>#|~&$]", "", outside)
+    assert not re.search(r"[@#]\w|GH-\d|:\w+:|https?://|www\.", plain.replace(r"\#", ""))
+    assert "\u202e" not in shown
+    tags = set(re.findall(r"<[^>]*>", plain))
+    assert tags == {"<details>", "</details>", "<summary>", "</summary>"}
+    assert shown.count("\n### ") == 0
+    row = next(line for line in shown.split("\n") if line.startswith("| "))
+    assert len(re.findall(r"(?<!\\)\|", row)) == 2
+
+
+def test_a_comment_has_room_for_it() -> None:
+    rows = tuple((Name("x" * 500), Number("1", 1.0), Name("")) for _ in range(3 * MOST_ROWS))
+    long = replace(TABLE, rows=rows)
+    shown = markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,)),)))
+    assert f"*{2 * MOST_ROWS} more rows: `--json` has them.*" in shown
+    shown = markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
+    assert len(shown) < MOST_LETTERS
+    assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
+    assert "`--json` has all numbers" in shown
+
+
+def test_every_command_with_a_result_has_it() -> None:
+    for name in cli.group.list_commands(click.Context(cli.group)):
+        options = {option.name: option for option in cli.group.commands[name].params}
+        assert ("style" in options) == ("json_path" in options), name
+        if "style" in options:
+            assert "markdown" in options["style"].type.choices  # type: ignore[attr-defined]
+            assert "everything" in options
+
+
+def test_it_is_all_that_stands_on_standard_output(tmp_path: Path) -> None:
+    """Files are confirmed beside it."""
+    path, page = tmp_path / "a.json", tmp_path / "a.html"
+    file = str(ROOT / "urdf" / "pupper_v3.urdf")
+    found = answer(
+        "audit", file, "--format", "markdown", "--json", str(path), "--report", str(page)
+    )
+    assert found.stdout.startswith("### ✅ SOUND pupper\\_v3.urdf\n\n- 0 errors, ")
+    assert "written" not in found.stdout
+    assert found.stderr == f"written: {page}\nwritten: {path}\n"
+    assert Page(page.read_text(encoding="utf-8")).root.find(".//h1") is not None

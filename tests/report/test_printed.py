@@ -1,0 +1,197 @@
+"""What documents say in cases that no golden document has."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pupper_analysis.models.joint_drives import Drive, MadeServo
+from pupper_analysis.pupper import comparison
+from pupper_analysis.report.document import Document, Table
+from pupper_analysis.report.documents.analysis import analysis_document
+from pupper_analysis.report.documents.best_study import best_document
+from pupper_analysis.report.documents.comparison import comparison_document
+from pupper_analysis.report.documents.loaded_stance import payload_document
+from pupper_analysis.report.documents.path_there import path_document
+from pupper_analysis.report.documents.pushed_stance import push_document
+from pupper_analysis.report.documents.stance import stance_document
+from pupper_analysis.report.words import english
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.simulation.verdict import judge
+from pupper_analysis.stance.optimize.best import Objective
+from pupper_analysis.stance.path.leg_time import Binding
+from pupper_analysis.stance.path.path_limits import Limit
+from pupper_analysis.stance.payload.sharing import Sharing
+from tests.support import printing
+from tests.support.stubs import (
+    ANALYSIS,
+    SERVOS,
+    best,
+    files,
+    loaded,
+    problem,
+    pushed,
+    run,
+    stance,
+    there,
+)
+
+
+def printed(shown: Document) -> list[str]:
+    """The words that are printed, without rules and bars."""
+    text = printing.printed(shown, width=240)
+    return [word for word in text.split() if word.strip("─█▏▎▍▌▋▊▉")]
+
+
+def test_legs_of_one_joint_have_no_thigh() -> None:
+    stub: Any = Stub(**{**vars(ANALYSIS), "thigh_length": None})
+    text = " ".join(printed(analysis_document(stub)))
+    assert "thigh -, calf 112.2 mm" in text
+
+
+def test_what_is_compared_is_what_is_meant() -> None:
+    """Each field of a row from its own of the analysis; ratios the right way up."""
+    stub = Stub(
+        **{
+            **vars(ANALYSIS),
+            "thigh_shape_length": 0.09,
+            "stand": Stub(task=Stub(height=0.1234)),
+        }
+    )
+    found = vars(comparison.compare(stub, "v3", comparison.Reference(1.5, 0.05, 0.045)))
+    assert {key: value for key, value in found.items() if not isinstance(value, float)} == {
+        "name": "stub",
+        "base": "v3",
+        "stands_without": False,
+        "verified": False,
+    }
+    assert {
+        key: value for key, value in found.items() if isinstance(value, float)
+    } == pytest.approx(
+        {
+            "total_mass": 3.171,
+            "mass_ratio": 2.114,
+            "thigh_ratio": 1.622,
+            "thigh_shape_ratio": 2.0,
+            "height": 0.1234,
+            "peak_torque": 0.2222,
+            "peak_utilisation": 0.952,
+            "servo_sag": 0.011555,
+            "contact_sag": 0.002889,
+            "torque_error": 0.01234,
+            "force_error": 0.02356,
+            "cross_check": 1.3e-4,
+        }
+    )
+
+
+def test_a_stance_that_fails() -> None:
+    failing = stance(
+        passed=False,
+        verification=run(0.0, passed=False),
+        sunk=None,
+        settled=None,
+        unsettled=problem("why"),
+        verdict=judge(run(0.0, passed=False), None, SERVOS),
+        minimum_stiffness=None,
+        loops_open=None,
+    )
+    text = " ".join(printed(stance_document(failing)))
+    assert text.startswith(
+        "FAILS stub: FAILS in MuJoCo: it sank height 0.1044 m, roll 1.0 deg, pitch 0.0 deg, "
+        "yaw 0.0 deg without"
+    )
+    assert "without feed-forward, no sag is predicted: why lowest part" in text
+    assert (
+        "feet sunk into MuJoCo's soft ground would be out of reach: simulated with joints" in text
+    )
+    assert "HOLDS" not in text
+
+
+def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
+    best = Stub(
+        objective=Objective.PAYLOAD, value=2.349, nominal_value=1.118, evaluations=5,
+        coordinates={"yaw": math.radians(-3.3)}, active=(),
+    )  # fmt: skip
+    study: Any = Stub(best=best, stance=stance(), loaded=loaded(), passed=True)
+    text = " ".join(printed(best_document(study)))
+    assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked height 0.1044 m" in text
+    assert "yaw -3.3 °" in text
+    assert "nudged: at 3.46 s the robot tips (FL)" in text
+
+
+def test_the_fastest_path() -> None:
+    least = there(
+        binding=Binding(Limit.FRICTION, ("FR",), 2, 0.37, 0.5), reserve=0.21, lower_bound=2.5
+    )
+    text = " ".join(printed(path_document(least)))
+    assert (
+        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) after 37% of "
+        "leg 2; 2.5 s if the acceleration could jump The path" in text
+    )
+
+
+def test_limits_say_that_their_servos_were_made_up() -> None:
+    """Of a robot without servos nobody stated what it can carry, or be pushed by."""
+    made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
+    own = ServosUsed(ServoSource.MADE_UP, (320.0, 320.0), (16.0, 16.0), (made,))
+    one = loaded()
+    one.servos = own
+    said = "on servos that were made up at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
+    assert said in " ".join(printed(payload_document(one)))
+    push = pushed("one", 0.0, 0.00311)
+    push.verdict = judge(run(0.0, passed=True), None, own)
+    assert said in " ".join(printed(push_document(push)))
+    assert said in " ".join(printed(path_document(there(servos=own))))
+
+
+def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
+    """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
+    one = pushed("one", 0.0, 0.00311)
+    one.verdict, one.passed = judge(run(0.0, passed=False), None, SERVOS), False
+    text = " ".join(printed(push_document(one)))
+    assert text.startswith("FAILS one: FAILS in MuJoCo: ")
+    assert "weakest at 240°: 0.43 N s" in text
+    one.recovery.unpushed = (problem("it fell over"),)
+    text = " ".join(printed(push_document(one)))
+    assert "it does not stand, so it withstands no push of 2.15 kg" in text
+    assert "weakest" not in text
+
+
+def test_what_motors_bear_if_legs_share_it_is_told_where_it_is_more() -> None:
+    assert "share" not in " ".join(printed(payload_document(loaded())))
+    more = loaded()
+    more.payload.shared = Sharing(5.678, np.zeros(12), {})
+    text = " ".join(printed(payload_document(more)))
+    assert "motors, if the legs share it as these can 5.67 kg servos' stiffness" in text
+
+
+def test_motors_without_a_limit_are_named() -> None:
+    text = " ".join(printed(payload_document(loaded("hip", "knee"))))
+    assert "Motors without effort limit, which set no payload: 2 (hip, knee)." in text
+    assert "contacts no limit Static," in " ".join(printed(payload_document(loaded())))
+    assert "Motors without" not in " ".join(printed(payload_document(loaded())))
+
+
+def test_the_rest_of_a_best_stance_is_the_stance_s_own() -> None:
+    shown, alone = best_document(best()), stance_document(stance())
+    titles = [[english(one.title) for one in document.blocks if isinstance(one, Table)]
+              for document in (shown, alone)]  # fmt: skip
+    assert set(titles[1]) < set(titles[0])
+    assert shown.told[1:] == alone.told
+
+
+def test_what_engines_make_of_one_file_is_seen_where_they_differ() -> None:
+    """Columns of one file are in a short view only if something in them is more than tolerated."""
+    found = files()
+    short = printing.printed(comparison_document(found), width=240, everything=False)
+    assert "(URDF)" not in short.partition("Deviation")[2]
+    assert "On each file alone, engines and readers agree within 3.3e-13." in short
+    found.check.quantities[0].edges["engines (URDF)"] = 1.7e-3
+    odd = printing.printed(comparison_document(found), width=240, everything=False)
+    assert "1.7e-03" in odd.partition("Deviation")[2]
+    assert "agree within 4.4e-14." in odd

@@ -1,0 +1,255 @@
+"""The rendered picture, and the line drawing that takes its place without OpenGL."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import pupper_analysis as pa
+from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.report import opengl, render
+from pupper_analysis.report.tiles import tiles_of
+from tests.support.variants import load, stand_of
+
+WIDTH = 420
+BACKGROUND = np.array([0xEE, 0xF1, 0xF5]) / 255
+
+
+def pixels(path: Path) -> np.ndarray:
+    """The colours (height, width, 3), of a picture with something in it."""
+    assert path.read_bytes().startswith(b"\x89PNG")
+    image = np.asarray(imread(path))[..., :3]
+    assert (np.abs(image - image[0, 0]).max(axis=-1) > 0.05).mean() > 0.02
+    return image
+
+
+def is_background(image: np.ndarray) -> np.ndarray:
+    return np.asarray((np.abs(image - BACKGROUND) < 0.01).all(axis=-1))
+
+
+def pairs(*names: str) -> list[tuple[pa.Robot, pa.Stand]]:
+    return [(load(name), stand_of(name)) for name in names]
+
+
+@pytest.fixture
+def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "disable")
+
+
+def render_with_opengl(*arguments: Any, **options: Any) -> render.Picture:
+    picture = render.render_variants(*arguments, **options)
+    if picture.method == "lines":
+        pytest.skip(f"this computer has {picture.note}")
+    assert picture.note is None
+    return picture
+
+
+# ------------------------------------------------------------------------------------- OpenGL
+
+
+@pytest.mark.slow
+def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
+    picture = render_with_opengl(
+        pairs("original", "v3", "v3-heavy"), tmp_path / "a.png", width=WIDTH
+    )
+    image = pixels(picture.path)
+    assert image.shape[1] == WIDTH
+    for tile in np.split(image, 3, axis=1):
+        # A robot in the middle, whose yellow shell is seen, and nothing at the tile's edges.
+        share = 1 - is_background(tile).mean()
+        assert 0.2 < share < 0.8
+        yellow = (tile[..., 0] > 0.6) & (tile[..., 2] < 0.4)
+        assert yellow.mean() > 0.02
+        edges = (tile[0], tile[-1], tile[:, 0], tile[:, -1])
+        assert all(is_background(edge).all() for edge in edges)
+
+
+@pytest.mark.slow
+def test_the_shadow_is_below_the_robot_and_soft(tmp_path: Path) -> None:
+    picture = render_with_opengl(pairs("v3"), tmp_path / "a.png", width=WIDTH)
+    image = pixels(picture.path)
+    grey = (np.ptp(image, axis=-1) < 0.06) & (image.mean(axis=-1) > 0.5) & ~is_background(image)
+    rows = np.flatnonzero(grey.mean(axis=1) > 0.1)
+    assert rows.min() > 0.4 * len(image)
+    assert len(np.unique(image[grey].round(2), axis=0)) > 10
+
+
+@pytest.mark.slow
+def test_rows_and_scale(tmp_path: Path) -> None:
+    two = pairs("original", "long-leg")
+    beside = render_with_opengl(two, tmp_path / "a.png", width=WIDTH, columns=2)
+    below = render_with_opengl(two, tmp_path / "b.png", width=WIDTH // 2, columns=1)
+    row, column = pixels(beside.path), pixels(below.path)
+    assert row.shape[1] == 2 * column.shape[1]
+    assert column.shape[0] > row.shape[0]
+    # To one scale: the lower robot is the same in both, but for the letters below it.
+    lower, same = column[-150:-60], row[-150:-60, WIDTH // 2 :]
+    assert np.abs(lower - same).mean() < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fixed_base", [False, True])
+def test_one_robot(fixed_base: bool, tmp_path: Path) -> None:
+    robot = load("v3", fixed_base=fixed_base)
+    picture = render.render_robot(robot, robot.home, tmp_path / "a.png", width=WIDTH)
+    assert pixels(picture.path).shape[1] == WIDTH
+
+
+def test_nothing_is_left_in_the_environment(tmp_path: Path) -> None:
+    before = dict(os.environ)
+    render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
+    assert dict(os.environ) == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_the_projection_is_that_of_the_camera(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Feet are black, and black pixels are where the line drawing has its feet."""
+    picture = render_with_opengl(pairs(name), tmp_path / "a.png", width=WIDTH)
+    image = pixels(picture.path)
+    robot, stand = load(name), stand_of(name)
+    (tile,) = tiles_of([(robot, stand.qpos)], WIDTH, 1)
+    for foot, leg in tile.lines.legs.items():
+        x, y = tile.pixels(leg[-1:])[0].astype(int)
+        if foot != "RL":  # which others hide in part
+            assert image[y - 3 : y + 3, x - 3 : x + 3].max() < 0.35, foot
+
+
+# ------------------------------------------------------------------------------------- no OpenGL
+
+
+@pytest.mark.usefixtures("no_opengl")
+def test_line_drawing_without_opengl(tmp_path: Path) -> None:
+    picture = render.render_variants(pairs("original", "v3"), tmp_path / "a.png", width=WIDTH)
+    assert picture.method == "lines"
+    assert picture.note is not None
+    assert "MUJOCO_GL" in picture.note
+    assert "line drawing" in picture.note
+    for tile in np.split(pixels(picture.path), 2, axis=1):
+        assert 0.2 < 1 - is_background(tile).mean() < 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("variables", "methods"),
+    [
+        ({}, ("egl", "osmesa", "glfw", "cgl", "lines")),
+        ({"MUJOCO_GL": "disable"}, ("lines",)),
+        ({"MUJOCO_GL": "egl", "__EGL_VENDOR_LIBRARY_FILENAMES": "/nowhere"}, ("lines",)),
+        ({"MUJOCO_GL": "glfw"}, ("lines",)),
+    ],
+    ids=["unset", "disabled", "no driver", "no display"],
+)
+@pytest.mark.skipif(sys.platform != "linux", reason="the variables are those of Linux")
+def test_a_fresh_process_is_quiet(
+    variables: dict[str, str], methods: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Renders twice, in a process without a display: MuJoCo may not survive a second failure."""
+    code = (
+        "import sys, pupper_analysis as pa\n"
+        "from pupper_analysis.report.render import render_robot\n"
+        "robot = pa.load_variant('original')\n"
+        "for _ in range(2):\n"
+        "    picture = render_robot(robot, robot.home, sys.argv[1], width=300)\n"
+        "print(picture.method, bool(picture.note))\n"
+    )
+    hidden = ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY", "PYOPENGL_PLATFORM")
+    environment = {key: value for key, value in os.environ.items() if key not in hidden}
+    command = [sys.executable, "-W", "ignore::DeprecationWarning", "-c", code]
+    done = subprocess.run(
+        [*command, str(tmp_path / "a.png")],
+        env={**environment, **variables},
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    method, noted = done.stdout.split()
+    assert method in methods
+    assert noted == str(method == "lines")
+    pixels(tmp_path / "a.png")
+
+
+def test_the_next_backend_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    tried = []
+
+    def fail(backend: str, tiles: Any) -> Any:
+        tried.append(backend)
+        os.environ["PYOPENGL_PLATFORM"] = backend
+        raise AttributeError("'NoneType' object has no attribute 'glGetError'")
+
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+    monkeypatch.setattr(opengl.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(opengl, "_render_with", fail)
+    picture = render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
+    assert tried == ["egl", "osmesa"]
+    assert picture.method == "lines"
+    assert picture.note is not None
+    assert "glGetError" in picture.note
+    assert "PYOPENGL_PLATFORM" not in os.environ
+
+
+@pytest.mark.parametrize(
+    ("variables", "system", "expected"),
+    [
+        ({}, "Linux", ("egl", "osmesa")),
+        ({"DISPLAY": ":0"}, "Linux", ("egl", "osmesa", "glfw")),
+        ({"MUJOCO_GL": " EGL "}, "Linux", ("egl",)),
+        ({"MUJOCO_GL": "osmesa", "DISPLAY": ":0"}, "Linux", ("osmesa",)),
+        ({"MUJOCO_GL": "off"}, "Linux", ()),
+        ({}, "Darwin", ("cgl", "glfw")),
+        ({}, "Windows", ("glfw",)),
+    ],
+)
+def test_backends(
+    variables: dict[str, str],
+    system: str,
+    expected: tuple[str, ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("MUJOCO_GL", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(opengl.platform, "system", lambda: system)
+    assert opengl._backends() == expected
+
+
+# ------------------------------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "message"),
+    [
+        ((), {}, "no robot"),
+        (("original",), {"width": 20}, "width"),
+        (("original",), {"width": 10_000}, "width"),
+        (("original",), {"columns": 0}, "columns"),
+    ],
+)
+def test_bad_requests(
+    names: tuple[str, ...], options: dict[str, int], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        render.render_variants(pairs(*names), tmp_path / "a.png", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("no_opengl")
+def test_a_place_that_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(OutputError):
+        render.render_variants(pairs("original"), tmp_path / "file" / "a.png", width=WIDTH)

@@ -1,0 +1,320 @@
+"""What came of a study, and its page: each number is the table's, and shows where it belongs."""
+
+from __future__ import annotations
+
+import re
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.report.html.maps import MOST_LINES, colour
+from pupper_analysis.study.cells import Cells
+from pupper_analysis.study.outcome import main_effects
+from pupper_analysis.study.sensitivity import LinearShares, SobolIndices
+from pupper_analysis.study.tolerance import Certainty, Tolerance, chance
+from tests.report.test_html import EVIL, written
+from tests.support.commands import answer
+from tests.support.html_page import Page, shown
+
+VARY = {"leg_scale": [0.8, 1.0, 1.2], "kp": [5.0, 10.0], "height": [0.12, 0.15, 0.5]}
+ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
+
+
+@cache
+def outcome() -> pa.StudyOutcome:
+    """Of 18 designs, a third of which are out of reach."""
+    import tempfile
+
+    study = pa.Study("v3", VARY, ASKED)
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as thread:
+        study.run(folder, executor=thread)
+        return pa.study_outcome(study, folder)
+
+
+def full() -> pa.StudyOutcome:
+    """The same with all that can be there, of distinct numbers."""
+    sobol = SobolIndices("servo_sag", {"leg_scale": 0.111, "kp": 0.222, "height": 0.333},
+                         {"leg_scale": 0.444, "kp": 0.555, "height": 0.666},
+                         {"leg_scale": 0.011, "kp": 0.022, "height": 0.033}, 64)  # fmt: skip
+    linear = LinearShares(
+        "servo_sag", {"kp": 1.0}, {"leg_scale": 0.123, "kp": 0.456, "height": 0.421}, 0.1
+    )
+    sure = Certainty(chance(90, 100), {"knee": chance(80, 100)}, chance(70, 100), chance(60, 100))
+    spreads = {"kp": {"normal": [7.0, 0.25]}}
+    tolerance = Tolerance(0.375, spreads, chance(199, 200), {1.0: 0.5, 0.375: 0.995},
+                          {"stands": ("kp",)}, ("friction",))  # fmt: skip
+    return replace(outcome(), sobol=(sobol,), linear=(linear,), certainty=sure, tolerance=tolerance)
+
+
+# What came of it
+
+
+def test_it_counts_what_the_table_has() -> None:
+    found = outcome()
+    table = found.table
+    assert len(table) == found.designs == 18
+    assert sum(one.designs for one in found.failures) == table["failure"].notna().sum() >= 6
+    unreachable = next(one for one in found.failures if one.kind == "unreachable")
+    assert unreachable.designs == 6  # of one height
+    assert unreachable.share == pytest.approx(1 / 3)
+    assert "0.5" in unreachable.reason
+    sag = next(one for one in found.measured if one.measure == "servo_sag")
+    known = table["servo_sag"].dropna()
+    assert (sag.least, sag.median, sag.greatest) == (known.min(), known.median(), known.max())
+    assert sag.designs == len(known) == 12
+    assert (sag.unit, "servos" in sag.meaning) == ("m", True)
+    assert found.axes == ("leg_scale", "height")  # of most values, in the study's order
+    assert found.robot == "v3"
+    assert found.certainty is None  # no samples of distributions: no probabilities
+
+
+def test_the_front_is_of_what_stands_in_what_is_better() -> None:
+    found = outcome()
+    assert found.objectives == {"peak_utilisation": "min", "servo_sag": "min"}
+    assert (found.front["stands"] == 1).all()
+    expected = pa.pareto_front(found.table[found.table["stands"] == 1], found.objectives)
+    pd.testing.assert_frame_equal(found.front, expected)
+
+
+def test_main_effects_are_shares_of_an_additive_function() -> None:
+    """Of y = 3 a + b on a grid the variances are 9 var(a) and var(b)."""
+    a, b = (values.ravel() for values in np.meshgrid(np.linspace(0, 1, 12), np.linspace(0, 1, 12)))
+    table = pd.DataFrame({"a": a, "b": b, "y": 3 * a + b, "noise": 0.0, "same": 0.075})
+    table["noise"] = np.random.default_rng(1).normal(size=len(table))
+    table.loc[::2, "same"] += 1e-16
+    shares = main_effects(table, ("a", "b"), "y")
+    assert shares["a"] == pytest.approx(0.9, abs=0.01)
+    assert shares["b"] == pytest.approx(0.1, abs=0.08)
+    assert max(main_effects(table, ("a", "b"), "noise").values()) < 0.1
+    assert main_effects(table, ("a", "b"), "same") == {"a": 0.0, "b": 0.0}
+    table.loc[table["a"] > 0.5, "y"] = np.nan  # designs without a value do not count
+    assert main_effects(table, ("a", "b"), "y")["a"] == pytest.approx(0.675, abs=0.08)
+
+
+def test_main_effects_agree_with_sobol_s_first_indices() -> None:
+    """Of Ishigami's function, whose indices are known: 0.314, 0.442 and 0."""
+    random = np.random.default_rng(0).uniform(-np.pi, np.pi, (20_000, 3))
+    x, y, z = random.T
+    table = pd.DataFrame({"x": x, "y": y, "z": z})
+    table["f"] = np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
+    shares = main_effects(table, "xyz", "f")
+    assert [shares[n] for n in "xyz"] == pytest.approx([0.314, 0.442, 0.0], abs=0.02)
+
+
+def test_cells_of_few_designs_are_wide() -> None:
+    values = np.linspace(0.0, 1.0, 48)
+    cells = Cells(values)
+    assert len(cells.centres) == 4
+    assert np.bincount(cells.index).tolist() == [12, 12, 12, 12]
+    assert len(Cells(np.linspace(0, 1, 24)).centres) == 24  # each has its own
+
+
+def test_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
+    study = pa.Study("v3", {"kp": [5.0, 10.0]}, ["sag"])
+    with pytest.raises(pa.StudyError, match=r"no study\.json"):
+        pa.study_outcome(study, tmp_path)
+    with pytest.raises(pa.ConfigurationError, match="no 'mass'; it has sag, kp"):
+        study_with(tmp_path, study, minimise=["mass"])
+    with pytest.raises(pa.ConfigurationError, match="once"):
+        study_with(tmp_path, study, minimise=["sag"], maximise=["sag"])
+    other = pa.Study("v3", {"kp": [6.0, 11.0]}, ["sag"])
+    with pytest.raises(pa.ConfigurationError, match="no design of this study yet"):
+        pa.study_outcome(other, tmp_path / "there")
+
+
+def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.StudyOutcome:
+    with ThreadPoolExecutor(1) as thread:
+        study.run(tmp_path / "there", executor=thread)
+    return pa.study_outcome(study, tmp_path / "there", **options)
+
+
+# The page
+
+
+def test_the_page_has_the_table_s_numbers() -> None:
+    found = outcome()
+    page = Page(written(found, robots=False))
+    tables = page.tables()
+    designs = tables["Designs"]
+    assert len(designs) == 18
+    for row, (_, design) in zip(designs, found.table.iterrows(), strict=True):
+        assert float(row["leg_scale"]) == design["leg_scale"]
+        if np.isfinite(design["servo_sag"]):
+            assert float(row["servo_sag (m)"]) == pytest.approx(design["servo_sag"], rel=1e-4)
+        else:
+            assert row["servo_sag (m)"] == "-"
+            assert row["failure"] == design["failure"]
+    failed = {row["failure"]: row for row in tables["What failed, by kind"]}
+    assert failed["unreachable"]["designs (–)"] == "6"
+    assert failed["unreachable"]["share (–)"].startswith("33.3%")
+    varied = {row["number"]: row for row in tables["What varies"]}
+    assert varied["height (m)"]["range or values"] == "0.12, 0.15, 0.5"
+    front = next(rows for title, rows in tables.items() if "no other beats" in title)
+    assert [float(row["leg_scale"]) for row in front] == found.front["leg_scale"].to_list()
+    assert "18 designs, of which 6 failed" in page.shown()
+    told = {row["measure"]: row for row in tables["What was measured"]}
+    assert float(told["com_margin"]["median"]) == pytest.approx(
+        float(found.table["com_margin"].median()), rel=1e-4
+    )
+
+
+def test_shares_and_certainties_are_in_their_columns() -> None:
+    tables = Page(written(full(), robots=False)).tables()
+    shares = next(rows for title, rows in tables.items() if title.startswith("Which number"))
+    row = next(r for r in shares if r["measure"] == "servo_sag" and r["number"] == "kp")
+    names = ("by derivatives", "Sobol, alone", "Sobol, in all", "± 95 %")
+    assert [row[f"{name} (–)"] for name in names] == ["45.6%", "22.2%", "55.5%", "2.2%"]
+    other = next(r for r in shares if r["measure"] == "com_margin")
+    assert other["Sobol, alone (–)"] == "-"
+    sure = {row["what"]: row for row in tables["How sure the stand is"]}
+    assert sure["It stays up on its servos"]["probability (–)"] == "90.00%"
+    assert sure["knee"]["probability (–)"] == "80.00%"
+    assert sure["All motors are under their limits"]["probability (–)"] == "70.00%"
+    assert sure["Both"]["at least (95 %) (–)"] == "50.20%"  # Wilson's, of 60 of 100
+    (tight,) = tables["The tightest tolerance that is needed"]
+    assert tight["range or values"] == "7, 0.25"
+    assert "With 37.5% of the study's spreads" in Page(written(full(), robots=False)).shown()
+
+
+def drawing(page: Page, title: str) -> object:
+    for figure in page.root.iter("figure"):
+        if figure.get("class") == "plot" and title in shown(figure.find("figcaption")):
+            return figure.find("svg")
+    raise AssertionError(title)
+
+
+def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
+    found = outcome()
+    svg = drawing(
+        Page(written(found, robots=False)),
+        "peak_utilisation over leg_scale and height: kp = 5 N m/rad",
+    )
+    fills = [rect.get("fill") for rect in svg.iter("rect") if "cell" in rect.get("class")][:9]
+    soft = found.table[found.table["kp"] == 5.0]  # nothing is averaged
+    means = soft.sort_values(["height", "leg_scale"])["peak_utilisation"].to_numpy()
+    assert fills[6:] == [None] * 3  # out of reach
+    inside = means[:6]
+    assert fills[int(np.argmin(inside))] == colour(0.0) == "#440154"
+    assert fills[int(np.argmax(inside))] == colour(1.0) == "#fde725"
+    (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
+    labels = line.get("data-labels").split("|")
+    assert labels[0] == f"leg_scale 0.8, height 0.12: {means[0]:.4g}"
+    assert labels[8] == "leg_scale 1.2, height 0.5: -"
+
+
+def test_what_becomes_of_designs_is_drawn_by_kind() -> None:
+    svg = drawing(Page(written(outcome(), robots=False)), "What becomes of designs")
+    lines = {one.get("data-en"): one for one in svg.iter("polyline")}
+    assert set(lines) == {"all measured", "unreachable"}
+    assert lines["unreachable"].get("data-labels").split("|")[0] == (
+        "leg_scale 0.8, height 0.5: 1 / 1"
+    )
+    assert lines["unreachable"].get("data-zh") == "够不到"
+
+
+def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:
+    """Of two designs in a cell one falls: it has no sag, and the cell is marked and says so."""
+    found = outcome()
+    table = found.table[found.table["height"] < 0.5].assign(mass=range(12))  # too many for maps
+    names = {**found.variables, "mass": {"values": list(range(12))}}
+    worst = table["kp"].eq(5.0) & table["leg_scale"].eq(1.2) & table["height"].eq(0.12)
+    table.loc[worst, "servo_sag"] = np.nan
+    fallen = replace(found, table=table, variables=names)
+    page = Page(written(fallen, robots=False))
+    svg = drawing(page, "servo_sag (m) over leg_scale and height: mean over mass, kp")
+    (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
+    told = line.get("data-labels").split("|")
+    assert [label.rpartition(" (")[2] for label in told].count("2 / 2)") == 5
+    (partial,) = [label for label in told if label.endswith(" (1 / 2)")]
+    assert partial.startswith("leg_scale 1.2, height 0.12: ")
+    assert "some do not stand: the mean is of the others alone" in page.shown()
+
+
+def test_a_failure_s_reason_is_in_chinese_too() -> None:
+    """As it was kept in the folder; one of an older version, which kept English alone, stays so."""
+    found = outcome()
+    (row,) = [r for r in Page(written(found, robots=False)).root.iter("tr")
+              if "stance out of reach" in shown(r, "en")]  # fmt: skip
+    assert "站姿不可达" in shown(row, "zh")
+    old = replace(found, failures=(replace(found.failures[0], diagnostic=None),))
+    (row,) = [r for r in Page(written(old, robots=False)).root.iter("tr")
+              if "stance out of reach" in shown(r, "en")]  # fmt: skip
+    assert "stance out of reach" in shown(row, "zh")
+
+
+def test_every_design_is_a_line_and_many_are_thinned() -> None:
+    found = outcome()
+    svg = drawing(Page(written(found, robots=False)), "Designs as lines")
+    assert len(list(svg.iter("polyline"))) == 18
+    many = pd.concat([found.table] * 30, ignore_index=True)
+    page = Page(written(replace(found, table=many, designs=len(many)), robots=False))
+    assert len(list(drawing(page, "Designs as lines").iter("polyline"))) == MOST_LINES
+    assert "240 more are in the study's folder" in page.shown()
+
+
+def test_the_page_is_in_both_languages() -> None:
+    root = Page(written(full(), robots=False)).root.find("body")
+    for element in [e for e in root.iter() if (e.get("class") or "") in ("name", "said")]:
+        element.clear(keep_tail=True)
+    root.find(".//button[@id='language']").text = ""
+    assert not re.search(r"[\u4e00-\u9fff]", shown(root, "en"))
+    for tag in ("h1", "h3", "summary"):
+        for title in (shown(heading, "zh") for heading in root.iter(tag)):
+            assert not title or re.search(r"[\u4e00-\u9fff]", title), title
+
+
+def test_no_name_of_a_study_becomes_markup() -> None:
+    found = full()
+    names = {"leg_scale": EVIL[0], "kp": EVIL[1], "servo_sag": EVIL[2]}
+    evil = replace(
+        found,
+        robot=EVIL[0],
+        table=found.table.rename(columns=names),
+        front=found.front.rename(columns=names),
+        variables={names.get(name, name): given for name, given in found.variables.items()},
+        axes=(EVIL[0], "height"),
+        objectives={names.get(n, n): sense for n, sense in found.objectives.items()},
+        measured=tuple(replace(m, measure=names.get(m.measure, m.measure), meaning=EVIL[3])
+                       for m in found.measured),
+        failures=tuple(replace(f, kind=EVIL[1], reason=EVIL[0]) for f in found.failures),
+    )  # fmt: skip
+    page = Page(written(evil, robots=False))
+    assert len(page.strict.scripts) == 2
+    assert "img" not in {tag for tag, _ in page.strict.tags}
+    assert not [a for _, a in page.strict.tags for name in a if name.startswith("on")]
+    assert EVIL[0] in page.shown()
+
+
+def test_a_study_without_spread_or_failures_has_a_page(tmp_path: Path) -> None:
+    study = pa.Study("v3", {"kp": [8.0]}, ["com_margin"])
+    one = study_with(tmp_path, study)
+    assert one.axes == ()
+    assert one.objectives == {}
+    text = Page(written(one, robots=False)).shown()
+    assert "1 designs, of which 0 failed" in text
+    assert "No design failed." in text
+
+
+@pytest.mark.slow
+def test_the_command_writes_it(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        'robot = "v3"\nmeasure = ["servo_sag", "peak_utilisation"]\n'
+        "[vary]\nleg_scale = [1.0, 1.1]\nkp = [5, 10]\n"
+    )
+    options = ("study", "s.toml", "-o", "out", "--workers", "1")
+    refused = answer(*options, "--maximise", "leg", folder=tmp_path)
+    assert refused.returncode == 2
+    assert "no 'leg'; it has servo_sag, peak_utilisation, leg_scale, kp" in refused.stderr
+    assert not (tmp_path / "out").exists()
+    asked = ("--maximise", "leg_scale", "--minimise", "servo_sag")
+    done = answer(*options, *asked, "--report", "r.html", "--figures", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    page = Page((tmp_path / "r.html").read_text())
+    assert any("servo_sag (min), leg_scale (max)" in title for title in page.tables())
+    assert (tmp_path / "out" / "front.png").stat().st_size > 5000

@@ -1,0 +1,153 @@
+"""Documents on a terminal: in its width, the short view first, and nothing cut."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+import pytest
+from rich.cells import cell_len
+
+import pupper_analysis as pa
+from pupper_analysis.report.document import Column, Document, Lines, Name, Number, Table, tell
+from pupper_analysis.report.terminal import MOST_NOTES, SafeConsole, print_document
+from pupper_analysis.report.words import text
+from tests.support.commands import run_command
+from tests.support.printing import printed
+from tests.support.repository import ROOT
+from tests.support.stubs import problem
+from tests.support.variants import load, stand_of
+
+
+def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Table:
+    """A table whose cells are all different."""
+    heads = [Column(Name("joint"), left=True)]
+    heads += [Column(Name(f"column {index}"), "N m") for index in range(1, columns)]
+    cells = tuple(
+        (
+            Name(f"joint_{row}"),
+            *(
+                Number(f"{row:02d}.{column:02d}".rjust(letters, "0"), 0.0)
+                for column in range(1, columns)
+            ),
+        )
+        for row in range(rows)
+    )
+    return Table(Name("Numbers"), tuple(heads), cells, **options)
+
+
+def shown(*blocks: Table | Lines, width: int = 80, everything: bool = True) -> list[str]:
+    document = Document(Name(""), Name("robot"), blocks)
+    return printed(document, width=width, everything=everything).splitlines()
+
+
+@pytest.mark.parametrize("width", [60, 80, 120, 200])
+@pytest.mark.parametrize("rows", [3, 12])
+@pytest.mark.parametrize("columns", [4, 9, 17])
+def test_every_cell_is_there_in_any_width(columns: int, rows: int, width: int) -> None:
+    made = table(columns, rows)
+    lines = shown(made, width=width)
+    assert max(map(cell_len, lines)) <= width
+    for row in made.rows:
+        for cell in row[1:]:
+            assert sum(f" {cell.text}" in line for line in lines) == 1
+    for column in made.columns[1:]:
+        assert str(column.name.text).split()[1] in " ".join(lines)  # type: ignore[union-attr]
+
+
+def test_a_table_of_few_rows_is_turned_over() -> None:
+    lines = shown(table(17, 3))
+    assert lines[3].split() == ["joint", "joint_0", "joint_1", "joint_2"]
+    assert lines[5].split() == ["column", "1", "(N", "m)", "0000.01", "0001.01", "0002.01"]
+
+
+def test_sentences_are_wrapped_and_names_are_not() -> None:
+    sentence, name = "it falls over " * 12, "left_shoulder_pitch_joint_of_the_robot"
+    row = (Name(name), tell(problem(sentence.strip())), Number("1.5", 1.5))
+    columns = (Column(Name("joint")), Column(Name("why"), left=True), Column(Name("load"), "N"))
+    lines = shown(Table(Name("t"), columns, (row,)))
+    assert max(map(len, lines)) <= 80
+    first = next(line for line in lines if name in line)
+    assert first.split()[-1] == "1.5"
+    assert " ".join(lines).count("falls") == 12
+
+
+def test_a_bar_is_drawn_where_there_is_room() -> None:
+    cells = ((Name("hip"), Number("50.0", 50.0, share=0.5)),)
+    bar = Table(Name("t"), (Column(Name("joint")), Column(Name("used"), "%")), cells)
+    assert shown(bar)[-1].endswith("50.0 █████")
+    assert "█" not in "".join(shown(bar, table(2), width=40)) or len(shown(bar)[-1]) <= 40
+
+
+def test_what_the_short_view_leaves_out_is_named() -> None:
+    short = shown(table(3), table(4, detail=True), everything=False)
+    assert short[-1] == "with -v: Numbers"
+    assert sum("Numbers" in line for line in short) == 2
+    assert sum("Numbers" in line for line in shown(table(3), table(4, detail=True))) == 2
+
+
+@pytest.mark.parametrize("count", [1, MOST_NOTES, MOST_NOTES + 1, 30])
+def test_notes_are_at_most_eight_lines(count: int) -> None:
+    notes = tuple(tell(problem(f"note {index}")) for index in range(count))
+    document = Document(Name(""), Name("robot"), (), notes=notes)
+    lines = printed(document, everything=False).splitlines()[1:]
+    assert len(lines) == min(count, MOST_NOTES)
+    if count > MOST_NOTES:
+        assert lines[-1] == f"… and {count - MOST_NOTES + 1} more notes: -v"
+    assert printed(document).count("note: note") == count
+
+
+def test_lines_are_wrapped_on_a_terminal_alone() -> None:
+    wrapped = tell(problem("a word " * 40))
+    document = Document(Name(""), Name("robot"), (), told=(Name("x"), wrapped))
+    assert len(printed(document).splitlines()) == 2
+    file = io.StringIO()
+    out = SafeConsole(
+        file=file, width=80, force_terminal=True, color_system=None, legacy_windows=False
+    )
+    print_document(out, document)
+    lines = re.sub("\x1b\\[[0-9;]*m", "", file.getvalue()).splitlines()
+    assert len(lines) > 3
+    assert all(len(line) <= 80 for line in lines)
+    assert all(line.startswith("  ") for line in lines[1:])
+    assert " ".join(lines).count("word") == 40
+
+
+def test_verdicts_are_coloured() -> None:
+    file = io.StringIO()
+    out = SafeConsole(file=file, width=80, force_terminal=True, color_system="standard")
+    failed = Document(Name(""), Name("r"), (), passed=False, verdict=text("FAILS"))
+    print_document(out, failed)
+    assert "\x1b[1;31mFAILS" in file.getvalue()
+
+
+@pytest.mark.slow
+def test_a_stand_fits_80_columns_and_its_files_are_confirmed(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    paths = [str(tmp_path / name) for name in ("a.png", "a.html", "a.json")]
+    options = zip(("--figure", "--report", "--json"), paths, strict=True)
+    status, out, _ = run_command(capfd, "stand", "v3", *(part for pair in options for part in pair))
+    assert status == 0
+    lines = out.splitlines()
+    assert lines[-3:] == [f"written: {path}" for path in paths]
+    tables = [line for line in lines if re.search("─|^(leg_|[FR][RL] )", line)]
+    assert len(tables) == 12 + 4 + 2
+    assert max(map(len, tables)) <= 80
+
+
+def test_nothing_is_confirmed_where_data_goes_to_standard_output(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    file = str(ROOT / "urdf" / "pupper_v3.urdf")
+    _, out, err = run_command(capfd, "audit", file, "--json", "-")
+    assert out.startswith("{")
+    assert err.startswith("SOUND")
+    assert "written" not in out + err
+
+
+def test_any_result_without_a_builder_shows_its_fields() -> None:
+    lines = printed(pa.stand_statics(load("v3"), stand_of("v3"))).splitlines()
+    assert lines[0] == "GravityCompensation"
+    assert any(line.startswith("joint_torques") for line in lines)

@@ -1,0 +1,92 @@
+"""Texts of documents and pages, and terms: keyed, in both languages, all of them used."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+
+import pytest
+
+from pupper_analysis.diagnostics import LANGUAGES, phrase
+from pupper_analysis.diagnostics.catalogue import LINED, lines
+from pupper_analysis.report.document import Name
+from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.study.measures import MEASURES
+from tests.diagnostics.test_diagnostic import CATALOGUE, HAN, MADE, WRITTEN, uses
+
+FOLDER = CATALOGUE[0].parent
+TEXTS = tomllib.loads((FOLDER / "texts.toml").read_text(encoding="utf-8"))
+TERMS = tomllib.loads((FOLDER / "terms.toml").read_text(encoding="utf-8"))
+
+SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\b")
+"""What is the same in both languages."""
+
+
+def said() -> Iterator[tuple[str, str, set[str] | None]]:
+    """(where, key, values that are given) of each text that is asked for by a literal."""
+    for module, node in MADE:
+        by_attribute = getattr(node.func, "attr", "") in ("say", "_say")
+        if not node.args or (
+            not by_attribute and getattr(node.func, "id", "") not in ("text", "say")
+        ):
+            continue
+        given = {one.arg for one in node.keywords if one.arg}
+        known = None if any(one.arg is None for one in node.keywords) else given
+        choices = [node.args[0]]
+        while choices:
+            one = choices.pop()
+            if isinstance(one, ast.IfExp):
+                choices += [one.body, one.orelse]
+            elif isinstance(one, ast.Constant) and isinstance(one.value, str):
+                yield f"{module}:{node.lineno}", one.value, known
+
+
+def test_files_with_a_line_per_entry_are_what_toml_reads() -> None:
+    assert LINED[:2] == ("terms.toml", "texts.toml")
+    for file, words in zip(LINED, (TERMS, TEXTS), strict=False):
+        assert set(lines(file)) == set(words)
+    assert set(TEXTS).isdisjoint(TERMS)
+    assert list(TERMS) == sorted(TERMS), "terms are in alphabetical order"
+
+
+@pytest.mark.parametrize("words", [TEXTS, TERMS], ids=["texts", "terms"])
+def test_all_is_said_in_both_languages(words: dict[str, dict[str, str]]) -> None:
+    for key, both in words.items():
+        assert set(both) == set(LANGUAGES), key
+        english, chinese = both["en"], both["zh"]
+        assert uses(english) == uses(chinese), key
+        plain = SYMBOLS.sub("", english)
+        assert HAN.search(chinese) or not re.search("[a-z]{4}", plain), key
+        assert not HAN.search(english), key
+        assert not re.search(r"[,;:?!](?=[\u4e00-\u9fff])", chinese), f"punctuation of {chinese}"
+
+
+def test_every_text_that_is_asked_for_is_there_and_gets_its_values() -> None:
+    for where, key, given in said():
+        template = phrase(key, "en")
+        assert given is None or uses(template) <= given, where
+
+
+def test_no_text_is_left_over() -> None:
+    measures = {f"measure-{name.replace('_', '-')}" for name in MEASURES}
+    assert set(TEXTS) - WRITTEN == measures
+
+
+def test_a_text_that_is_not_there_is_refused() -> None:
+    with pytest.raises(KeyError):
+        text("no-such-text")
+    assert word("leg_front_r_1") == Name("leg_front_r_1")
+
+
+def test_words_are_filled_in_in_their_language() -> None:
+    told = text("force-axis", axis=text("roll"))
+    assert (told.en, told.zh) == ("force roll", "力 横滚")
+    listed = joined([text("mass"), Name("com {x}")])
+    assert (listed.en, listed.zh) == ("mass, com {x}", "质量、com {x}")
+
+
+def test_keys_are_no_english() -> None:
+    """What English says may be corrected alone, and no translation is lost."""
+    assert [key for key in TEXTS if not re.fullmatch("[a-z0-9]+(-[a-z0-9]+)*", key)] == []

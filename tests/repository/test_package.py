@@ -1,0 +1,123 @@
+"""The package as a whole: its names, and what importing it costs."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from types import MappingProxyType
+
+import pytest
+
+import pupper_analysis as pa
+from tests.support.repository import ROOT
+
+
+def test_every_public_name_is_that_of_what_it_names() -> None:
+    """Two names that are swapped, or one that leads to another module, would be seen."""
+    others = {}
+    for name in pa.__all__:
+        value = getattr(pa, name)
+        assert name in dir(pa)
+        if callable(value):
+            assert value.__name__ == name
+            assert value.__module__.startswith(f"pupper_analysis.{pa._HOME[name]}")
+        else:
+            others[name] = type(value)
+    assert others == {"VARIANTS": MappingProxyType}
+
+
+def test_public_names_are_sorted_and_single() -> None:
+    assert len(set(pa.__all__)) == len(pa.__all__)
+    assert set(pa._HOME) == set(pa.__all__)
+
+
+def test_public_classes_and_functions_are_documented() -> None:
+    for name in pa.__all__:
+        value = getattr(pa, name)
+        if callable(value):
+            assert value.__doc__, name
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'Pupper'"):
+        pa.Pupper  # noqa: B018
+    assert not hasattr(pa, "nothing")
+
+
+def run(code: str, folder: Path) -> str:
+    """Runs Python in a fresh process, from another folder, warnings being errors."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env=environment,
+        check=False,
+        timeout=60,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+LOADED = "import sys; print([m for m in {names} if m in sys.modules])"
+HEAVY = (
+    "matplotlib",
+    "yourdfpy",
+    "trimesh",
+    "placo",
+    "clarabel",
+    "scipy",
+    "shapely",
+    "click",
+    "rich",
+    "jinja2",
+)
+
+
+def test_import_loads_nothing_heavy(tmp_path: Path) -> None:
+    code = "import pupper_analysis; " + LOADED.format(names=(*HEAVY, "mujoco", "pinocchio"))
+    assert run(code, tmp_path) == "[]"
+
+
+def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path) -> None:
+    code = "import pupper_analysis as pa; pa.load_variant('v3'); " + LOADED.format(names=HEAVY)
+    assert run(code, tmp_path) == "[]"
+
+
+@pytest.mark.slow
+def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path) -> None:
+    code = (
+        "import pupper_analysis as pa; r = pa.load_variant('v3'); s = pa.solve_stand(r); "
+        "pa.gravity_compensation(pa.Configuration(r, s.qpos)); pa.steady_state(r, s); "
+        "pa.stance_path; pa.verify_stand(r, s); "
+    )
+    parts = ("optimize", "interpolate", "integrate", "spatial", "stats")
+    names = ("matplotlib", "yourdfpy", "trimesh", *(f"scipy.{part}" for part in parts))
+    assert run(code + LOADED.format(names=names), tmp_path) == "[]"
+
+
+@pytest.mark.slow
+def test_two_versions_of_a_file_are_compared_without_scipy(tmp_path: Path) -> None:
+    code = (
+        "import pupper_analysis as pa; pa.load_variant('v3'); "
+        "from pupper_analysis.checks.versions import compare; "
+    ) + LOADED.format(names=("scipy", "shapely", "trimesh"))
+    assert run(code, tmp_path) == "[]"
+
+
+@pytest.mark.slow
+def test_models_are_found_from_any_folder(tmp_path: Path) -> None:
+    code = "import pupper_analysis as pa; print(round(pa.load_variant('heavy').total_mass, 9))"
+    assert run(code, tmp_path) == "4.216"
+
+
+def test_docstrings_example_works(tmp_path: Path) -> None:
+    assert pa.__doc__ is not None
+    lines = [line[4:] for line in pa.__doc__.splitlines() if line.startswith("    ")]
+    assert len(lines) >= 5
+    assert run("\n".join([*lines, "print(report.passed, len(torques))"]), tmp_path) == "True 12"
+
+
+def test_version() -> None:
+    assert pa.__version__.count(".") == 2

@@ -1,0 +1,93 @@
+"""MuJoCo's soft ground: the law against MuJoCo's own terms, and against a simulation."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.compliance import GroundLaw
+from tests.support.engines import changed, mujoco_at
+from tests.support.variants import load, stand_of
+
+
+def cone(kind: mujoco.mjtCone) -> Callable[[mujoco.MjModel], None]:
+    return lambda model: setattr(model.opt, "cone", kind.value)
+
+
+def negative(model: mujoco.MjModel) -> None:
+    model.geom_solref[:] = -3000, -90
+
+
+def short(model: mujoco.MjModel) -> None:
+    model.geom_solref[:] = 0.001, 0.8
+    model.geom_solimp[:] = 0.2, 0.9, 0.01, 0.3, 3
+
+
+@pytest.mark.parametrize("change", [None, negative, short, "pyramidal"])
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_law_is_mujocos(name: str, change: object) -> None:
+    robot = load(name)
+    if change == "pyramidal":
+        robot = changed(robot, cone(mujoco.mjtCone.mjCONE_PYRAMIDAL))
+    elif callable(change):
+        robot = changed(robot, change)
+    ground = contact.ground_geom(robot.mj_model)
+    assert ground is not None
+    robot = replace(
+        robot,
+        contacts={
+            f: contact.combine(robot.mj_model, s, ground) for s, f in robot.foot_geoms.items()
+        },
+    )
+    for drop in (1e-4, 2e-3, 5e-3, 9e-3):
+        qpos = stand_of(name).qpos.copy()
+        qpos[2] -= drop
+        data = mujoco_at(robot, qpos)
+        touches = [
+            touch for touch in data.contact if set(touch.geom) <= {ground, *robot.foot_geoms}
+        ]
+        assert len(touches) == 4
+        for touch in touches:
+            foot = robot.foot_geoms[max(touch.geom)]
+            law = GroundLaw.of(robot, foot)
+            row = touch.efc_address
+            r, aref = data.efc_R[row], data.efc_aref[row]
+            depth = -touch.dist
+            assert depth == pytest.approx(drop, abs=1e-9)
+            if change == "pyramidal":
+                edges, mu = 2 * (touch.dim - 1), touch.friction[0]
+                assert law.force(depth) == pytest.approx(edges * aref / r, rel=1e-9)
+                pair = 2 * mu**2 * data.efc_KBIP[row, 1] / r
+                assert law.viscosity(depth) == pytest.approx(pair, rel=1e-9)
+                continue
+            d = law.impedance(depth)
+            assert d == pytest.approx(data.efc_KBIP[row, 2], rel=1e-12)
+            assert law.normal == pytest.approx(data.efc_diagA[row], rel=1e-12)
+            assert law.stiffness == pytest.approx(data.efc_KBIP[row, 0], rel=1e-12)
+            assert aref == pytest.approx(law.stiffness * d * depth, rel=1e-9)
+            assert law.force(depth) == pytest.approx(aref / r, rel=1e-9)
+            sliding = data.efc_KBIP[row + 1, 1] / data.efc_R[row + 1]
+            assert law.viscosity(depth) == pytest.approx(sliding, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_depth_is_the_inverse_of_force(name: str) -> None:
+    robot = load(name)
+    law = GroundLaw.of(robot, robot.feet[0])
+    for depth in (1e-6, 1e-3, 5e-3, 2e-2):
+        assert law.depth(law.force(depth)) == pytest.approx(depth, rel=1e-9)
+        difference = (law.force(depth + 1e-7) - law.force(depth - 1e-7)) / 2e-7
+        assert law.rate(depth) == pytest.approx(difference, rel=1e-3)
+    assert law.depth(-1.0) == pytest.approx(-1 / law.rate(0.0))
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_feet_sink_as_deep_as_in_the_simulation(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    run = pa.verify_stand(robot, stand)
+    depth = np.mean([GroundLaw.of(robot, f).depth(x[2]) for f, x in run.foot_forces.items()])
+    assert depth == pytest.approx(run.contact_sag, rel=1e-3)

@@ -1,0 +1,367 @@
+"""Kinematics and dynamics: finite differences, conservation laws, and MuJoCo as second engine."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from tests.support.engines import addresses, free_mechanism, integrate, mujoco_at, rate_along
+from tests.support.states import numbers, positions, random_state, velocities
+from tests.support.variants import NAMES, load
+
+GRAVITY = 9.81  # [m/s^2]
+
+
+@pytest.fixture(scope="module", params=[*NAMES, "v3 fixed", "tiny"])
+def any_robot(request: pytest.FixtureRequest, tiny: pa.Robot) -> pa.Robot:
+    if request.param == "tiny":
+        return tiny
+    return load(request.param.split()[0], fixed_base="fixed" in request.param)
+
+
+def close(actual: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+    """Compares relative to the largest element."""
+    size = max(1e-3, float(np.abs(expected).max()))
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=tolerance * size)
+
+
+def mass_points(robot: pa.Robot, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """MuJoCo's body masses (n,) and their centres in the world (n, 3)."""
+    return robot.mj_model.body_mass, mujoco_at(robot, qpos).xipos
+
+
+def potential_energy(robot: pa.Robot, qpos: np.ndarray) -> float:
+    masses, centres = mass_points(robot, qpos)
+    return float(GRAVITY * masses @ centres[:, 2])
+
+
+# ------------------------------------------------------------------------------------- kinematics
+
+
+@given(data=st.data())
+def test_frames_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos = data.draw(positions(any_robot))
+    config, mj = pa.Configuration(any_robot, qpos), mujoco_at(any_robot, qpos)
+    model = any_robot.mj_model
+    for body in range(1, model.nbody):
+        name = model.body(body).name
+        np.testing.assert_allclose(config.frame_position(name), mj.xpos[body], atol=1e-12)
+        np.testing.assert_allclose(
+            config.frame_rotation(name), mj.xmat[body].reshape(3, 3), atol=1e-12
+        )
+    for site in range(model.nsite):
+        place = config.frame_position(model.site(site).name)
+        np.testing.assert_allclose(place, mj.site_xpos[site], atol=1e-12)
+    base = mj.body(any_robot.mj_base).xmat.reshape(3, 3)
+    np.testing.assert_allclose(config.base_rotation(), base, atol=1e-12)
+
+
+@given(data=st.data())
+def test_joints_are_where_mujoco_has_them(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos = data.draw(positions(any_robot))
+    config, mj = pa.Configuration(any_robot, qpos), mujoco_at(any_robot, qpos)
+    for name in any_robot.joint_names:
+        joint = mj.joint(name)
+        np.testing.assert_allclose(config.joint_axis(name), joint.xaxis, atol=1e-12)
+        # A slide's anchor moves with it in Pinocchio, and not in MuJoCo: compare across it.
+        gap = config.joint_position(name) - joint.xanchor
+        if any_robot.mj_model.joint(name).type[0] == mujoco.mjtJoint.mjJNT_SLIDE.value:
+            gap = np.cross(gap, joint.xaxis)
+        np.testing.assert_allclose(gap, 0, atol=1e-12)
+    with pytest.raises(pa.UnknownNameError, match=any_robot.joint_names[0]):
+        config.joint_position("tail")
+    with pytest.raises(pa.UnknownNameError):
+        config.joint_axis("tail")
+
+
+@given(data=st.data())
+def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    config = pa.Configuration(any_robot, qpos)
+
+    def rate(function: Callable[[pa.Configuration], np.ndarray]) -> np.ndarray:
+        return rate_along(
+            any_robot, lambda at: function(pa.Configuration(any_robot, at)), qpos, qvel
+        )
+
+    for foot, jacobian in config.foot_jacobians().items():
+        velocity = rate(lambda at, foot=foot: at.foot_positions()[foot])
+        np.testing.assert_allclose(jacobian @ qvel, velocity, atol=1e-7)
+    np.testing.assert_allclose(
+        config.com_jacobian() @ qvel, rate(lambda at: at.center_of_mass()), atol=1e-7
+    )
+    frame = next(iter(any_robot.foot_frames.values()))
+    spin = rate(lambda at: at.frame_rotation(frame)) @ config.frame_rotation(frame).T
+    omega = config.frame_jacobian(frame)[3:] @ qvel
+    np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], omega, atol=1e-7)
+
+
+@given(data=st.data())
+def test_contact_jacobian_follows_the_material_point(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    """The lowest point of the sphere, carried along by the link (not the point of contact)."""
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    config = pa.Configuration(any_robot, qpos)
+    points, centres = config.contact_points(), config.foot_positions()
+    for foot, jacobian in config.contact_jacobians().items():
+        frame = any_robot.foot_frames[foot]
+        down = points[foot] - centres[foot]
+        np.testing.assert_allclose(down, [0, 0, -any_robot.foot_radius[foot]], atol=1e-15)
+        marked = config.frame_rotation(frame).T @ down
+
+        def material(at: np.ndarray, frame: str = frame, mark: np.ndarray = marked) -> np.ndarray:
+            moved = pa.Configuration(any_robot, at)
+            return moved.frame_position(frame) + moved.frame_rotation(frame) @ mark
+
+        velocity = rate_along(any_robot, material, qpos, qvel)
+        np.testing.assert_allclose(jacobian @ qvel, velocity, atol=1e-7)
+
+
+@given(data=st.data())
+def test_centre_of_mass_is_the_mean_of_mujocos_bodies(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    qpos = data.draw(positions(any_robot))
+    masses, centres = mass_points(any_robot, qpos)
+    com = masses @ centres / masses.sum()
+    config = pa.Configuration(any_robot, qpos)
+    np.testing.assert_allclose(config.center_of_mass(), com, atol=1e-12)
+
+
+# ------------------------------------------------------------------------------------- dynamics
+
+
+@given(data=st.data())
+def test_mass_matrix_is_mujocos_and_positive_definite(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    qpos = data.draw(positions(any_robot))
+    model, mj = any_robot.mj_model, mujoco_at(any_robot, qpos)
+    theirs = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, mj, theirs)
+    _, v = addresses(any_robot)
+    matrix = pa.Configuration(any_robot, qpos).mass_matrix()
+    np.testing.assert_allclose(matrix, matrix.T, rtol=0, atol=1e-15)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    np.testing.assert_allclose(matrix, theirs[np.ix_(v, v)], atol=1e-12)
+
+
+@given(data=st.data())
+def test_kinetic_energy_is_the_sum_over_the_bodies(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    model = any_robot.mj_model
+
+    def poses(at: np.ndarray) -> np.ndarray:
+        mj = mujoco_at(any_robot, at)
+        return np.concatenate([mj.xipos[:, :, None], mj.ximat.reshape(-1, 3, 3)], axis=2)
+
+    now, rates = poses(qpos), rate_along(any_robot, poses, qpos, qvel)
+    energy = 0.0
+    for body in range(1, model.nbody):
+        spin = now[body, :, 1:].T @ rates[body, :, 1:]  # in the axes of inertia
+        omega = np.array([spin[2, 1], spin[0, 2], spin[1, 0]])
+        energy += model.body_mass[body] * rates[body, :, 0] @ rates[body, :, 0] / 2
+        energy += model.body_inertia[body] @ omega**2 / 2
+    _, v = addresses(any_robot)
+    energy += model.dof_armature[v] @ qvel**2 / 2  # the rotors
+    matrix = pa.Configuration(any_robot, qpos).mass_matrix()
+    assert qvel @ matrix @ qvel / 2 == pytest.approx(energy, rel=1e-6, abs=1e-8)
+
+
+@given(data=st.data())
+def test_gravity_is_the_slope_of_the_potential_energy(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    power = rate_along(any_robot, lambda at: potential_energy(any_robot, at), qpos, qvel)
+    gravity = pa.Configuration(any_robot, qpos).gravity()
+    assert gravity @ qvel == pytest.approx(float(power), abs=1e-6)
+    if any_robot.floating:
+        np.testing.assert_allclose(gravity[:3], [0, 0, any_robot.total_mass * GRAVITY], atol=1e-12)
+
+
+@given(data=st.data())
+def test_bias_forces_are_mujocos(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    _, v = addresses(any_robot)
+    config = pa.Configuration(any_robot, qpos, qvel)
+    close(config.bias_forces(), mujoco_at(any_robot, qpos, qvel).qfrc_bias[v], 1e-11)
+    close(config.gravity(), mujoco_at(any_robot, qpos).qfrc_bias[v], 1e-11)
+
+
+@given(data=st.data())
+def test_forward_dynamics_undoes_inverse_dynamics(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    qacc = data.draw(numbers(any_robot.nv, 10.0))
+    config = pa.Configuration(any_robot, qpos, qvel)
+    force = config.mass_matrix() @ qacc + config.bias_forces()
+    close(config.forward_dynamics(force), qacc, 1e-9)
+
+
+def test_forward_dynamics_is_mujocos(robot: pa.Robot) -> None:
+    qpos, qvel = random_state(robot)
+    force = np.random.default_rng(1).uniform(-1, 1, robot.nv)
+    model = free_mechanism(robot)
+    mj = mujoco_at(robot, qpos, qvel, model)
+    _, v = addresses(robot)
+    mj.qfrc_applied[v] = force
+    mujoco.mj_forward(model, mj)
+    close(pa.Configuration(robot, qpos, qvel).forward_dynamics(force), mj.qacc[v], 1e-9)
+
+
+def energy(config: pa.Configuration) -> float:
+    kinetic = config.qvel @ config.mass_matrix() @ config.qvel / 2
+    weight = config.robot.total_mass * GRAVITY
+    return float(kinetic + weight * config.center_of_mass()[2])
+
+
+def test_mujocos_free_flight_keeps_pinocchios_energy_and_momentum(robot: pa.Robot) -> None:
+    """The MJCF is integrated, the URDF keeps the books: only equal inertias balance them."""
+    model, steps = free_mechanism(robot), 200
+    qpos, qvel = random_state(robot)
+    start = pa.Configuration(robot, qpos, qvel)
+    mj = mujoco_at(robot, qpos, qvel, model)
+    mujoco.mj_step(model, mj, steps)
+    q, v = addresses(robot)
+    end = pa.Configuration(robot, mj.qpos[q], mj.qvel[v])
+    assert abs(start.center_of_mass()[2] - end.center_of_mass()[2]) > 0.05
+    assert energy(end) == pytest.approx(energy(start), rel=1e-7)
+    check_ballistic(start, end, steps * model.opt.timestep)
+
+
+def check_ballistic(start: pa.Configuration, end: pa.Configuration, time: float) -> None:
+    """The com falls freely, whatever the legs do."""
+    fall = np.array([0, 0, -GRAVITY])
+    velocity = start.com_jacobian() @ start.qvel
+    expected = start.center_of_mass() + velocity * time + fall * time**2 / 2
+    np.testing.assert_allclose(end.center_of_mass(), expected, atol=1e-7)
+    np.testing.assert_allclose(end.com_jacobian() @ end.qvel, velocity + fall * time, atol=1e-6)
+
+
+def test_own_free_flight_keeps_the_energy(robot: pa.Robot) -> None:
+    """Runge-Kutta (the midpoint rule, second order) with forward_dynamics."""
+    qpos, qvel = random_state(robot, seed=2)
+    start = pa.Configuration(robot, qpos, qvel)
+    steps, dt = 100, 5e-4
+    none = np.zeros(robot.nv)
+    for _ in range(steps):
+        first = pa.Configuration(robot, qpos, qvel)
+        middle_velocity = qvel + dt / 2 * first.forward_dynamics(none)
+        middle = pa.Configuration(robot, integrate(robot, qpos, qvel, dt / 2), middle_velocity)
+        qpos = integrate(robot, qpos, middle_velocity, dt)
+        qvel = qvel + dt * middle.forward_dynamics(none)
+    end = pa.Configuration(robot, qpos, qvel)
+    assert np.linalg.norm(end.qvel - start.qvel) > 0.3
+    assert energy(end) == pytest.approx(energy(start), rel=1e-5)
+
+
+# ------------------------------------------------------------------------------------- imu
+
+
+@given(data=st.data())
+def test_imu_reads_what_mujocos_sensors_read(data: st.DataObject) -> None:
+    robot = load(data.draw(st.sampled_from(NAMES)))
+    qpos, qvel = data.draw(positions(robot)), data.draw(velocities(robot))
+    mj = mujoco_at(robot, qpos, qvel)
+    _, v = addresses(robot)
+    gyro, acceleration = pa.Configuration(robot, qpos, qvel).imu(mj.qacc[v])
+    np.testing.assert_allclose(gyro, mj.sensor("body_gyro").data, atol=1e-11)
+    close(acceleration, mj.sensor("body_acc").data, 1e-11)
+
+
+def test_imu_at_rest_reads_gravity_upwards_and_in_free_fall_nothing(robot: pa.Robot) -> None:
+    config = pa.Configuration(robot, random_state(robot)[0])
+    up = config.frame_rotation("body_imu_site").T @ [0, 0, GRAVITY]
+    gyro, at_rest = config.imu(np.zeros(robot.nv))
+    np.testing.assert_allclose(gyro, 0, atol=1e-15)
+    np.testing.assert_allclose(at_rest, up, atol=1e-12)
+    falling = np.zeros(robot.nv)
+    falling[2] = -GRAVITY
+    np.testing.assert_allclose(config.imu(falling)[1], 0, atol=1e-12)
+
+
+def test_imu_feels_the_centrifugal_acceleration() -> None:
+    robot = load("v3")
+    qvel, rate = np.zeros(robot.nv), 5.0
+    qvel[5] = rate  # about the base's z
+    _, reading = pa.Configuration(robot, robot.neutral(), qvel).imu(np.zeros(robot.nv))
+    np.testing.assert_allclose(reading, [-(rate**2) * 0.09, 0, GRAVITY], atol=1e-12)
+
+
+def test_imu_needs_a_frame(tiny: pa.Robot) -> None:
+    assert tiny.imu is None
+    config = pa.Configuration(tiny, tiny.neutral())
+    with pytest.raises(pa.ConfigurationError, match="no IMU"):
+        config.imu(np.zeros(tiny.nv))
+    assert config.imu(np.zeros(tiny.nv), "hand")[1] == pytest.approx(
+        config.frame_rotation("hand").T @ [0, 0, GRAVITY]
+    )
+
+
+# ------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("qpos", "qvel", "field"),
+    [
+        (np.zeros(18), None, "qpos"),
+        (np.zeros((1, 19)), None, "qpos"),
+        ([0.0] * 12, None, "qpos"),
+        ("nineteen", None, "qpos"),
+        ([[1.0], [1.0, 2.0]], None, "qpos"),
+        (np.full(19, np.nan), None, "qpos"),
+        (np.array([np.inf, *np.ones(18)]), None, "qpos"),
+        (np.zeros(19), None, "qpos"),  # zero quaternion
+        (np.ones(19), np.zeros(19), "qvel"),
+        (np.ones(19), np.full(18, np.inf), "qvel"),
+    ],
+)
+def test_bad_state_is_refused(qpos: object, qvel: object, field: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field) as caught:
+        pa.Configuration(load("v3"), qpos, qvel)  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+def test_bad_force_and_acceleration_are_refused() -> None:
+    config = pa.Configuration(load("v3"), load("v3").neutral())
+    with pytest.raises(pa.ConfigurationError, match="force"):
+        config.forward_dynamics(np.zeros(12))
+    with pytest.raises(pa.ConfigurationError, match=r"qacc.*element 3"):
+        config.imu(np.where(np.arange(18) == 3, np.nan, 0.0))
+
+
+def test_unknown_names_list_the_valid_ones() -> None:
+    config = pa.Configuration(load("v3"), load("v3").neutral())
+    with pytest.raises(pa.UnknownNameError, match="leg_back_l_3_foot_site") as link:
+        config.frame_position("tail")
+    assert (link.value.kind, link.value.name) == ("link", "tail")
+    assert "base_link" in link.value.known
+    with pytest.raises(pa.UnknownNameError) as foot:
+        config.contact_points(["FR", "tail"])
+    assert foot.value.known == ("FR", "FL", "RR", "RL")
+    with pytest.raises(pa.UnknownNameError):
+        config.contact_jacobians(["tail"])
+    with pytest.raises(pa.UnknownNameError):
+        config.imu(np.zeros(18), "tail")
+
+
+def test_state_is_copied_normalised_and_read_only() -> None:
+    robot = load("v3")
+    qpos = robot.neutral()
+    qpos[3:7] = 2.0
+    config = pa.Configuration(robot, qpos)
+    np.testing.assert_allclose(config.qpos[3:7], 0.5)
+    qpos[0] = 9.0
+    assert config.qpos[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        config.qpos[0] = 1.0
+    gravity = config.gravity()
+    gravity[:] = 0.0
+    assert config.gravity()[2] == pytest.approx(3.17 * GRAVITY)

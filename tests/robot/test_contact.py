@@ -1,0 +1,118 @@
+"""What MuJoCo makes of two geoms in a contact: our combination against MuJoCo's own contacts."""
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pupper_analysis as pa
+from pupper_analysis.robot import contact
+from tests.support.engines import mujoco_at
+from tests.support.variants import load
+
+positive = st.floats(0.001, 2.0)
+geoms = st.fixed_dictionaries(
+    {
+        "priority": st.integers(0, 1),
+        "condim": st.sampled_from([1, 3, 4, 6]),
+        "friction": st.tuples(positive, positive, positive),
+        "solmix": st.one_of(st.just(0.0), st.floats(0.1, 10.0)),
+        "solref": st.one_of(
+            st.tuples(st.floats(0.005, 0.1), st.floats(0.1, 2.0)),
+            st.tuples(st.floats(-5000.0, -10.0), st.floats(-100.0, -1.0)),
+        ),
+        "solimp": st.tuples(
+            st.floats(0.1, 0.8),
+            st.floats(0.85, 0.99),
+            st.floats(0.001, 0.02),
+            st.floats(0.2, 0.8),
+            st.floats(1.0, 3.0),
+        ),
+    }
+)
+
+
+def ball_on_plane(ball: dict[str, object], plane: dict[str, object]) -> mujoco.MjModel:
+    def attributes(values: dict[str, object]) -> str:
+        texts = (
+            (name, " ".join(map(repr, value)) if isinstance(value, tuple) else repr(value))
+            for name, value in values.items()
+        )
+        return " ".join(f'{name}="{text}"' for name, text in texts)
+
+    return mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody>
+        <geom name="plane" type="plane" size="1 1 1" {attributes(plane)}/>
+        <body pos="0 0 0.099"><freejoint/>
+          <geom name="ball" type="sphere" size="0.1" {attributes(ball)}/></body>
+        </worldbody></mujoco>"""
+    )
+
+
+@pytest.mark.slow
+@settings(max_examples=100)
+@given(ball=geoms, plane=geoms)
+def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object]) -> None:
+    model = ball_on_plane(ball, plane)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    ours = contact.combine(model, model.geom("ball").id, model.geom("plane").id)
+    swapped = contact.combine(model, model.geom("plane").id, model.geom("ball").id)
+    assert ours.condim == data.contact.dim[0]
+    np.testing.assert_allclose(ours.friction, data.contact.friction[0], rtol=1e-12)
+    np.testing.assert_allclose(ours.solref, data.contact.solref[0], rtol=1e-12)
+    np.testing.assert_allclose(ours.solimp, data.contact.solimp[0], rtol=1e-12)
+    np.testing.assert_allclose(swapped.solimp, ours.solimp, rtol=1e-12)
+
+
+def test_a_frictionless_contact_has_no_friction() -> None:
+    values = {"condim": 1, "friction": (0.7, 0.1, 0.1)}
+    model = ball_on_plane(values, values)
+    assert contact.combine(model, 0, 1).sliding_friction == 0.0
+    values["condim"] = 3
+    assert contact.combine(ball_on_plane(values, values), 0, 1).sliding_friction == 0.7
+
+
+@pytest.mark.parametrize(("name", "friction", "condim"), [("v3", 1.0, 6), ("original", 1.2, 3)])
+def test_feet_on_the_ground(name: str, friction: float, condim: int) -> None:
+    """v3's feet say 0.8, but the floor's 1.0 is greater; the skeleton's 1.2 is."""
+    robot = load(name)
+    for foot in robot.feet:
+        assert robot.contacts[foot].sliding_friction == friction
+        assert robot.contacts[foot].condim == condim
+    if name == "v3":  # the mean of the foot's 0.015 and the floor's 0.9
+        assert robot.contacts["FR"].solimp[0] == pytest.approx(0.4575)
+
+
+def test_feet_on_the_ground_are_mujocos_contacts(robot: pa.Robot, stand: pa.Stand) -> None:
+    mj = mujoco_at(robot, stand.qpos - np.eye(robot.nq)[2] * 1e-3)
+    assert mj.ncon == 4
+    for index in range(4):
+        theirs = mj.contact
+        ours = next(iter(robot.contacts.values()))
+        assert ours.condim == theirs.dim[index]
+        for field in ("friction", "solref", "solimp"):
+            np.testing.assert_allclose(getattr(ours, field), getattr(theirs, field)[index])
+
+
+def test_ground_is_the_plane_fixed_to_the_world() -> None:
+    model = load("v3").mj_model
+    ground = contact.ground_geom(model)
+    assert ground is not None
+    assert model.geom(ground).name == "floor"
+    bare = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom type='box' size='1 1 1'/></worldbody></mujoco>"
+    )
+    assert contact.ground_geom(bare) is None
+
+
+def test_foot_geom_is_the_sphere_that_touches() -> None:
+    robot = load("v3")
+    model = robot.mj_model
+    site = model.site(robot.foot_frames["FR"])
+    found = contact.foot_geom(model, int(site.bodyid[0]), site.pos)
+    assert found is not None
+    assert model.geom_conaffinity[found] == 1  # not the drawn one at the same place
+    assert contact.foot_geom(model, int(site.bodyid[0]), site.pos + np.array([0, 0, 1e-5])) is None
+    assert contact.foot_geom(model, 0, site.pos) is None

@@ -1,0 +1,126 @@
+"""The maps between the public coordinates and each engine's, against the engines' own calculus."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from pupper_analysis.arrays import rotation_from_quaternion
+from tests.support.engines import addresses, integrate
+from tests.support.states import numbers, positions, quaternion, velocities
+from tests.support.variants import load
+
+
+@pytest.fixture(scope="module", params=["v3", "original", "v3 fixed", "tiny"])
+def any_robot(request: pytest.FixtureRequest, tiny: pa.Robot) -> pa.Robot:
+    """Robots with a free and with a fixed base, and with a continuous joint."""
+    if request.param == "tiny":
+        return tiny
+    return load(request.param.split()[0], fixed_base="fixed" in request.param)
+
+
+@given(data=st.data())
+def test_qpos_round_trip(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos = data.draw(positions(any_robot))
+    convention = any_robot.pin_convention
+    q = convention.q(qpos)
+    assert q.shape == (any_robot.pin_model.nq,)
+    assert pin.isNormalized(any_robot.pin_model, q, 1e-12)
+    np.testing.assert_allclose(convention.qpos(q), qpos, atol=1e-14)
+
+
+@given(data=st.data())
+def test_pinocchio_round_trip(any_robot: pa.Robot, data: st.DataObject) -> None:
+    model = any_robot.pin_model
+    q = pin.integrate(model, pin.neutral(model), data.draw(numbers(model.nv, 2.0)))
+    again = any_robot.pin_convention.q(any_robot.pin_convention.qpos(q))
+    np.testing.assert_allclose(again, q, atol=1e-12)
+
+
+@given(data=st.data())
+def test_velocity_map_is_orthogonal(any_robot: pa.Robot, data: st.DataObject) -> None:
+    matrix = any_robot.pin_convention.velocity_map(data.draw(positions(any_robot)))
+    np.testing.assert_allclose(matrix.T @ matrix, np.eye(any_robot.nv), atol=1e-14)
+    assert np.linalg.matrix_rank(matrix) == any_robot.nv
+
+
+@given(data=st.data())
+def test_velocity_map_agrees_with_both_engines_integration(
+    any_robot: pa.Robot, data: st.DataObject
+) -> None:
+    """MuJoCo moves qpos along qvel; Pinocchio says which of its velocities that was."""
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    convention, dt = any_robot.pin_convention, 1e-5
+    behind, ahead = (convention.q(integrate(any_robot, qpos, qvel, sign * dt)) for sign in (-1, 1))
+    measured = pin.difference(any_robot.pin_model, behind, ahead) / (2 * dt)
+    np.testing.assert_allclose(measured, convention.velocity_map(qpos) @ qvel, atol=1e-8)
+
+
+@given(data=st.data())
+def test_velocity_map_rate(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    convention, dt = any_robot.pin_convention, 1e-5
+    behind, ahead = (
+        convention.velocity_map(integrate(any_robot, qpos, qvel, sign * dt)) @ qvel
+        for sign in (-1, 1)
+    )
+    rate = convention.velocity_map_rate(qpos, qvel)
+    np.testing.assert_allclose(rate, (ahead - behind) / (2 * dt), atol=1e-7)
+
+
+def test_quaternion_need_not_be_normalised() -> None:
+    convention, qpos = load("v3").pin_convention, load("v3").neutral()
+    qpos[3:7] = quaternion(np.array([0.3, -0.2, 0.5]))
+    scaled = qpos.copy()
+    scaled[3:7] *= 7
+    np.testing.assert_allclose(convention.q(scaled), convention.q(qpos), atol=1e-15)
+
+
+@given(vector=numbers(3, 3.0))
+def test_rotation_from_quaternion(vector: np.ndarray) -> None:
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(rotation_from_quaternion(quaternion(vector)), expected, atol=1e-12)
+
+
+def test_joints_are_in_actuator_order_then_those_without(tiny: pa.Robot) -> None:
+    assert tiny.joint_names == ("bend", "push", "turn")
+    assert list(tiny.mj_convention.actuator_index) == [0, 1, -1]
+
+
+@given(data=st.data())
+def test_mujoco_indices_find_the_joints_by_name(any_robot: pa.Robot, data: st.DataObject) -> None:
+    qpos, qvel = data.draw(positions(any_robot)), data.draw(velocities(any_robot))
+    mj_data = mujoco.MjData(any_robot.mj_model)
+    any_robot.mj_convention.set_state(mj_data, qpos, qvel)
+    first = any_robot.nq - any_robot.nu
+    for index, name in enumerate(any_robot.joint_names):
+        assert mj_data.joint(name).qpos[0] == qpos[first + index]
+        assert mj_data.joint(name).qvel[0] == qvel[any_robot.nv - any_robot.nu + index]
+    q, v = addresses(any_robot)
+    np.testing.assert_array_equal(mj_data.qpos[q], qpos)
+    np.testing.assert_array_equal(mj_data.qvel[v], qvel)
+    any_robot.mj_convention.set_state(mj_data, qpos)
+    assert not mj_data.qvel.any()
+
+
+@pytest.mark.parametrize("turns", [-3, -1, 1, 2])
+def test_continuous_joint_forgets_whole_turns(tiny: pa.Robot, turns: int) -> None:
+    qpos = tiny.neutral()
+    qpos[-1] = 0.7
+    turned = qpos.copy()
+    turned[-1] += turns * 2 * np.pi
+    convention = tiny.pin_convention
+    np.testing.assert_allclose(convention.q(turned), convention.q(qpos), atol=1e-14)
+    np.testing.assert_allclose(convention.qpos(convention.q(turned)), qpos, atol=1e-14)
+    one, two = (pa.Configuration(tiny, q).foot_positions()["foot"] for q in (qpos, turned))
+    np.testing.assert_allclose(one, two, atol=1e-14)
+
+
+def test_continuous_joint_has_no_limits_and_the_others_theirs(tiny: pa.Robot) -> None:
+    np.testing.assert_array_equal(tiny.lower_limits, [-1, -0.3, -np.inf])
+    np.testing.assert_array_equal(tiny.upper_limits, [2, 0.4, np.inf])
+    np.testing.assert_array_equal(tiny.effort_limits, [4, 3, 5])

@@ -1,0 +1,127 @@
+"""Grounds as scenes have them: of a body, tilted, higher, a box, with stairs, by contact pairs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.floor import level_ground
+from pupper_analysis.robot.robot import Robot
+from tests.support.legged import Pair, quadruped
+
+PLANE = '<geom name="ground" type="plane" size="0 0 1" friction="0.9 0.01 0.001"'
+
+FOOT = '<geom name="foot" type="sphere" size="0.02" pos="0 0 -0.2"/>'
+
+LEVEL, OTHERS, PAIRS = "floor-laid-level", "scenery-left-out", "pairs-became-geoms"
+
+
+def scene(folder: Path, floor: str, contacts: str = "") -> Pair:
+    """Writes a quadruped in a scene of its own; its feet's geoms are ``foot0`` to ``foot3``."""
+    pair = quadruped(folder, floor=True, foot=FOOT)
+    text = pair.mjcf.read_text().replace('<geom type="plane" size="0 0 1"/>', floor)
+    for number in range(4):
+        text = text.replace('"foot"', f'"foot{number}"', 1)
+    text = text.replace("</worldbody>", f"</worldbody><contact>{contacts}</contact>")
+    pair.mjcf.write_text(text)
+    return pair
+
+
+def loaded(pair: Pair) -> Robot:
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def stands(robot: Robot, **task: Any) -> pa.StandVerification:
+    found = pa.verify_stand(robot, pa.sunk_stand(robot, pa.StandTask(**task)))
+    assert found.passed, found.failures
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("floor", "said"),
+    [
+        (f'<body name="ground">{PLANE}/></body>', None),
+        (f'<body pos="0 0 0.3" euler="0 1.5707963267948966 0">{PLANE}/></body>', "tilted by 90"),
+        (f'{PLANE} pos="0.2 0 0.05"/>', "at z = 0.05 m"),
+        (f'{PLANE} euler="0 0.1 0"/>', "tilted by 5.73 deg"),
+        (f'{PLANE} euler="0 0 1.5"/>', None),
+        (f'<frame euler="0 0 0.5">{PLANE}/></frame>', None),
+    ],
+)
+def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str, said: str | None) -> None:
+    """A stand on it, and one on a slope, are those on the plane at home, to rounding."""
+    robot, plain = (loaded(scene(tmp_path, text)) for text in (floor, PLANE + "/>"))
+    told = [note for note in robot.notes if note.code == LEVEL]
+    assert bool(told) == (said is not None)
+    assert not told or (said or "") in str(told[0])
+    assert not [note for note in robot.notes if note.code == OTHERS]
+    for task in ({}, {"ground": pa.Ground(slope=0.05, uphill=0.7)}):
+        seen, known = (stands(one, **task) for one in (robot, plain))
+        assert seen.joint_torques == pytest.approx(known.joint_torques, abs=1e-6)
+        assert robot.contacts == plain.contacts
+
+
+@pytest.mark.slow
+def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
+    """A box as ground, stairs under the robot, and a table that no joint moves."""
+    stairs = '<geom name="stair" type="box" size="1 1 0.03" pos="0.5 0 0.03"/>'
+    table = '<body name="table"><geom type="box" size="1 1 0.01"/></body>'
+    robot = loaded(scene(tmp_path, PLANE + "/>" + stairs + table))
+    assert any("(stair)" in str(note) for note in robot.notes if note.code == OTHERS)
+    assert any("'table' is not part of the robot" in str(note) for note in robot.notes)
+    stands(robot)
+    robot = loaded(
+        scene(tmp_path, '<geom name="floor" type="box" size="5 5 0.05" pos="0 0 -0.05"/>')
+    )
+    assert any(note.code == "ground-added" for note in robot.notes)
+    stands(robot)
+
+
+def test_a_table_is_no_part_of_the_com(tmp_path: Path) -> None:
+    """Its mass made the com of the MJCF another one, for which the engines were blamed."""
+    table = '<body name="table" pos="1 0 0.1"><geom type="box" size="1 1 0.01" mass="5"/></body>'
+    comparison = pa.compare_models(*scene(tmp_path, PLANE + "/>" + table))
+    assert not [change for change in comparison.differences if change.kind != "effort"]
+    assert comparison.deviations["com"] < 1e-9
+    assert not [note for note in comparison.notes if "engines differ" in str(note)]
+
+
+def test_contacts_by_pairs_are_those_of_the_feet(tmp_path: Path) -> None:
+    """The prepared robot's contacts are those that MuJoCo makes of the file as it is."""
+    values = 'friction="0.37 0.37 0.02 0.003 0.003" solref="0.03 1.2" solimp="0.9 0.95 0.002 0.5 2"'
+    ways = (("foot0", "ground"), ("ground", "foot1"), ("foot2", "ground"), ("ground", "foot3"))
+    pairs = "".join(f'<pair geom1="{one}" geom2="{two}" condim="4" {values}/>' for one, two in ways)
+    files = scene(tmp_path, PLANE + "/>", pairs)
+    robot = loaded(files)
+    assert any(note.code == PAIRS for note in robot.notes)
+    stands(robot)
+    data = []
+    for model in (mujoco.MjModel.from_xml_path(str(files.mjcf)), robot.mj_model):
+        state = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, state, 0)
+        state.qpos[:7] = (0, 0, robot.stand_height - 2e-3, 1, 0, 0, 0)
+        state.qpos[7:] = robot.mj_model.key_qpos[0][7:]
+        mujoco.mj_forward(model, state)
+        assert state.ncon == 4
+        data.append(state)
+    for word in ("friction", "solref", "solimp", "dim"):
+        one, two = (np.array(getattr(state.contact, word), dtype=float) for state in data)
+        np.testing.assert_allclose(np.sort(one, axis=0), np.sort(two, axis=0), atol=1e-12)
+    assert np.unique(np.array(data[0].contact.friction)[:, 0]).tolist() == [0.37]
+    assert {contact.friction[0] for contact in robot.contacts.values()} == {0.37}
+    with pytest.raises(pa.PupperAnalysisError):  # tan(0.45 rad) = 0.48
+        pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.45)))
+
+
+def test_a_plain_ground_stays_as_it_is(tmp_path: Path) -> None:
+    """Nothing is said of it, nor changed."""
+    spec = mujoco.MjSpec.from_file(str(scene(tmp_path, PLANE + "/>").mjcf))
+    before = spec.to_xml()
+    assert level_ground(spec) == []
+    assert spec.to_xml() == before

@@ -1,0 +1,65 @@
+"""What options of an MJCF switch off is said before a stand fails by it, or holds by it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.robot import Robot
+from tests.support.legged import quadruped
+
+
+def loaded(folder: Path, option: str = "", free: str = "<freejoint/>") -> Robot:
+    pair = quadruped(folder)
+    text = pair.mjcf.read_text().replace("<worldbody>", f"{option}<worldbody>", 1)
+    pair.mjcf.write_text(text.replace("<freejoint/>", free))
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ('<option gravity="0 0 -1.62"/>', "gravity is the MJCF's: (0, 0, -1.62) m/s^2"),
+        ('<option gravity="1 0 -9.81"/>', "gravity is the MJCF's: (1, 0, -9.81) m/s^2"),
+        ('<option><flag contact="disable"/></option>', "nothing touches the ground"),
+        ('<option><flag constraint="disable"/></option>', "nothing touches the ground"),
+        ('<option><flag actuation="disable"/></option>', "no motor holds anything"),
+        ('<option actuatorgroupdisable="0"/>', "actuatorgroupdisable switches off actuators: "),
+    ],
+)
+def test_what_an_option_does_is_said(option: str, said: str, tmp_path: Path) -> None:
+    assert [note for note in loaded(tmp_path, option).notes if said in str(note)]
+
+
+def test_of_usual_options_nothing_is_said(tmp_path: Path) -> None:
+    robot = loaded(tmp_path, '<option gravity="0 0 -9.80665" timestep="0.001"/>')
+    assert not [note for note in robot.notes if "gravity" in str(note) or "flag" in str(note)]
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        '<option gravity="0 0 0"/>',
+        '<option gravity="9.81 0 0"/>',
+        '<option gravity="0 0 9.81"/>',
+        '<option><flag gravity="disable"/></option>',
+    ],
+)
+def test_without_weight_nothing_stands(option: str, tmp_path: Path) -> None:
+    robot = loaded(tmp_path, option)
+    with pytest.raises(pa.ConfigurationError, match="gravity of the MJCF is"):
+        pa.solve_stand(robot)
+
+
+@pytest.mark.slow
+def test_a_base_does_not_hang_by_its_free_joint(tmp_path: Path) -> None:
+    """With 500 N of dry friction it would stand on servos that are switched off, too."""
+    free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
+    robot = loaded(tmp_path, '<option actuatorgroupdisable="0"/>', free)
+    assert [note for note in robot.notes if note.code == "free-joint-friction-taken-off"]
+    assert not pa.verify_stand(robot, pa.sunk_stand(robot)).passed
+    robot = loaded(tmp_path, free=free)
+    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed

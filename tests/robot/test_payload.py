@@ -1,0 +1,117 @@
+"""A payload is the same mass in both models, at the same place, however the base is tilted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.stance.sag.solution import move
+from pupper_analysis.stance.sunk import loaded_stand
+from tests.support.engines import mujoco_at
+from tests.support.states import random_state
+from tests.support.variants import NAMES, load, stand_of
+
+POINT = (0.05, -0.02, 0.08)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_both_models_carry_the_same(name: str) -> None:
+    loaded = with_payload(load(name), 2.5, POINT)
+    check = pa.cross_check(loaded)
+    assert check.passed, check.worst
+    qpos, qvel = random_state(loaded, 1)
+    data = mujoco_at(loaded, qpos, qvel)
+    config = pa.Configuration(loaded, qpos, qvel)
+    index = loaded.mj_convention.qvel_index
+    np.testing.assert_allclose(config.bias_forces(), data.qfrc_bias[index], atol=1e-9)
+    assert loaded.total_mass == pytest.approx(load(name).total_mass + 2.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_its_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
+    """m g dz/dq, by finite differences of where the point is on a tilted base."""
+    robot, mass = load(name), 3.0
+    qpos, _ = random_state(robot, 2)
+
+    def energy(at: np.ndarray) -> float:
+        config = pa.Configuration(robot, at)
+        place = at[:3] + config.base_rotation() @ POINT
+        return mass * 9.81 * float(place[2])
+
+    steps = 1e-6 * np.eye(robot.nv)
+    slope = [(energy(move(qpos, s)) - energy(move(qpos, -s))) / 2e-6 for s in steps]
+    more = pa.Configuration(with_payload(robot, mass, POINT), qpos).gravity()
+    less = pa.Configuration(robot, qpos).gravity()
+    np.testing.assert_allclose(more - less, slope, atol=1e-7)
+
+
+def test_all_else_stays() -> None:
+    robot = load("v3")
+    model = robot.pin_model.copy()
+    efforts = np.array(model.effortLimit)
+    efforts[6:] /= 2
+    model.effortLimit = efforts
+    weak = replace(robot, pin_model=model)
+    loaded = with_payload(weak, 1.0, POINT)
+    np.testing.assert_array_equal(loaded.effort_limits, robot.effort_limits / 2)
+    assert loaded.joint_names == robot.joint_names
+    assert loaded.stand_height == robot.stand_height
+    assert loaded.feet == robot.feet
+    assert with_payload(robot, 0.0) is robot
+    twice = with_payload(with_payload(robot, 1.0, POINT), 1.0, POINT)
+    once = with_payload(robot, 2.0, POINT)
+    qpos, _ = random_state(robot, 3)
+    np.testing.assert_allclose(
+        pa.Configuration(twice, qpos).mass_matrix(),
+        pa.Configuration(once, qpos).mass_matrix(),
+        atol=1e-12,
+    )
+
+
+def test_the_base_stays_as_the_feet_sink() -> None:
+    robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1, roll=-0.05))
+    loaded = with_payload(robot, 2.0, (0.08, 0.0, 0.05))
+    sunk = loaded_stand(loaded, stand)
+    np.testing.assert_allclose(sunk.qpos[:7], stand.qpos[:7], atol=1e-9)
+    statics = pa.stand_statics(loaded, sunk, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
+        9.81 * (robot.total_mass + 2.0)
+    )
+    assert sunk.depths["FR"] > sunk.depths["RR"] + 1e-4  # the load is in front
+    report = pa.verify_stand(loaded, sunk)
+    assert report.passed, report.failures
+
+
+@pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf, "much", True])
+def test_bad_masses(mass: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="mass"):
+        with_payload(load("v3"), mass)  # type: ignore[arg-type]
+
+
+def test_a_fixed_base_carries_nothing() -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        with_payload(load("v3", fixed_base=True), 1.0)
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        with_payload(load("v3"), 1.0, (0.0, 0.0))
+
+
+def test_contacts_are_as_soft_as_mujoco_has_them_under_the_load() -> None:
+    """MuJoCo's contact stiffness is derived from the masses: the foot's inverse weight changes."""
+    robot, loaded = load("v3"), with_payload(load("v3"), 5.0)
+    foot = robot.foot_places["FR"][0]
+    light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
+    assert heavy < light
+    stand = loaded_stand(loaded, stand_of("v3"))
+    data = mujoco_at(loaded, stand.qpos)
+    total = np.zeros(3)
+    for number in range(data.ncon):
+        wrench = np.zeros(6)
+        mujoco.mj_contactForce(loaded.mj_model, data, number, wrench)
+        total += data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
+    assert total[2] > 0

@@ -1,0 +1,332 @@
+"""Loading pairs of files: what is taken from which, and what is refused with which words."""
+
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot import contact
+from pupper_analysis.robot.terrain import on_ground
+from tests.support.bodies import assert_same_bodies, mujoco_bodies, pinocchio_bodies
+from tests.support.engines import mujoco_at
+from tests.support.repository import ROOT
+from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
+from tests.support.variants import BASES, load
+
+
+def write(folder: Path, urdf: str = TINY_URDF, mjcf: str = TINY_MJCF) -> Files:
+    files = Files(folder / "robot.urdf", folder / "robot.xml")
+    files.urdf.write_text(urdf)
+    files.mjcf.write_text(mjcf)
+    return files
+
+
+def load_files(files: Files, feet: object = ("foot",), **more: object) -> pa.Robot:
+    return pa.load_robot(urdf=files.urdf, mjcf=files.mjcf, feet=feet, **more)  # type: ignore[arg-type]
+
+
+def replaced(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new)
+
+
+# ------------------------------------------------------------------------------------- right
+
+
+@pytest.mark.parametrize("name", BASES)
+def test_the_shipped_files_are_the_variant(name: str) -> None:
+    ours = load(name)
+    files = Files(ROOT / f"urdf/{BASES[name]}.urdf", ROOT / f"mjcf/{BASES[name]}.xml")
+    robot = load_files(files, feet=dict(ours.foot_frames))
+    assert robot.name == BASES[name]
+    assert robot.feet == ours.feet
+    assert robot.joint_names == ours.joint_names
+    assert (robot.base, robot.mj_base, robot.imu) == ("base_link", "base_link", "body_imu_site")
+    assert_same_bodies(pinocchio_bodies(robot), pinocchio_bodies(ours), 1e-15)
+    assert_same_bodies(mujoco_bodies(robot), mujoco_bodies(ours), 1e-15)
+
+
+def test_feet_may_be_a_list_of_frames(tiny: pa.Robot, tiny_files: Files) -> None:
+    assert tiny.feet == ("foot",)
+    renamed = load_files(tiny_files, feet={"left": "foot"}, name="other")
+    assert renamed.feet == ("left",)
+    assert renamed.foot_frames == {"left": "foot"}
+    assert (tiny.name, renamed.name) == ("tiny", "other")
+
+
+def test_paths_may_be_strings(tiny_files: Files) -> None:
+    files = [str(path) for path in tiny_files]
+    assert pa.load_robot(urdf=files[0], mjcf=files[1], feet=["foot"]).nu == 3
+
+
+def test_sizes(tiny: pa.Robot, tiny_files: Files) -> None:
+    assert (tiny.nq, tiny.nv, tiny.nu, tiny.floating) == (10, 9, 3, True)
+    fixed = load_files(tiny_files, fixed_base=True)
+    assert (fixed.nq, fixed.nv, fixed.nu, fixed.floating) == (3, 3, 3, False)
+    assert fixed.total_mass == tiny.total_mass == pytest.approx(3.2)
+
+
+def test_the_two_files_agree(tiny: pa.Robot) -> None:
+    """Also with the joints in three orders."""
+    assert_same_bodies(pinocchio_bodies(tiny), mujoco_bodies(tiny), 1e-12)
+
+
+def test_armature_is_the_mjcfs(tiny: pa.Robot, robot: pa.Robot) -> None:
+    rotors = [0.02, 0.01, 0.01]  # bend has its own
+    with_them = pa.Configuration(tiny, tiny.neutral()).mass_matrix()[6:, 6:]
+    plain = pa.load_robot(
+        urdf=tiny.description.urdf_source, mjcf=tiny.description.mjcf_source, feet=["foot"]
+    )
+    plain.pin_model.armature = np.zeros(plain.nv)
+    without = pa.Configuration(plain, plain.neutral()).mass_matrix()[6:, 6:]
+    np.testing.assert_allclose(with_them - without, np.diag(rotors), atol=1e-14)
+    assert any("armature" in str(note) for note in tiny.notes)
+    assert any("armature" in str(note) for note in robot.notes)
+
+
+@pytest.mark.parametrize("first", ["bend", "push"])
+def test_fixed_base_stays_where_the_mjcf_has_it(tmp_path: Path, first: str) -> None:
+    """Whichever joint comes first: bend is not at the base."""
+    turned = replaced(TINY_MJCF, 'pos="0 0 0.5"', 'pos="0.1 0.2 0.5" euler="0.3 -0.2 0.4"')
+    motors = '<motor joint="push"/><motor joint="bend"/>'
+    if first == "push":
+        turned = replaced(turned, '<motor joint="bend"/><motor joint="push"/>', motors)
+    robot = load_files(write(tmp_path, mjcf=turned), fixed_base=True)
+    assert robot.joint_names[0] == first
+    joints = np.array([0.3, 0.1, -0.7])
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, joints)
+    mujoco.mj_forward(robot.mj_model, data)
+    config = pa.Configuration(robot, joints)
+    np.testing.assert_allclose(config.frame_position("foot"), data.site("foot").xpos, atol=1e-14)
+    np.testing.assert_allclose(config.center_of_mass(), data.body("base").subtree_com, atol=1e-14)
+    np.testing.assert_allclose(config.frame_position("base"), [0.1, 0.2, 0.5], atol=1e-15)
+    gravity = data.qfrc_bias[robot.mj_convention.qvel_index]
+    np.testing.assert_allclose(config.gravity(), gravity, atol=1e-13)
+
+
+def test_an_mjcf_without_a_free_joint_is_fixed(tmp_path: Path) -> None:
+    robot = load_files(write(tmp_path, mjcf=replaced(TINY_MJCF, "<freejoint/>", "")))
+    assert not robot.floating
+    assert robot.nq == 3
+
+
+def test_gravity_is_the_mjcfs(tmp_path: Path) -> None:
+    moon = replaced(TINY_MJCF, "<default>", '<option gravity="0.1 0 -1.62"/><default>')
+    robot = load_files(write(tmp_path, mjcf=moon))
+    np.testing.assert_allclose(robot.gravity, [0.1, 0, -1.62])
+    gravity = pa.Configuration(robot, robot.neutral()).gravity()
+    np.testing.assert_allclose(gravity[:3], -3.2 * np.array([0.1, 0, -1.62]), atol=1e-14)
+
+
+def test_ground_is_added_where_there_is_none(tmp_path: Path) -> None:
+    bare = replaced(TINY_MJCF, '<geom type="plane" size="1 1 1"/>', "")
+    robot = load_files(write(tmp_path, mjcf=bare))
+    assert any("plane" in str(note) for note in robot.notes)
+    assert robot.contacts["foot"].sliding_friction == 1.0
+    fixed = load_files(write(tmp_path, mjcf=bare), fixed_base=True)
+    assert fixed.contacts == {}
+
+
+def test_home_is_the_keyframe_in_the_public_order(tmp_path: Path) -> None:
+    keys = (
+        '<keyframe><key name="other" qpos="0 0 9 1 0 0 0 9 9 9"/>'
+        '<key name="home" qpos="0 0 1 1 0 0 0 0.1 0.2 0.3"/></keyframe></mujoco>'
+    )
+    files = write(tmp_path, mjcf=replaced(TINY_MJCF, "</mujoco>", keys))
+    # MuJoCo's order: push, turn, bend. The public one: bend, push, turn.
+    np.testing.assert_allclose(load_files(files).home, [0, 0, 1, 1, 0, 0, 0, 0.3, 0.1, 0.2])
+    np.testing.assert_allclose(load_files(files, fixed_base=True).home, [0.3, 0.1, 0.2])
+
+
+def test_stand_height_is_where_the_lowest_foot_touches(tiny: pa.Robot) -> None:
+    qpos = tiny.neutral()
+    qpos[2] = tiny.stand_height
+    lowest = pa.Configuration(tiny, qpos).contact_points()["foot"]
+    assert lowest[2] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["body", "geom"])
+def test_a_foot_may_be_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
+    site = '<site name="foot" pos="0 0 -0.1"/>'
+    sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.1"/>'
+    mjcf = replaced(TINY_MJCF, site, "")
+    if kind == "geom":
+        mjcf = replaced(mjcf, sphere, sphere.replace("<geom", '<geom name="foot"'))
+    else:
+        body = (
+            '<body name="foot" pos="0 0 -0.1"><geom type="sphere" size="0.02" mass="1e-9"/></body>'
+        )
+        mjcf = replaced(mjcf, sphere, body)
+    robot = load_files(write(tmp_path, mjcf=mjcf))
+    assert robot.foot_radius["foot"] == 0.02
+
+
+def test_shipped_robots(robot: pa.Robot, variant: str) -> None:
+    assert robot.name == variant
+    assert robot.imu == "body_imu_site"
+    assert robot.floating
+    radius = 0.01995 if variant.startswith("v3") else 0.018
+    assert set(robot.foot_radius.values()) == {radius}
+    effort = 3.0 if variant.startswith("v3") else 18.0
+    np.testing.assert_array_equal(robot.effort_limits, [effort] * 12)
+    assert (robot.lower_limits < robot.upper_limits).all()
+    home = robot.home[7:]
+    assert ((robot.lower_limits <= home) & (home <= robot.upper_limits)).all()
+
+
+def test_a_robot_cannot_be_changed() -> None:
+    with pytest.raises(FrozenInstanceError):
+        load("v3").name = "other"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        load("v3").foot_radius["FR"] = 1.0  # type: ignore[index]
+    assert load("v3").check_foot("FR") == "FR"
+
+
+# ------------------------------------------------------------------------------------- wrong
+
+JOINT = '<joint name="push" type="slide" axis="0 0 1" range="-0.3 0.4"/>'
+
+
+@pytest.mark.parametrize(
+    ("urdf", "mjcf", "message"),
+    [
+        ("", TINY_MJCF, "robot.urdf: it is empty"),
+        ("not xml", TINY_MJCF, "robot.urdf:1: not well-formed XML"),
+        ("<robot name='x'>", TINY_MJCF, "robot.urdf:1: not well-formed XML"),
+        (TINY_URDF, "", "robot.xml: it is empty"),
+        (TINY_URDF, "<mujoco><worldbody>", "robot.xml:1: not well-formed XML"),
+        (TINY_URDF, "<mujoco><nonsense/></mujoco>", "robot.xml:1: not a valid MJCF"),
+        (TINY_URDF, "<mujoco/>", "robot.xml: .*joint"),
+        (
+            TINY_URDF,
+            TINY_MJCF.replace('mass="0.5"', 'mass="-2"'),
+            r"robot.xml:\d+: MuJoCo cannot compile",
+        ),
+        (
+            TINY_URDF,
+            TINY_MJCF.replace(
+                '<joint name="turn" axis="0 0 1"/>', '<joint name="turn" type="ball"/>'
+            ),
+            "ball joint",
+        ),
+        (
+            TINY_URDF,
+            TINY_MJCF.replace('size="0.02" pos="0 0 -0.1"', 'size="0.02" pos="0 0 -0.09"'),
+            "no sphere",
+        ),
+        (
+            TINY_URDF,
+            TINY_MJCF.replace(
+                '<geom type="sphere"', '<geom contype="0" conaffinity="0" type="sphere"'
+            ),
+            "no sphere",
+        ),
+    ],
+)
+@pytest.mark.parametrize("fixed_base", [False, True])
+def test_unusable_files_are_refused(
+    tmp_path: Path, urdf: str, mjcf: str, message: str, fixed_base: bool
+) -> None:
+    with pytest.raises(pa.ModelError, match=message) as caught:
+        load_files(write(tmp_path, urdf, mjcf), fixed_base=fixed_base)
+    assert "\n" not in str(caught.value)
+    assert str(tmp_path) in caught.value.source
+
+
+def test_missing_and_unreadable_files_are_refused(tiny_files: Files, tmp_path: Path) -> None:
+    for files in (
+        Files(tmp_path / "none.urdf", tiny_files.mjcf),
+        Files(tiny_files.urdf, tmp_path / "none.xml"),
+        Files(tmp_path, tiny_files.mjcf),
+        Files(tiny_files.urdf, tmp_path),
+    ):
+        with pytest.raises(pa.ModelError):
+            load_files(files)
+    binary = tmp_path / "binary.urdf"
+    binary.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(pa.ModelError, match=r"binary\.urdf: "):
+        load_files(Files(binary, tiny_files.mjcf))
+
+
+@pytest.mark.parametrize(
+    ("urdf", "mjcf", "note"),
+    [
+        (
+            TINY_URDF,
+            replaced(TINY_MJCF, JOINT, "").replace('<motor joint="push"/>', ""),
+            "only the URDF has, held at zero: push",
+        ),
+        (
+            TINY_URDF.replace('"push" type="prismatic"', '"push" type="fixed"'),
+            TINY_MJCF,
+            "only the MJCF has, held at zero: push",
+        ),
+        (
+            TINY_URDF.replace('name="push"', 'name="pull"'),
+            TINY_MJCF,
+            "another name in the URDF: pull = push",
+        ),
+    ],
+)
+def test_joints_that_differ_are_said(tmp_path: Path, urdf: str, mjcf: str, note: str) -> None:
+    robot = load_files(write(tmp_path, urdf, mjcf))
+    assert any(note in str(said) for said in robot.notes), robot.notes
+
+
+@pytest.mark.parametrize(("urdf_foot", "mjcf_foot"), [("toe_tip", "foot"), ("foot", "toe_tip")])
+def test_a_foot_in_one_file_is_enough(tmp_path: Path, urdf_foot: str, mjcf_foot: str) -> None:
+    whole = load_files(write(tmp_path, TINY_URDF, TINY_MJCF))
+    urdf = TINY_URDF.replace('link name="foot"', f'link name="{urdf_foot}"')
+    urdf = urdf.replace('child link="foot"', f'child link="{urdf_foot}"')
+    mjcf = TINY_MJCF.replace('site name="foot"', f'site name="{mjcf_foot}"')
+    robot = load_files(write(tmp_path, urdf, mjcf))
+    qpos = np.concatenate([[0.1, 0.2, 0.3, 1, 0, 0, 0], [0.1, -0.2, 0.3]])
+    places = [pa.Configuration(each, qpos).foot_positions()["foot"] for each in (whole, robot)]
+    np.testing.assert_allclose(*places, atol=1e-9)
+
+
+def test_unknown_foot_lists_what_there_is(tmp_path: Path) -> None:
+    urdf = TINY_URDF.replace('link name="foot"', 'link name="toe_tip"')
+    urdf = urdf.replace('child link="foot"', 'child link="toe_tip"')
+    mjcf = TINY_MJCF.replace('site name="foot"', 'site name="hoof"')
+    with pytest.raises(pa.UnknownNameError, match=r"toe_tip.*hoof") as caught:
+        load_files(write(tmp_path, urdf, mjcf))
+    assert caught.value.name == "foot"
+    assert isinstance(caught.value, pa.ModelError)
+
+
+def test_unknown_foot_of_a_robot() -> None:
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL") as caught:
+        load("v3").check_foot("left")
+    assert (caught.value.kind, caught.value.name) == ("foot", "left")
+
+
+# ------------------------------------------------------------------------------------- ground
+
+
+def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
+    """Else it would sink through the step on to the floor, and be carried by both."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(heights={"RR": 0.001})))
+    on_step = on_ground(robot, stand.task.ground, stand.foot_targets)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 0.003
+    data = mujoco_at(on_step, qpos)
+    touched = {
+        on_step.foot_geoms[int(sole)]: on_step.mj_model.geom(int(other)).name
+        for pair in data.contact.geom
+        for sole, other in (pair, pair[::-1])
+        if int(sole) in on_step.foot_geoms
+    }
+    assert len(data.contact.geom) == 4
+    floor = robot.mj_model.geom(contact.ground_geom(robot.mj_model)).name
+    assert touched == {"FR": floor, "FL": floor, "RR": "step_RR", "RL": floor}
+    qpos[2] -= 0.12  # other parts still touch the floor
+    bodies = contact.bodies_on_ground(
+        on_step.mj_model, mujoco_at(on_step, qpos), on_step.foot_geoms
+    )
+    assert "base_link" in bodies

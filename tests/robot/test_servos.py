@@ -1,0 +1,186 @@
+"""Motors of kinds that others use: with several controls, or seen from the parent."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.diagnostics import Quantity
+from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.robot.servos import own_servos
+from tests.support.legged import Pair, quadruped
+
+MOTOR = re.compile(r'<motor joint="(\w+)" ctrlrange="-30 30"/>')
+
+PID = (
+    '<pid name="{0}" joint="{0}" kp="150" kv="5" input="pos vel" forcelimited="true" '
+    'forcerange="-30 30"/>'
+)
+DC = '<dcmotor name="{0}" joint="{0}" motorconst="0.5" resistance="1" input="pos vel ff"/>'
+IN_PARENT = '<motor jointinparent="{0}" ctrlrange="-30 30"/>'
+
+
+def with_motors(pair: Pair, element: str, joints: str = "") -> Pair:
+    """Other actuators at the joints whose names begin so, in place of motors of 30 N m."""
+
+    def other(match: re.Match[str]) -> str:
+        return element.format(match[1]) if match[1].startswith(joints) else match[0]
+
+    pair.mjcf.write_text(MOTOR.sub(other, pair.mjcf.read_text()))
+    pair.urdf.write_text(pair.urdf.read_text().replace('effort="80"', 'effort="30"'))
+    return pair
+
+
+@pytest.mark.parametrize(("element", "controls"), [(PID, 15), (DC, 18)])
+def test_motors_of_several_controls_are_read(element: str, controls: int, tmp_path: Path) -> None:
+    """There are more controls than motors in MuJoCo's model; each is counted by itself."""
+    pair = with_motors(quadruped(tmp_path), element, "FL")
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    assert (model.nu, model.nactuator) == (controls, 12)
+    said = pa.compare_models(pair.urdf, pair.mjcf).differences
+    lost = {"FL_roll", "FL_pitch", "FL_knee"} if element == DC else set()
+    assert {(found.kind, found.element) for found in said} == {("effort", name) for name in lost}
+    assert pa.audit_model(pair.mjcf).passed
+    assert pa.diff_models(pair.mjcf, pair.mjcf).same
+
+
+def test_the_range_of_each_control_is_compared(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    text = with_motors(quadruped(tmp_path), PID, "FL").mjcf.read_text()
+    old.write_text(text)
+    new.write_text(text.replace('ctrlrange="-30 30"', 'ctrlrange="-30 40"', 1))
+    (change,) = (c for c in pa.diff_models(old, new).changes if c.kind == "motor")
+    assert change.message.startswith("motor #3: ctrlrange (-30, 30) in the old file")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("element", [PID, DC, IN_PARENT])
+def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
+    pair = with_motors(quadruped(tmp_path), element)
+    command = ["stand", "--urdf", str(pair.urdf), "--mjcf", str(pair.mjcf)]
+    done = CliRunner().invoke(cli.group, command)
+    assert "HOLDS in MuJoCo for" in done.output, done.output
+    assert done.exit_code == 0
+
+
+def test_a_motor_seen_from_the_parent_is_the_joints(tmp_path: Path) -> None:
+    pair = with_motors(quadruped(tmp_path), IN_PARENT)
+    model = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    assert effort_limit(model, model.joint("RL_knee").id) == 30
+    assert pa.compare_models(pair.urdf, pair.mjcf).agree
+
+
+BOTH = '<position name="p_{0}" joint="{0}" kp="150"/><velocity name="v_{0}" joint="{0}" kv="5"/>'
+BRAKED = '<motor joint="{0}" gear="2"/><damper joint="{0}" kv="3" ctrlrange="0 1"/>'
+LAGGING = '<position joint="{0}" kp="150" kv="5" timeconst="0.05"/>'
+BIASED = (
+    '<general joint="{0}" gainprm="150" biastype="affine" biasprm="4 -150 -5" '
+    'forcerange="-30 30" forcelimited="true"/>'
+)
+SPEED = '<intvelocity joint="{0}" kp="150" kv="5" actrange="-3 3"/>'
+
+
+def loaded(pair: Pair) -> pa.Robot:
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def holds(robot: pa.Robot) -> None:
+    stand = pa.sunk_stand(robot)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert found.torque_error < 1e-5
+
+
+@pytest.mark.slow
+def test_a_position_and_a_velocity_servo_are_one(tmp_path: Path) -> None:
+    """One of them was commanded, and the other pulled every joint to zero."""
+    robot = loaded(with_motors(quadruped(tmp_path), BOTH))
+    assert robot.mj_model.nactuator == 12
+    own = own_servos(robot)
+    assert set(own.values()) == {(150.0, 5.0)}
+    (note,) = (note for note in robot.notes if note.code == "motors-taken-together")
+    assert note.values["joints"] == robot.joint_names
+    holds(robot)
+
+
+@pytest.mark.slow
+def test_gains_that_are_added_are_mujocos(tmp_path: Path) -> None:
+    """The one servo gives what both give together, at random angles and rates."""
+    geared = BOTH.replace('kp="150"', 'kp="150" gear="2"').replace('kv="5"', 'kv="5" gear="-3"')
+    pair = with_motors(quadruped(tmp_path), geared)
+    robot = loaded(pair)
+    both = mujoco.MjModel.from_xml_path(str(pair.mjcf))
+    one, data = mujoco.MjData(robot.mj_model), mujoco.MjData(both)
+    random = np.random.default_rng(1)
+    for _ in range(3):
+        data.qpos[7:], data.qvel[6:] = random.normal(size=(2, 12))
+        one.qpos[:], one.qvel[:] = data.qpos, data.qvel
+        wanted = random.normal(size=12)
+        data.ctrl[::2] = 2 * wanted
+        one.ctrl[:] = 2 * wanted
+        mujoco.mj_forward(robot.mj_model, one)
+        mujoco.mj_forward(both, data)
+        np.testing.assert_allclose(one.qfrc_actuator, data.qfrc_actuator, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("element", [BRAKED, LAGGING, BIASED, SPEED])
+def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None:
+    """A brake is not commanded; a filter begins at rest; who has a force of its own is no servo."""
+    robot = loaded(with_motors(quadruped(tmp_path), element))
+    lagging = element is LAGGING
+    assert any(note.code == "servos-added" for note in robot.notes) != lagging
+    holds(robot)
+
+
+@pytest.mark.slow
+def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: Path) -> None:
+    stiff = '<position joint="{0}" kp="1500" kv="60"/>'
+    robot = loaded(with_motors(quadruped(tmp_path), stiff))
+    (note,) = (note for note in robot.notes if note.code == "own-servos-too-stiff")
+    assert note.values["integrator"] == "Euler"
+    assert note.values["timestep"] == Quantity(0.002, "s")
+    stand = pa.sunk_stand(robot)
+    assert not pa.verify_stand(robot, stand).passed
+    assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
+
+
+@pytest.mark.slow
+def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
+    """Alike on all sides, it stood on servos that shake it to pieces: MuJoCo had it at rest."""
+    robot = loaded(quadruped(tmp_path))
+    stand = pa.sunk_stand(robot)
+    assert pa.verify_stand(robot, stand, kp=100.0, kd=5.0).passed
+    shaking = pa.verify_stand(robot, stand, kp=3000.0, kd=200.0, integrator="Euler")
+    assert not shaking.passed
+    assert any(
+        "beyond the limit of stability (Euler, 2 ms)" in str(why) for why in shaking.failures
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
+def test_motors_of_tendons_are_not_commanded_and_told(
+    kind: str, pulls: bool, tmp_path: Path
+) -> None:
+    pair = quadruped(tmp_path)
+    rope = (
+        '<tendon><fixed name="rope"><joint joint="FL_knee" coef="1"/>'
+        '<joint joint="FL_pitch" coef="1"/></fixed></tendon><actuator>'
+        f'<{kind} name="winch" tendon="rope"/>'
+    )
+    pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", rope))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    (told,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
+    assert (told.values["motors"], told.values["kinds"]) == (("winch",), ("tendon",))
+    assert told.values["servos"] == (("winch",) if pulls else ())
+    plain = quadruped(tmp_path)
+    notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
+    assert not [note for note in notes if note.code == "motors-commanded-zero"]

@@ -1,0 +1,299 @@
+"""The spectrum of a step: closed forms of its eigenvalues, and nudged simulations beside it."""
+
+import copy
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.transition import transition
+from pupper_analysis.simulation.causes import unstable
+from pupper_analysis.simulation.nudge import response
+from pupper_analysis.simulation.rollout import full_state, run
+from tests.support.repository import benchmark
+from tests.support.variants import load, stand_of
+
+INERTIA, MOMENT = 0.3, 6.0  # kg m^2 of the rotor; m g l of 1 kg (N m)
+
+
+def pendulum(kp: float, kd: float, integrator: str = "Euler", timestep: float = 0.002) -> str:
+    """A rod upside down, on a servo."""
+    mass, length = 1.0, MOMENT / 9.81
+    return f"""
+      <mujoco><option timestep="{timestep}" integrator="{integrator}" gravity="0 0 -9.81"/>
+        <worldbody><body name="rod"><joint name="hinge" axis="0 1 0" armature="{INERTIA}"/>
+          <inertial pos="0 0 {length}" mass="{mass}" diaginertia="1e-9 1e-9 1e-9"/></body>
+        </worldbody>
+        <actuator><position joint="hinge" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
+
+
+def judged(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.Stability:
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    data.qpos[0] = off
+    return pa.step_stability(model, data, settle=settle)
+
+
+def exponents(kp: float, kd: float) -> np.ndarray:
+    """Of the pendulum in continuous time: I s^2 + kd s + kp - m g l = 0."""
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    return np.roots([inertia, kd, kp - MOMENT])
+
+
+def euler(kp: float, kd: float, step: float, implicit: bool) -> np.ndarray:
+    """Eigenvalues of v' = v + h a, x' = x + h v', with kd explicit or implicit."""
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    stiff, damp = (MOMENT - kp) / inertia, kd / inertia
+    if implicit:
+        scale = 1 / (1 + step * damp)
+        rows = [[1 + step**2 * stiff * scale, step * scale], [step * stiff * scale, scale]]
+    else:
+        left = 1 - step * damp
+        rows = [[1 + step**2 * stiff, step * left], [step * stiff, left]]
+    return np.linalg.eigvals(np.array(rows))
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast", "RK4"])
+def test_an_inverted_pendulum_buckles_at_its_rate(integrator: str) -> None:
+    """Kp below m g l: one real mode grows."""
+    kp, kd, step = 5.0, 0.4, 0.002
+    found = judged(pendulum(kp, kd, integrator, step))
+    (mode,) = found.unstable
+    if integrator == "RK4":
+        z = max(exponents(kp, kd)) * step
+        radius = float(sum(z**k / math.factorial(k) for k in range(5)))
+    else:
+        radius = float(max(abs(euler(kp, kd, step, integrator != "Euler"))))
+    assert found.radius == pytest.approx(radius, abs=1e-9)
+    assert mode.doubling_time == pytest.approx(math.log(2) * step / math.log(radius), rel=1e-5)
+    assert mode.doubling_time == pytest.approx(math.log(2) / max(exponents(kp, kd)), rel=2e-2)
+    assert mode.frequency == 0
+    assert not mode.shakes
+    assert mode.joints == ("hinge",)
+    assert found.slowest is not None
+    assert found.slowest.time_constant == pytest.approx(-1 / min(exponents(kp, kd)), rel=2e-2)
+    assert found.drifts == 0
+
+
+def test_a_servo_that_holds_it_has_the_damping_of_its_oscillator() -> None:
+    kp, kd, step = 80.0, 1.2, 1e-4
+    found = judged(pendulum(kp, kd, "implicitfast", step))
+    inertia = INERTIA + (MOMENT / 9.81) ** 2
+    natural = math.sqrt((kp - MOMENT) / inertia)
+    ratio = kd / (2 * inertia * natural)
+    assert found.stable
+    assert found.doubling_time is None
+    assert found.least_damped is not None
+    assert found.least_damped.damping_ratio == pytest.approx(ratio, rel=1e-2)
+    damped = natural * math.sqrt(1 - ratio**2) / (2 * math.pi)
+    assert found.least_damped.frequency == pytest.approx(damped, rel=1e-3)
+
+
+@pytest.mark.parametrize("kd", [0.0, 600.0])
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_a_servo_beyond_its_discrete_limit_shakes(kd: float, integrator: str) -> None:
+    """Every other step on the other side: at half the sampling frequency, with Euler's radius."""
+    step, kp = 0.02, 9000.0
+    values = euler(kp, kd, step, integrator != "Euler")
+    found = judged(pendulum(kp, kd, integrator, step), settle=0.5, off=1e-9)
+    assert found.radius == pytest.approx(max(abs(values)), rel=1e-6)
+    assert found.stable == (max(abs(values)) <= 1)
+    if not found.stable:
+        assert not found.settled  # it is judged where it begins: settling would throw it away
+        (mode,) = found.unstable
+        assert mode.shakes
+        assert mode.frequency == pytest.approx(1 / (2 * step))
+
+
+def test_what_swings_without_damping_neither_grows_nor_decays() -> None:
+    found = judged(pendulum(80.0, 0.0))
+    assert found.stable
+    assert found.least_damped is not None
+    assert found.least_damped.damping_ratio == pytest.approx(0, abs=1e-6)
+
+
+def test_own_differences_are_mujocos() -> None:
+    """For RK4, which ``mjd_transitionFD`` has not: of another integrator they are the same."""
+    from pupper_analysis.robot.transition import _differences
+
+    robot = load("v3")
+    model = copy.copy(robot.mj_model)
+    model.opt.tolerance = 1e-14
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, stand_of("v3").qpos)
+    mujoco.mj_step(model, data, 100)
+    own = transition(model, data)
+    assert _differences(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
+
+
+def test_what_still_sags_is_not_judged() -> None:
+    """On servos of which it sags by centimetres, v3 is half way down after half a second."""
+    from pupper_analysis.simulation.rollout import standing
+    from pupper_analysis.simulation.stability import judged_at
+
+    robot, stand = load("v3"), stand_of("v3")
+    held = standing(robot, stand, feedforward=False, kp=2.5, kd=0.4)
+    found = judged_at(held.drive, held.start, held.ctrl)
+    assert not found.at_rest
+    rest = pa.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
+    assert rest.at_rest
+    assert rest.lasts()
+
+
+def test_a_base_on_level_ground_drifts_in_three_ways(variant: str) -> None:
+    found = pa.stand_stability(load(variant), stand_of(variant))
+    assert found.drifts == 3
+    assert found.stable
+    assert found.lasts()
+    assert found.settled
+    assert found.speed < 1e-3
+
+
+def test_a_wheel_that_rolls_freely_is_drift() -> None:
+    wheels = "".join(
+        f'<body pos="{x} {y} 0"><joint axis="0 1 0"/><geom type="sphere" size=".1"/></body>'
+        for x in (-0.2, 0.2) for y in (-0.2, 0.2)
+    )  # fmt: skip
+    for integrator in ("Euler", "implicitfast"):
+        xml = f"""<mujoco><option integrator="{integrator}"/><worldbody>
+          <geom type="plane" size="5 5 .1"/><body pos="0 0 .1"><freejoint/>
+          <geom type="box" size=".2 .1 .05" pos="0 0 .05"/>{wheels}</body></worldbody></mujoco>"""
+        found = judged(xml, settle=1.0)
+        assert found.stable
+        assert found.drifts >= 4
+
+
+def test_dry_friction_hides_what_shakes_until_it_is_overcome() -> None:
+    """A servo far beyond Euler's limit rests on a joint that rubs, and is thrown off by a push."""
+    step, kp, kd = 0.02, 80.0, 100.0
+    rubbing = pendulum(kp, kd, "Euler", step).replace("armature", 'frictionloss="0.5" armature')
+    smooth = judged(pendulum(kp, kd, "Euler", step))
+    found = judged(rubbing)
+    (mode,) = found.unstable
+    assert mode.freed
+    assert mode.shakes
+    assert found.radius < 1
+    assert mode.growth == pytest.approx(smooth.radius - 1, rel=1e-6)
+    model = mujoco.MjModel.from_xml_string(rubbing)
+    for speed, stays in ((1e-4, True), (1.0, False)):
+        data = mujoco.MjData(model)
+        data.qvel[0] = speed
+        mujoco.mj_step(model, data, 10)
+        assert bool(abs(data.qvel[0]) < speed) is stays
+    np.testing.assert_array_equal(model.dof_frictionloss, 0.5)  # which is given back
+
+
+def test_a_solver_that_ends_early_makes_no_mode_grow() -> None:
+    """With its own tolerance it is off by 1e-5 in some states, one of a hundred."""
+    robot, stand = load("v3"), stand_of("v3")
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, pa.sunk_stand(robot, stand.task).qpos)
+    data.ctrl[:] = stand.joint_positions(robot)
+    tolerance = model.opt.tolerance
+    mujoco.mj_step(model, data, 1000)
+    for _ in range(20):
+        mujoco.mj_step(model, data, 50)
+        assert pa.step_stability(model, data, settle=0).stable
+    assert model.opt.tolerance == tolerance
+
+
+def test_what_a_stand_that_holds_is_told(variant: str) -> None:
+    """The nudge decays, and both judgements agree."""
+    found = pa.verify_stand(load(variant), pa.sunk_stand(load(variant)))
+    assert found.passed
+    assert found.nudge is not None
+    assert found.nudge.decayed
+    assert found.nudge.left < 1e-2 * found.nudge.speed
+    assert found.nudge.farthest < 1e-4
+    assert found.nudge.time + found.nudge.duration == pytest.approx(12.0)
+    assert found.stability.lasts()
+    assert found.stability.drifts == 3
+
+
+def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
+    """v3 on servos of which the damping is too much for Euler at 2 ms."""
+    robot, stand = load("v3"), stand_of("v3")
+    found = pa.verify_stand(robot, stand, kp=40.0, kd=4.0)
+    assert not found.passed
+    mode = found.stability.leaving()[0]
+    assert mode.shakes
+    assert set(mode.joints) <= set(robot.joint_names)
+    assert any("it shakes at 250 Hz" in str(reason) for reason in found.failures)
+    finer = pa.verify_stand(robot, stand, kp=40.0, kd=4.0, integrator="implicitfast")
+    assert finer.stability.lasts()
+
+
+@pytest.mark.parametrize(
+    ("examples", "nudges"),
+    [pytest.param(10, 2, marks=pytest.mark.slow), pytest.param(60, 20, marks=pytest.mark.longest)],
+)
+def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: int) -> None:
+    """Of random stands, payloads and gains; each judgement is taken at its word."""
+    module = benchmark("stability")
+    module.NUDGES = nudges
+    told = set()
+    for case in module.variants(examples):
+        found, _ = module.judged(case)
+        leaving = found.leaving() if found.at_rest else ()
+        if not found.at_rest:
+            continue
+        told.add(not leaving)
+        if not leaving:
+            assert module.seen(case, 12.0).word == "stays", case.name
+            continue
+        # Slow ones take longer than 12 s; what dry friction holds, a push beyond it sets free.
+        seen = module.tried(case, leaving)
+        assert seen.word != "stays", (case.name, leaving[0])
+    assert told == {True, False}
+
+
+def test_what_leaves_and_comes_back_has_left() -> None:
+    """A damped swing is furthest at v/w exp(-z acos(z) / sqrt(1 - z^2)), and forgotten at last."""
+    natural, damping, speed = 20.0, 0.3, 1.0
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.0005" gravity="0 0 0" integrator="RK4"/><worldbody><body>
+        <joint name="swing" stiffness="{natural**2}" damping="{2 * damping * natural}"/>
+        <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody></mujoco>"""
+    )
+    before = full_state(model, mujoco.MjData(model))
+    start = before.copy()
+    start[1 + model.nq] = speed
+    found = response(model, before, run(model, start, np.zeros((8000, 0))))
+    angle = math.acos(damping)
+    way = speed / natural * math.exp(-damping * angle / math.sin(angle))
+    assert found.farthest == pytest.approx(way, rel=1e-4)
+    assert found.farthest_time == pytest.approx(angle / (natural * math.sin(angle)), abs=1e-3)
+    assert found.farthest_joint == "swing"
+    assert found.decayed
+    assert found.moved < 1e-6
+    assert not found.stays
+    stability = pa.step_stability(model, mujoco.MjData(model))
+    (said,) = unstable(stability, found)
+    assert "swing is 0.03 rad from where it was, and comes back" in str(said)
+    assert not unstable(stability, replace(found, farthest=9e-3))
+
+
+def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:
+    """Differences half beyond the limit told a swing of neither: a mean of servo and stop.
+
+    Off the limit it is the servo's, sqrt(kp/I), which hardly decays.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><option gravity="0 0 0" timestep="0.001"/><compiler angle="radian"/><worldbody>'
+        '<body><joint name="j" axis="0 1 0" range="-1 0" limited="true" solreflimit="0.01 1"/>'
+        '<inertial pos="0 0 0" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>'
+        '<actuator><position joint="j" kp="1" kv="0.002"/></actuator></mujoco>'
+    )
+    swings = []
+    for place in (0.0, -0.1):
+        data = mujoco.MjData(model)
+        data.qpos[0] = data.ctrl[0] = place
+        mujoco.mj_forward(model, data)
+        least = pa.step_stability(model, data, settle=0.0).least_damped
+        assert least is not None
+        swings.append(least.frequency)
+    assert swings == pytest.approx([math.sqrt(1 / 0.01) / (2 * math.pi)] * 2, rel=1e-2)
+    assert model.jnt_range[0].tolist() == [-1.0, 0.0]

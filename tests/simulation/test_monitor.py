@@ -1,0 +1,125 @@
+"""What states say: fallen, touching, at rest; on states of which it is known."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.robot.fall import has_collapsed
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.rollout import full_state, run
+from tests.support.states import quaternion
+from tests.support.variants import load, stand_of
+
+NAME = "original"
+
+
+def state_at(
+    robot: Robot, model: mujoco.MjModel, qpos: np.ndarray, qvel: np.ndarray | None = None
+) -> np.ndarray:
+    data = mujoco.MjData(model)
+    robot.mj_convention.set_state(data, qpos, np.zeros(robot.nv) if qvel is None else qvel)
+    return full_state(model, data)
+
+
+def test_feet_in_the_air_on_the_ground_and_in_it() -> None:
+    robot, stand = load(NAME), stand_of(NAME)
+    drive = servos(robot)
+    watcher = monitor.Watcher(robot, drive.model)
+    ctrl = drive.command(robot, stand.joint_positions(robot))
+    above, in_ground = stand.qpos.copy(), stand.qpos.copy()
+    above[2] += 0.01
+    in_ground[2] -= 0.002
+    seen = watcher.look(state_at(robot, drive.model, above), ctrl)
+    assert seen.forces == {}
+    assert seen.bodies == set()
+    assert seen.idle(robot.feet) == list(robot.feet)
+    for foot, centre in watcher.foot_centres().items():
+        expected = stand.foot_targets[foot] + [0, 0, 0.01]
+        np.testing.assert_allclose(centre, expected, atol=1e-9)
+    seen = watcher.look(state_at(robot, drive.model, in_ground), ctrl)
+    assert set(seen.forces) == set(robot.feet)
+    assert seen.idle(robot.feet) == []
+    assert watcher.touching(state_at(robot, drive.model, in_ground)) == set()
+
+
+def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
+    robot = load(NAME)
+    drive = servos(robot)
+    qpos = robot.neutral()
+    qpos[2] = 0.02
+    qpos[3:7] = quaternion(np.array([math.pi, 0.0, 0.0]))
+    state = state_at(robot, drive.model, qpos)
+    watcher = monitor.Watcher(robot, drive.model)
+    assert "base_link" in watcher.touching(state)
+    assert watcher.look(state, np.zeros(robot.nu)).bodies == watcher.touching(state)
+    assert monitor.lean(robot, np.eye(3), state) == pytest.approx(math.pi)
+    assert "tilt 180 deg, height 0.020 m" in str(monitor.fall(math.pi, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("leaning", "height", "fallen"),
+    [(0.0, 0.15, False), (0.49, 0.15, False), (0.51, 0.15, True), (0.0, 0.074, True)],
+)
+def test_fallen_is_leaning_too_far_or_too_low(leaning: float, height: float, fallen: bool) -> None:
+    assert monitor.has_fallen(leaning, height, 0.15) is fallen
+
+
+def test_yaw_is_no_lean_and_a_turn_is() -> None:
+    robot = load(NAME)
+    qpos = robot.neutral()
+    for vector, lean in (((0, 0, 0.7), 0.0), ((0.3, 0, 0), 0.3), ((0, -0.2, 0), 0.2)):
+        qpos[3:7] = quaternion(np.array(vector, dtype=float))
+        state = state_at(robot, robot.mj_model, qpos)
+        assert monitor.lean(robot, np.eye(3), state) == pytest.approx(lean, abs=1e-7)
+        turn = float(np.linalg.norm(vector))
+        assert monitor.turned_by(robot, np.eye(3), state) == pytest.approx(turn, abs=1e-9)
+
+
+def test_the_speed_of_a_base_is_that_of_its_com_and_its_turn() -> None:
+    robot = load(NAME)
+    qvel = np.zeros(robot.nv)
+    qvel[:6] = 0.3, 0.0, -0.4, 0.0, 2.0, 0.0
+    states = [
+        state_at(robot, robot.mj_model, robot.neutral(), share * qvel) for share in (0.1, 1.0, 0.5)
+    ]
+    speed = monitor.base_speed(robot, robot.mj_model, np.array(states), 0.1)
+    assert speed == pytest.approx(0.5 + 0.1 * 2.0)
+
+
+def test_a_rollout_that_breaks_down_is_known() -> None:
+    robot, stand = load(NAME), stand_of(NAME)
+    drive = servos(robot)
+    timestep = float(drive.model.opt.timestep)
+    ctrl = np.tile(drive.command(robot, stand.joint_positions(robot)), (50, 1))
+    states = run(drive.model, state_at(robot, drive.model, stand.qpos), ctrl)
+    assert not monitor.diverged(states, timestep)
+    states[30:, 0] -= states[30, 0]  # MuJoCo resets the time
+    assert monitor.diverged(states, timestep)
+    states[30, 5] = np.nan
+    assert monitor.diverged(states, timestep)
+
+
+@pytest.mark.parametrize(
+    ("leaning", "end", "away", "collapsed"),
+    [
+        (0.0, 0.2, 0.0, False),
+        (0.45, 0.15, 0.19, False),
+        (0.0, 0.139, 0.0, True),  # it lies on its shanks
+        (0.0, 0.261, 0.0, True),  # it was thrown up
+        (0.0, 0.2, 0.21, True),  # it slid away, or gravity is sideways
+        (0.51, 0.2, 0.0, True),
+        (math.nan, 0.2, 0.0, True),
+        (0.0, math.nan, 0.0, True),
+        (0.0, 0.2, math.nan, True),
+    ],
+)
+def test_what_has_fallen_sunk_or_left_its_place_has_collapsed(
+    leaning: float, end: float, away: float, collapsed: bool
+) -> None:
+    assert has_collapsed(leaning, 0.2, end, away) is collapsed

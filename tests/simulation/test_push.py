@@ -1,0 +1,376 @@
+"""Pushes: against a plain simulation of our own, against mechanics, and against symmetry."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+import pupper_analysis as pa
+from pupper_analysis.report.figures.push import push_figure
+from pupper_analysis.report.figures.style import DPI
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation import push
+from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
+from pupper_analysis.simulation.push_bench import bench_of
+from pupper_analysis.simulation.rollout import place_on_ground
+from tests.support.engines import with_efforts
+from tests.support.legged import quadruped
+from tests.support.variants import load, stand_of
+
+COARSE = {"directions": 4, "duration": 3.0, "resolution": 0.05}
+
+
+@cache
+def pushed(name: str) -> PushRecovery:
+    return push_recovery(load(name), stand_of(name), **COARSE)  # type: ignore[arg-type]
+
+
+def changed(name: str, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
+    """A robot with another MuJoCo model."""
+    model = load(name).description.mjcf.copy().compile()
+    change(model)
+    return replace(load(name), mj_model=model)
+
+
+def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool:
+    """MuJoCo's own loop, and an opinion of our own whether the robot still stands on its feet."""
+    robot, stand = load(name), stand_of(name)
+    drive, model = servos(robot), robot.description.mjcf.copy().compile()
+    torques = pa.gravity_compensation(
+        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
+    data = mujoco.MjData(model)
+    start = place_on_ground(robot, drive, stand, torques)
+    mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    data.ctrl[:] = stand.qpos[7:] + torques / drive.kp
+    fell = False
+    while data.time < duration - model.opt.timestep / 2:
+        on = data.time < 0.02 - model.opt.timestep / 2
+        data.xfrc_applied[1, :2] = (
+            on * impulse / 0.02 * np.array([math.cos(angle), math.sin(angle)])
+        )
+        mujoco.mj_step(model, data)
+        for one, two in data.contact.geom:
+            pair = {model.geom(one).type[0], model.geom(two).type[0]}
+            fell |= pair not in ({mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_SPHERE},)
+    return not fell and data.xmat[1, 8] > 0.9 and float(np.abs(data.qvel[:6]).max()) < 0.05
+
+
+# ------------------------------------------------------------------------------------- limits
+
+
+@pytest.mark.longest
+def test_every_variant_has_limits_in_every_direction(variant: str) -> None:
+    robot, result = load(variant), pushed(variant)
+    np.testing.assert_allclose(result.directions, np.radians([0, 90, 180, 270]))
+    assert (result.impulses > 1.0).all()
+    assert (result.impulses < 6.0).all()
+    np.testing.assert_allclose(result.velocity_steps, result.impulses / robot.total_mass)
+    assert result.weakest_impulse == result.impulses.min()
+    assert result.weakest_direction == result.directions[np.argmin(result.impulses)]
+    assert result.weakest_failure == result.failures[int(np.argmin(result.impulses))]
+    assert all(result.failures)
+    assert (result.bisected >= result.impulses).all()
+    assert result.pulse == pytest.approx(0.02)
+    assert result.duration == pytest.approx(3.0)
+    assert result.rollouts > 4 * push.LEVELS
+    assert len(result.to_dict()["impulses"]) == 4
+
+
+@pytest.mark.slow
+def test_left_and_right_are_alike(variant: str) -> None:
+    """v3's rear feet are not quite: 90 and 91 mm from its middle."""
+    result = pushed(variant)
+    assert result.impulses[1] == pytest.approx(result.impulses[3], abs=0.06)
+    assert result.tipping_estimate[1] == pytest.approx(result.tipping_estimate[3], rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "index"), [("original", 0), ("original", 1), ("v3", 2)])
+def test_limit_in_a_plain_loop(name: str, index: int) -> None:
+    result = pushed(name)
+    angle, impulse = result.directions[index], result.impulses[index]
+    assert plain_push(name, angle, 0.0, 3.0)
+    assert plain_push(name, angle, 0.98 * impulse, 3.0)
+    assert not plain_push(name, angle, impulse + 1.02 * result.resolution, 3.0)
+
+
+@pytest.mark.longest
+def test_deterministic() -> None:
+    arguments: dict[str, Any] = {**COARSE, "directions": 3, "resolution": 0.2}
+    one, two = (push_recovery(load("v3"), stand_of("v3"), **arguments) for _ in range(2))
+    assert one.to_json() == two.to_json()
+
+
+def test_directions_turn_with_the_base() -> None:
+    """Forward is the base's, however it looks over its feet."""
+    robot = load("original")
+    stand = pa.solve_stand(robot, pa.StandTask(yaw=0.2))
+    result = push_recovery(robot, stand, **{**COARSE, "resolution": 0.3})  # type: ignore[arg-type]
+    config = pa.Configuration(robot, stand.qpos)
+    turned = np.radians([0, 90, 180, 270]) + 0.2
+    axes = np.column_stack([np.cos(turned), np.sin(turned)])
+    np.testing.assert_allclose(
+        result.tipping_estimate, tipping_impulses(config, result.point, axes), rtol=1e-9
+    )
+    assert (result.impulses > 1.0).all()
+
+
+# ------------------------------------------------------------------------------------- mechanics
+
+
+def rigid(friction: float) -> Callable[[mujoco.MjModel], None]:
+    def change(model: mujoco.MjModel) -> None:
+        model.geom_friction[:, 0] = friction
+        model.geom_condim[:] = 3  # no rolling friction
+
+    return change
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
+    """The limit goes to the closed form of a rigid body that rolls over two feet."""
+    result = push_recovery(
+        with_efforts(changed(name, rigid(friction=3.0)), 500),
+        stand_of(name),
+        kp=1000,
+        kd=10,
+        integrator="implicitfast",
+        **COARSE,  # type: ignore[arg-type]
+    )
+    np.testing.assert_allclose(result.impulses / result.tipping_estimate, 1.03, atol=0.05)
+
+
+@pytest.mark.slow
+def test_compliance_costs_what_stiffness_keeps() -> None:
+    """v3's soft servos fold up long before it would tip."""
+    soft = pushed("v3-long-leg")
+    assert (soft.impulses < 0.95 * soft.tipping_estimate).all()
+    stiff = push_recovery(
+        with_efforts(changed("v3-long-leg", rigid(friction=1.0)), 500),
+        stand_of("v3-long-leg"),
+        kp=60,
+        kd=1,
+        **COARSE,  # type: ignore[arg-type]
+    )
+    assert (stiff.impulses > 1.1 * soft.impulses).all()
+
+
+@pytest.mark.slow
+def test_slippery_floor_lets_it_slide_instead_of_tipping() -> None:
+    def ice(model: mujoco.MjModel) -> None:
+        model.geom_friction[:, 0] = 0.2
+
+    result = push_recovery(changed("original", ice), stand_of("original"), **COARSE)  # type: ignore[arg-type]
+    assert (result.impulses > 1.5 * pushed("original").impulses).all()
+
+
+def test_estimate_is_near_that_of_a_point_mass() -> None:
+    """The inverted pendulum's formula, by hand."""
+    robot, stand = load("heavy"), stand_of("heavy")
+    config = pa.Configuration(robot, stand.qpos)
+    com = config.center_of_mass()
+    estimate = tipping_impulses(config, com, np.array([[1.0, 0.0], [0.0, 1.0]]))
+    radius = robot.foot_radius["FL"]
+    front = stand.foot_targets["FL"][0] - com[0]
+    height = com[2] - radius
+    rise = math.hypot(height, front) - height
+    pendulum = robot.total_mass * math.sqrt(2 * 9.81 * rise)
+    # The inertia about the com, and the part of the push that the hinge takes, make it larger.
+    assert pendulum < estimate[0] < 1.35 * pendulum
+
+
+# ------------------------------------------------------------------------------------- failures
+
+
+def test_too_weak_motors_stand_no_push() -> None:
+    def weaken(model: mujoco.MjModel) -> None:
+        model.actuator_forcerange[:] = [-0.1, 0.1]
+
+    result = push_recovery(changed("v3", weaken), stand_of("v3"), **COARSE)  # type: ignore[arg-type]
+    assert (result.impulses == 0).all()
+    assert result.weakest_impulse == 0
+    assert result.weakest_failure.code == "without-a-push"
+    assert "touches the ground" in str(result.weakest_failure)
+    assert result.unpushed
+    assert result.rollouts == 0
+
+
+class Bench:
+    """A robot that survives what the test says."""
+
+    def __init__(self, survives: Callable[[int, float], bool]) -> None:
+        self.axes = np.zeros((2, 2))
+        self.survives = survives
+
+        self.unpushed = ()
+
+    def whole(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
+        return self.push(directions, impulses)
+
+    def push(self, directions: np.ndarray, impulses: np.ndarray) -> list[str | None]:
+        pairs = zip(directions, impulses, strict=True)
+        return [None if self.survives(*pair) else f"{pair[1]:.3f}" for pair in pairs]
+
+
+def test_smaller_push_that_fails_is_found() -> None:
+    """Direction 1 does not survive pushes between 2 and 4 N s, but larger ones again up to 9."""
+
+    def survives(direction: int, impulse: float) -> bool:
+        return impulse <= (5.0 if direction == 0 else 9.0) and not (
+            direction == 1 and 2.0 < impulse < 4.0
+        )
+
+    bench: Any = Bench(survives)
+    limits, bisected, failures = push._limits(bench, np.array([np.inf, 5.0]), 0.01)
+    np.testing.assert_allclose(bisected, [5.0, 9.0], atol=0.01)
+    np.testing.assert_allclose(limits, [5.0, 2.0], atol=0.01)
+    assert (limits <= [5.0, 2.0]).all()
+    assert [float(reason) for reason in failures] == pytest.approx([5.0, 2.0], abs=0.011)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"directions": 2}, "directions"),
+        ({"directions": 361}, "directions"),
+        ({"directions": 4.0}, "directions"),
+        ({"directions": True}, "directions"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": math.nan}, "resolution"),
+        ({"resolution": math.inf}, "resolution"),
+        ({"duration": 1.0}, "duration"),
+        ({"duration": math.nan}, "duration"),
+        ({"kp": 0}, "kp"),
+        ({"kd": -1}, "kd"),
+        ({"integrator": "magic"}, "integrator"),
+    ],
+)
+def test_bad_requests_are_refused(arguments: dict[str, Any], field: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field):
+        push_recovery(load("v3"), stand_of("v3"), **arguments)
+
+
+def test_fixed_base_is_refused() -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        push_recovery(load("v3", fixed_base=True), stand_of("v3"))
+
+
+# ------------------------------------------------------------------------------------- figure
+
+
+@pytest.mark.slow
+def test_figure(tmp_path: Path) -> None:
+    path = tmp_path / "push.png"
+    push_figure({name: pushed(name) for name in ("original", "v3")}, path, tipping="v3")
+    pixels = imread(path)
+    assert pixels.shape[1] == pytest.approx(178 / 25.4 * DPI, abs=1)
+    edges = (pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1])
+    assert all((edge[:, :3] == 1.0).all() for edge in edges)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_bad_figures_are_refused(tmp_path: Path) -> None:
+    result = pushed("original")
+    for results, tipping in (
+        ({}, None),
+        ({"a": result}, "b"),
+        ({str(number): result for number in range(8)}, None),
+    ):
+        with pytest.raises(pa.ConfigurationError):
+            push_figure(results, tmp_path / "push.png", tipping=tipping)
+    (tmp_path / "file").touch()
+    with pytest.raises(pa.OutputError):
+        push_figure({"a": result}, tmp_path / "file" / "push.png")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "task",
+    [
+        pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.02),
+        pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1, 0.0, {"RR": 0.01})),
+    ],
+)
+def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
+    """On three legs it tips early where the fourth is missing, which then catches it."""
+    robot = load("original")
+    stand = pa.sunk_stand(robot, task)
+    result = push_recovery(robot, stand, directions=8, resolution=0.1)
+    assert result.weakest_impulse > 0.2
+    if task.swing:
+        config = pa.Configuration(robot, stand.qpos)
+        axes = np.array([[1.0, 1.0]]) / math.sqrt(2)
+        point = np.asarray(result.point)
+        three, four = (
+            tipping_impulses(config, point, axes, feet) for feet in (stand.stance_feet, robot.feet)
+        )
+        assert three < four
+        assert result.impulses[1] > three
+
+
+def test_a_table_has_each_number_under_its_name() -> None:
+    rows = np.arange(15.0).reshape(3, 5)
+    names = ("direction", "impulse", "velocity_step", "tipping_estimate", "bisected")
+    values = dict(zip(names, rows.T, strict=True))
+    result = pa.PushRecovery(
+        feedforward=True, integrator="Euler", timestep=0.002, duration=6.0, kp=np.ones(1),
+        kd=np.ones(1), point=np.zeros(3), pulse=0.02, directions=values["direction"],
+        impulses=values["impulse"], velocity_steps=values["velocity_step"],
+        failures=("a", "b", "c"), bisected=values["bisected"],
+        tipping_estimate=values["tipping_estimate"], weakest_direction=0.1, weakest_impulse=0.2,
+        weakest_failure="a", mass=3.0, resolution=0.02, rollouts=7, unpushed=(),
+    )  # fmt: skip
+    frame = result.to_dataframe()
+    assert list(frame["failure"]) == ["a", "b", "c"]
+    for name in names[:4]:
+        np.testing.assert_array_equal(frame[name], values[name])
+    assert set(frame.columns) == {*names[:4], "failure"}
+
+
+# ------------------------------------------------------------------------------------- unpushed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
+def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
+    tmp_path: Path, kd: float, stands: bool
+) -> None:
+    """At 8 N m s/rad its servos shake, and throw it over in the second after a nudge at 5 s."""
+    robot = pa.load_robot(**quadruped(tmp_path, actuators="position", floor=True)._asdict())
+    stand = pa.sunk_stand(robot)
+    alone = pa.verify_stand(robot, stand, kp=150.0, kd=kd)
+    assert alone.passed == alone.stays == stands
+    found = push_recovery(robot, stand, kp=150.0, kd=kd, directions=3, duration=2.0, resolution=1.0)
+    trial = pa.push_trial(robot, stand, 0.01, kp=150.0, kd=kd, duration=2.0)
+    assert trial.recovered == stands
+    assert found.unpushed == alone.failures
+    assert (found.weakest_impulse > 0) == stands
+    if not stands:
+        assert found.weakest_failure.values["failures"] == alone.failures
+        assert trial.failure == found.weakest_failure
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
+def test_what_ends_early_ends_as_it_would(name: str) -> None:
+    """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""
+    robot, stand, found = load(name), stand_of(name), pushed(name)
+    bench = bench_of(
+        robot, stand, found.directions, duration=3.0, kp=None, kd=None, feedforward=True,
+        integrator=None,
+    )  # fmt: skip
+    tried = np.repeat(np.arange(4), 3)
+    impulses = (found.impulses[:, None] * [0.5, 1.0, 1.05]).ravel()
+    early, whole = bench.push(tried, impulses), bench.whole(tried, impulses)
+    assert [one is None for one in early] == [one is None for one in whole]
+    assert None in whole
+    assert any(whole)

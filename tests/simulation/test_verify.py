@@ -1,0 +1,601 @@
+"""Stands in simulation: against a plain simulation of our own, and against mechanics."""
+
+import copy
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.servos import INTEGRATORS, servos
+from pupper_analysis.simulation.causes import rattling
+from pupper_analysis.simulation.rollout import place_on_ground, run
+from tests.support.engines import addresses, changed, mujoco_at
+from tests.support.legged import quadruped
+from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
+
+GRAVITY = 9.81
+SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}
+
+
+@cache
+def verified(name: str, feedforward: bool = True) -> pa.StandVerification:
+    return pa.verify_stand(load(name), stand_of(name), feedforward=feedforward)
+
+
+def plain_run(
+    model: mujoco.MjModel, qpos: np.ndarray, ctrl: np.ndarray, duration: float
+) -> mujoco.MjData:
+    """MuJoCo's own loop."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    data.ctrl[:] = ctrl
+    mujoco.mj_step(model, data, round(duration / model.opt.timestep))
+    mujoco.mj_forward(model, data)
+    return data
+
+
+# ------------------------------------------------------------------------------------- verified
+
+
+def test_stand_is_verified(variant: str) -> None:
+    result = verified(variant)
+    assert result.passed, result.failures
+    assert result.failures == ()
+    assert result.feedforward
+    assert result.joint_error < 1e-3
+    assert result.torque_error < 1e-2
+    assert result.force_error < 1e-2
+    assert result.height_deviation < 5e-5
+    assert result.mujoco_foot_error < 1e-9
+    assert result.mujoco_residual < 1e-9
+    assert result.tilt < 1e-3
+    assert max(result.foot_slip.values()) < 1e-3
+
+
+def test_verification_says_how_it_was_done(variant: str) -> None:
+    robot, result = load(variant), verified(variant)
+    kp, kd = SERVOS[pa.VARIANTS[variant].base]
+    np.testing.assert_array_equal(result.kp, np.full(12, kp))
+    np.testing.assert_array_equal(result.kd, np.full(12, kd))
+    assert result.integrator == ("Euler" if variant.startswith("v3") else "implicitfast")
+    assert result.timestep == robot.mj_model.opt.timestep
+    assert result.duration == pytest.approx(12.0)
+    assert result.time.shape == result.height.shape
+    assert (np.diff(result.time) > 0).all()
+    assert result.height[-1] == pytest.approx(result.base_height, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_feet_carry_the_weight(variant: str) -> None:
+    for feedforward in (True, False):
+        result = verified(variant, feedforward)
+        total = sum(result.foot_forces.values(), np.zeros(3))
+        weight = load(variant).total_mass * GRAVITY
+        np.testing.assert_allclose(total, [0, 0, weight], atol=2e-3 * weight)
+
+
+def test_prediction_is_the_even_balance(variant: str) -> None:
+    config = pa.Configuration(load(variant), stand_of(variant).qpos)
+    expected = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    result = verified(variant)
+    np.testing.assert_array_equal(result.predicted_torques, expected.joint_torques)
+    gap = np.abs(result.joint_torques - expected.joint_torques).max()
+    assert result.torque_error == pytest.approx(gap / np.abs(expected.joint_torques).max())
+    for foot, force in expected.contact_forces.items():
+        np.testing.assert_array_equal(result.predicted_forces[foot], force)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+@pytest.mark.parametrize("feedforward", [True, False])
+def test_settles_where_a_plain_simulation_does(name: str, feedforward: bool) -> None:
+    """From a drop of 3 mm instead of a start in balance, and read off MuJoCo directly."""
+    robot, stand, result = load(name), stand_of(name), verified(name, feedforward)
+    kp = SERVOS["v3" if name == "v3" else "skeleton"][0]
+    model = robot.description.mjcf.copy().compile()
+    boost = result.predicted_torques / kp if feedforward else 0.0
+    data = plain_run(model, stand.qpos + 3e-3 * np.eye(19)[2], stand.qpos[7:] + boost, 5.0)
+    # The joints' dry friction lets a joint rest anywhere within its 0.01 or 0.002 N m / kp.
+    assert data.qpos[2] == pytest.approx(result.base_height, abs=3e-4)
+    sunk = -float(np.mean(data.contact.dist))
+    assert data.ncon == 4
+    assert result.contact_sag == pytest.approx(sunk, rel=0.03)
+    assert result.servo_sag == pytest.approx(stand.qpos[2] - data.qpos[2] - sunk, abs=3e-4)
+
+
+# ------------------------------------------------------------------------------------- sag
+
+
+def height_on(feet: np.ndarray) -> float:
+    """Distance of the base from the plane through the feet's centres (n, 3), in base axes."""
+    plane = np.linalg.lstsq(np.c_[np.ones(len(feet)), feet[:, :2]], feet[:, 2], rcond=None)[0]
+    return float(-plane[0] / math.hypot(1, *plane[1:]))
+
+
+def test_sag_is_explained(variant: str) -> None:
+    """A servo gives way by tau / kp; on legs so bent the base is so much lower."""
+    robot, stand, result = load(variant), stand_of(variant), verified(variant, False)
+    assert not result.feedforward
+    assert result.height_loss == pytest.approx(stand.qpos[2] - result.base_height, abs=1e-12)
+    assert result.servo_sag + result.contact_sag == pytest.approx(result.height_loss, abs=1e-12)
+    assert result.servo_sag > 0
+    assert result.contact_sag > 0
+    sunk = np.concatenate([robot.neutral()[:7], stand.qpos[7:] - result.joint_torques / result.kp])
+    assert result.joint_error == pytest.approx(
+        np.abs(sunk - stand.qpos)[7:].max(), rel=0.02, abs=1e-6
+    )
+    feet = pa.Configuration(robot, sunk).foot_positions()
+    lower = stand.qpos[2] - (height_on(np.array(list(feet.values()))) + robot.foot_radius["FR"])
+    assert result.servo_sag == pytest.approx(lower, rel=0.03)
+
+
+def test_what_holds_for_5_s_holds_for_10(variant: str) -> None:
+    """A stand that still sinks has not settled, and must not pass."""
+    later = pa.verify_stand(load(variant), stand_of(variant), feedforward=False, duration=10.0)
+    if verified(variant, False).passed:
+        assert later.passed, later.failures
+
+
+@pytest.mark.parametrize("name", SKELETON_NAMES)
+def test_small_sag_is_predicted_from_the_urdf_alone(name: str) -> None:
+    """Virtual work: weight x sag = sum of tau^2 / kp, with Pinocchio's torques."""
+    config = pa.Configuration(load(name), stand_of(name).qpos)
+    torques = pa.gravity_compensation(
+        config, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
+    hanging = pa.gravity_compensation(config, []).joint_torques
+    # The legs' own weight does not come down with the base: only what the feet hold up does.
+    lever = (torques - hanging) / (config.robot.total_mass * GRAVITY)
+    assert verified(name, False).servo_sag == pytest.approx(-lever @ -torques / 60.0, rel=0.05)
+
+
+def test_feedforward_takes_the_servos_sag_away(variant: str) -> None:
+    with_it, without = verified(variant), verified(variant, False)
+    assert abs(with_it.servo_sag) < 0.02 * without.servo_sag
+    assert with_it.contact_sag == pytest.approx(without.contact_sag, rel=0.15)
+
+
+@pytest.mark.parametrize(("name", "gains"), [("v3", (5, 10, 20, 40)), ("original", (30, 60, 120))])
+def test_stiffer_servos_sag_less(name: str, gains: tuple[float, ...]) -> None:
+    results = [
+        pa.verify_stand(
+            load(name), stand_of(name), feedforward=False, kp=kp, integrator="implicitfast"
+        )
+        for kp in gains
+    ]
+    for kp, result in zip(gains, results, strict=True):
+        np.testing.assert_array_equal(result.kp, np.full(12, kp))
+    sags = [result.servo_sag for result in results]
+    assert sags == sorted(sags, reverse=True)
+    stiff = [kp * sag for kp, sag in zip(gains, sags, strict=True)][-2:]
+    assert stiff[0] == pytest.approx(stiff[1], rel=0.2)  # nearly in inverse proportion
+
+
+def test_gains_per_joint() -> None:
+    kp = np.linspace(40, 95, 12)
+    result = pa.verify_stand(load("original"), stand_of("original"), kp=kp, kd=np.full(12, 2.0))
+    np.testing.assert_array_equal(result.kp, kp)
+    np.testing.assert_array_equal(result.kd, np.full(12, 2.0))
+    assert result.passed, result.failures
+    assert result.joint_error < 1e-5
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_integrator_is_selected_reported_and_does_not_move_the_balance(integrator: str) -> None:
+    result = pa.verify_stand(load("v3"), stand_of("v3"), integrator=integrator)
+    assert result.integrator == integrator
+    assert result.passed, result.failures
+    assert result.base_height == pytest.approx(verified("v3").base_height, abs=1e-4)
+    drive = servos(load("v3"), integrator=integrator)
+    assert mujoco.mjtIntegrator(drive.model.opt.integrator).name == f"mjINT_{integrator.upper()}"
+
+
+def test_the_robots_own_model_stays_as_it_is() -> None:
+    robot = load("v3")
+    before = robot.mj_model.actuator_gainprm.copy()
+    pa.verify_stand(robot, stand_of("v3"), kp=50, kd=1, integrator="RK4", duration=2.0)
+    np.testing.assert_array_equal(robot.mj_model.actuator_gainprm, before)
+    assert robot.mj_model.opt.integrator == mujoco.mjtIntegrator.mjINT_EULER.value
+
+
+# ------------------------------------------------------------------------------------- servos
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_servo_law_with_given_gains(name: str) -> None:
+    robot = load(name)
+    random = np.random.default_rng(0)
+    kp, kd = random.uniform(1, 9, 12), random.uniform(0.1, 1, 12)
+    drive = servos(robot, kp, kd)
+    qpos, rates = stand_of(name).qpos, random.uniform(-1, 1, 12)
+    wanted, torque = random.uniform(-0.2, 0.2, 12), random.uniform(-0.5, 0.5, 12)
+    data = mujoco_at(robot, qpos, np.r_[np.zeros(6), rates], drive.model)
+    data.ctrl[:] = drive.command(robot, qpos[7:] + wanted, torque)
+    mujoco.mj_forward(drive.model, data)
+    np.testing.assert_allclose(
+        data.qfrc_actuator[6:], kp * wanted + torque - kd * rates, atol=1e-12
+    )
+
+
+def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
+    drive = servos(robot)
+    prediction = pa.gravity_compensation(
+        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    )
+    ctrl = drive.command(robot, stand.joint_positions(robot), prediction.joint_torques)
+    state = place_on_ground(robot, drive, stand, prediction.joint_torques)
+    data = mujoco.MjData(drive.model)
+    mujoco.mj_setState(drive.model, data, state, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    data.ctrl[:] = ctrl
+    mujoco.mj_forward(drive.model, data)
+    weight = drive.model.body_subtreemass[0] * 9.81
+    assert data.qfrc_constraint[2] == pytest.approx(weight, rel=1e-6)
+    assert 0 < stand.qpos[2] - data.qpos[2] < 0.02
+    np.testing.assert_array_equal(data.qpos[3:], stand.qpos[3:])
+
+
+# ------------------------------------------------------------------------------------- failures
+
+
+def test_servos_too_weak_to_stand() -> None:
+    """It goes down on its thighs, level, and quite steady."""
+    result = pa.verify_stand(
+        load("v3-heavy"), stand_of("v3-heavy"), feedforward=False, kp=0.5, kd=0.1
+    )
+    assert not result.passed
+    assert any(
+        str(reason).startswith("leg_front_r_2 touches the ground") for reason in result.failures
+    )
+    assert result.base_height < 0.6 * stand_of("v3-heavy").qpos[2]
+
+
+def test_fall_is_told() -> None:
+    """Upside down to start with: on its back it stays."""
+    stand = stand_of("original")
+    qpos = stand.qpos.copy()
+    qpos[3:7] = 0, 1, 0, 0
+    config = pa.Configuration(load("original"), qpos)
+    assert config.base_rotation()[2, 2] == pytest.approx(-1)
+    task = replace(stand.task, roll=0.0)
+    result = pa.verify_stand(
+        load("original"), replace(stand, qpos=qpos, task=task), feedforward=False
+    )
+    assert not result.passed
+    assert str(result.failures[0]).startswith("it fell over: tilt 180 deg")
+    assert any(str(reason).startswith("base_link touches the ground") for reason in result.failures)
+
+
+def bent(name: str, leg: str, joint: int, angle: float) -> pa.Stand:
+    """The stand with one joint of one leg bent."""
+    stand = stand_of(name)
+    qpos = stand.qpos.copy()
+    qpos[7 + 3 * load(name).feet.index(leg) + joint] += angle
+    return replace(stand, qpos=qpos)
+
+
+def test_the_motion_is_that_of_the_height_and_ends_at_rest() -> None:
+    robot, stand = load("original"), stand_of("original")
+    report = pa.verify_stand(robot, stand, duration=2.0, nudged=0)
+    assert report.motion.shape == (len(report.motion_time), robot.nq)
+    assert np.diff(report.motion_time) == pytest.approx(0.1)
+    at = np.searchsorted(report.time, report.motion_time - 1e-9)
+    assert report.time[at] == pytest.approx(report.motion_time)
+    assert report.motion[:, 2] == pytest.approx(report.height[at], abs=1e-6)
+    assert np.linalg.norm(report.motion[:, 3:7], axis=1) == pytest.approx(1.0)
+    assert report.motion[-1, 7:] == pytest.approx(stand.qpos[7:], abs=report.joint_error + 1e-6)
+
+
+def test_lifted_foot_is_named() -> None:
+    """A knee drawn up: the statics take four feet, the simulation finds three."""
+    result = pa.verify_stand(load("original"), bent("original", "FL", 2, -0.6))
+    assert not result.passed
+    assert any(str(reason).startswith("foot FL carries nothing") for reason in result.failures)
+    assert result.force_error > 0.5
+    assert result.mujoco_foot_error > 0.01
+
+
+def test_joint_off_its_place_is_told() -> None:
+    """Motors that cannot give the torque: the joints are off, and it says so."""
+    robot, stand = load("v3"), stand_of("v3")
+    weak = replace(robot, mj_model=robot.description.mjcf.copy().compile())
+    weak.mj_model.actuator_forcerange[:] = [-0.3, 0.3]
+    result = pa.verify_stand(weak, stand)
+    assert not result.passed
+    assert any(one.code == "joint-off" for one in result.failures)
+    assert any(one.code == "motor-torque-off" for one in result.failures)
+    assert np.abs(result.joint_torques).max() <= 0.3 + 1e-9
+
+
+def test_stand_whose_com_is_outside_is_refused() -> None:
+    stand = stand_of("original")
+    qpos = load("original").neutral()
+    qpos[8::3] = 1.2
+    with pytest.raises(pa.StaticsInfeasibleError):
+        pa.verify_stand(load("original"), replace(stand, qpos=qpos))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"kp": 0}, "kp"),
+        ({"kp": -1}, "kp"),
+        ({"kp": math.nan}, "kp"),
+        ({"kp": "stiff"}, "kp"),
+        ({"kp": [1, 2]}, "kp"),
+        ({"kd": -0.1}, "kd"),
+        ({"kd": math.inf}, "kd"),
+        ({"integrator": "euler"}, "integrator"),
+        ({"duration": 1.0}, "duration"),
+        ({"duration": math.nan}, "duration"),
+        ({"duration": 1e9}, "duration"),
+    ],
+)
+def test_bad_requests_are_refused(arguments: dict[str, object], field: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field):
+        pa.verify_stand(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
+
+
+def test_fixed_base_and_foreign_stands_are_refused(tiny: pa.Robot) -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        pa.verify_stand(load("v3", fixed_base=True), stand_of("v3"))
+    with pytest.raises(pa.ConfigurationError, match="solve it for tiny"):
+        pa.verify_stand(tiny, stand_of("v3"))
+
+
+def test_joint_without_motor_is_named(tiny: pa.Robot) -> None:
+    with pytest.raises(pa.ModelError, match="'turn' has no actuator"):
+        servos(tiny)
+
+
+# ------------------------------------------------------------------------------------- sweep
+
+
+@cache
+def sweep(name: str, amplitude: float = 2.0) -> pa.GainSweep:
+    kp, kd = (10.0, 30.0, 60.0, 120.0), (0.5, 1.0, 2.0, 5.0)
+    return pa.sweep_gains(load(name), stand_of(name), kp=kp, kd=kd, amplitude=amplitude)
+
+
+def test_sweep_covers_its_grid() -> None:
+    result = sweep("original")
+    np.testing.assert_array_equal(result.kp, [10, 30, 60, 120])
+    np.testing.assert_array_equal(result.kd, [0.5, 1, 2, 5])
+    assert result.height_deviation.shape == result.fell.shape == (4, 4)
+    assert not result.fell.any()
+    assert np.isfinite(result.height_deviation).all()
+    assert (result.amplitude, result.frequency, result.duration) == (2.0, 1.2, pytest.approx(4.0))
+    assert result.integrator == "implicitfast"
+    assert result.doubling_time.shape == result.damping_ratio.shape == (4, 4)
+
+
+def test_each_cell_of_a_sweep_tells_how_stable_its_gains_are() -> None:
+    """As ``stand_stability`` does of them; what is stiff and hardly damped swings longest."""
+    robot, stand = load("original"), stand_of("original")
+    result = pa.sweep_gains(robot, stand, kp=[1.5, 20.0], kd=[0.2, 0.5], duration=2.0)
+    for row, column in np.ndindex(2, 2):
+        gains = {"kp": float(result.kp[row]), "kd": float(result.kd[column])}
+        if not row:  # too soft: there is no rest to be judged
+            assert np.isnan(result.doubling_time[row, column])
+            assert np.isnan(result.damping_ratio[row, column])
+            continue
+        found = pa.stand_stability(
+            robot, stand, feedforward=False, integrator="implicitfast", **gains
+        )
+        assert result.doubling_time[row, column] == (found.doubling_time or np.inf)
+        assert found.least_damped is not None
+        ratio = found.least_damped.damping_ratio
+        assert result.damping_ratio[row, column] == pytest.approx(ratio, rel=1e-3)
+    assert result.damping_ratio[1, 0] < 0.5 * result.damping_ratio[1, 1]  # by kd, at the same kp
+    assert result.lasts.tolist() == [[False, False], [True, True]]
+
+
+def test_damping_has_no_part_in_how_fast_soft_servos_buckle() -> None:
+    """Within 3 % of the least stiffness: before, each kd was judged half way down."""
+    robot, stand = load("v3"), stand_of("v3")
+    assert 2.4 < pa.minimum_stiffness(robot, stand) < 2.5
+    found = pa.sweep_gains(robot, stand, kp=[2.0, 2.5], kd=[0.025, 0.1, 0.4], duration=2.0)
+    soft, near = found.doubling_time
+    assert np.isnan(soft).all()
+    assert (near > 12.0).all()
+    np.testing.assert_allclose(near, near[0], rtol=0.05)
+    assert found.lasts.tolist() == [[False] * 3, [True] * 3]
+
+
+@pytest.mark.slow
+def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    result = pa.sweep_gains(robot, stand)
+    np.testing.assert_allclose(result.kp, [1.25, 2.5, 5, 10, 20])
+    assert 0.1 in result.kd  # the model's own
+    given = pa.sweep_gains(robot, stand, kp=result.kp.tolist(), kd=result.kd.tolist())
+    np.testing.assert_allclose(given.height_deviation, result.height_deviation, rtol=1e-12)
+    alone = pa.sweep_gains(robot, stand, kp=[5.0], kd=[0.1])
+    row, column = result.kp.tolist().index(5.0), result.kd.tolist().index(0.1)
+    assert alone.height_deviation[0, 0] == pytest.approx(
+        result.height_deviation[row, column], rel=1e-9
+    )
+
+
+def test_stiffer_is_steadier() -> None:
+    """Well below resonance, the response to a force is the force over the stiffness."""
+    deviation = sweep("original").height_deviation
+    assert (np.diff(deviation, axis=0)[:, :3] < 0).all()  # kd = 5 holds it by itself
+
+
+def test_response_is_proportional_to_the_disturbance() -> None:
+    one, two = sweep("original").height_deviation, sweep("original", 4.0).height_deviation
+    np.testing.assert_allclose(two / one, 2.0, rtol=0.1)
+    still = pa.sweep_gains(load("original"), stand_of("original"), kp=[60], kd=[2], amplitude=0.0)
+    assert still.height_deviation[0, 0] < 0.05 * one[2, 2]
+
+
+@pytest.mark.parametrize(("name", "kp", "kd"), [("original", 30.0, 0.5), ("v3", 10.0, 0.5)])
+def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> None:
+    """One cell again: gains by hand, the force by hand, one step at a time."""
+    robot, stand = load(name), stand_of(name)
+    cells = pa.sweep_gains(robot, stand, kp=[5.0, kp], kd=[0.3, kd], amplitude=3.0, frequency=1.5)
+    model = robot.description.mjcf.copy().compile()
+    model.actuator_gainprm[:, 0] = kp
+    model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2] = -kp, -kd
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
+    data = mujoco.MjData(model)
+    torques = pa.gravity_compensation(
+        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).joint_torques
+    start = place_on_ground(robot, servos(robot, kp, kd, "implicitfast"), stand, torques)
+    mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+    data.ctrl[:] = stand.qpos[7:]
+    heights = []
+    while data.time < 4.0 - model.opt.timestep / 2:
+        data.xfrc_applied[1, 2] = 3.0 * math.sin(2 * math.pi * 1.5 * data.time)
+        mujoco.mj_step(model, data)
+        heights.append(data.qpos[2])
+    deviation = np.std(heights[-round(1 / model.opt.timestep) :])
+    assert cells.height_deviation[1, 1] == pytest.approx(deviation, rel=1e-6)
+
+
+def test_sweep_and_verification_are_deterministic() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    one, two = (pa.sweep_gains(robot, stand, kp=[5, 9], kd=[0.2], duration=2.0) for _ in range(2))
+    np.testing.assert_array_equal(one.height_deviation, two.height_deviation)
+    again = pa.verify_stand(robot, stand)
+    np.testing.assert_array_equal(again.joint_torques, verified("v3").joint_torques)
+    np.testing.assert_array_equal(again.height, verified("v3").height)
+
+
+def test_sweep_knows_a_robot_that_lies_on_the_ground() -> None:
+    """On its thighs it lies steadier than it stands, but that is no stand."""
+    arguments = {"kp": [0.3, 20], "kd": [0.5]}
+    result = pa.sweep_gains(load("v3-heavy"), stand_of("v3-heavy"), **arguments)
+    np.testing.assert_array_equal(result.fell, [[True], [False]])
+    assert result.height_deviation[0, 0] == math.inf
+
+
+def test_sweep_tells_where_the_robot_falls() -> None:
+    """Thrown over by a force of ten times its weight, whatever the gains."""
+    result = pa.sweep_gains(
+        load("original"), stand_of("original"), kp=[10, 60], kd=[0.5], amplitude=300, frequency=0.4
+    )
+    assert result.fell.all()
+    assert np.isinf(result.height_deviation).all()
+    assert result.lasts.all()  # undisturbed
+    assert result.to_dict()["height_deviation"] == [[None], [None]]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "field"),
+    [
+        ({"kp": []}, "kp"),
+        ({"kd": []}, "kd"),
+        ({"kp": [0.0]}, "kp"),
+        ({"kd": [-1.0]}, "kd"),
+        ({"amplitude": math.nan}, "amplitude"),
+        ({"frequency": math.inf}, "frequency"),
+        ({"duration": 0.5}, "duration"),
+        ({"integrator": "magic"}, "integrator"),
+    ],
+)
+def test_bad_sweeps_are_refused(arguments: dict[str, object], field: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field):
+        pa.sweep_gains(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
+
+
+def test_every_variant_has_gains_that_hold() -> None:
+    for name in NAMES:
+        result = pa.sweep_gains(load(name), stand_of(name), kp=[30], kd=[1], duration=2.0)
+        assert not result.fell.any()
+        assert result.height_deviation[0, 0] < 5e-3
+
+
+def test_addresses_are_the_public_order() -> None:
+    """The shipped models' qpos is the public one, which the plain loops above use."""
+    for name in NAMES:
+        q, v = addresses(load(name))
+        np.testing.assert_array_equal(q, np.arange(19))
+        np.testing.assert_array_equal(v, np.arange(18))
+
+
+def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> None:
+    """All load is taken off RR here; soft ground, which tilts, gives it some back."""
+    robot = load("v3")
+    report = pa.verify_stand(robot, pa.solve_stand(robot, pa.StandTask(com=(0.037, 0.045))))
+    assert report.predicted_forces["RR"][2] == pytest.approx(0, abs=1e-4)
+    weight = robot.total_mass * GRAVITY
+    assert report.force_error == pytest.approx(
+        report.foot_forces["RR"][2] / (0.05 * weight), rel=1e-3
+    )
+    assert not report.passed
+
+
+@pytest.mark.slow
+def test_servos_too_stiff_for_the_time_step_are_said_with_one_that_does() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    report = pa.verify_stand(robot, stand, kp=5.0, kd=25.0, integrator="Euler")
+    assert not report.passed
+    said = next(reason for reason in report.failures if reason.code == "servos-too-stiff")
+    assert said.values["explicit"]
+    assert "implicitfast" in str(said)
+    step = said.values["stable"].value
+    model = copy.copy(robot.mj_model)
+    model.opt.timestep = 0.95 * step
+    finer = replace(robot, mj_model=model)
+    again = pa.verify_stand(finer, stand, kp=5.0, kd=25.0, integrator="Euler")
+    assert not any(one.code == "servos-too-stiff" for one in again.failures)
+    held = pa.verify_stand(
+        robot, stand, kp=5.0, kd=25.0, integrator="implicitfast", duration=8.0, nudged=0
+    )
+    assert not any(one.code == "servos-too-stiff" for one in held.failures)
+
+
+@pytest.mark.parametrize("act", ["verify", "sweep"])
+def test_what_diverges_is_said_and_leaves_no_log(
+    act: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """MuJoCo warns on the terminal, and in a file MUJOCO_LOG.TXT that nobody has asked for."""
+    monkeypatch.chdir(tmp_path)
+
+    def stiff(model: mujoco.MjModel) -> None:
+        model.opt.integrator, model.opt.timestep = mujoco.mjtIntegrator.mjINT_EULER, 0.02
+        model.actuator_gainprm[:, 0] *= 1e9
+        model.actuator_biasprm[:, 1] *= 1e9
+
+    robot = changed(load("original"), stiff)
+    stand = pa.solve_stand(robot)
+    if act == "verify":
+        assert pa.verify_stand(robot, stand).failures[0].code == "simulation-diverged"
+    else:
+        swept = pa.sweep_gains(robot, stand, kp=[1e9], kd=[0.0], duration=2.0, integrator="Euler")
+        assert swept.fell.all()
+    assert not [*tmp_path.iterdir()]
+    assert "WARNING" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        ('<option impratio="10"/>', 'impratio of 10 is meant for cone="elliptic"'),
+        ('<option impratio="10" cone="elliptic"/>', "a longer solref"),
+        ("", "a longer solref"),
+    ],
+)
+def test_ground_that_pushes_by_jolts_is_told(option: str, says: str, tmp_path: Path) -> None:
+    """As under a Booster K1 on a slope, whose foot forces were off by 1.3 %, at any gains."""
+    pair = quadruped(tmp_path, actuators="position")
+    text = pair.mjcf.read_text()
+    pair.mjcf.write_text(text.replace("<worldbody>", f"{option}<worldbody>", 1))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    stand = pa.sunk_stand(robot)
+    drive = servos(robot)
+    ctrl = drive.command(robot, stand.joint_positions(robot), None)
+    start = place_on_ground(robot, drive, stand, pa.stand_statics(robot, stand).joint_torques)
+    states = run(drive.model, start, np.tile(ctrl, (200, 1)))
+    assert rattling(robot, drive, states, ctrl) == []
+    states = np.tile(states[-1], (200, 1))
+    states[::2, 3] += 2e-3  # the base's height, every other step
+    (message,) = rattling(robot, drive, states, ctrl)
+    assert message.code == "contacts-rattle"
+    assert says in str(message)

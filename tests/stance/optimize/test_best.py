@@ -1,0 +1,254 @@
+"""The best stance: better than the nominal one, than its neighbours, and one that holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+import pupper_analysis as pa
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.simulation.payload import payload_trial
+from pupper_analysis.stance.optimize import search
+from pupper_analysis.stance.optimize.best import best_stance
+from pupper_analysis.stance.optimize.search import Objective, StanceSearch, Subspace
+from pupper_analysis.stance.optimize.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
+from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.stand import stand_statics
+from tests.support.engines import with_efforts
+from tests.support.variants import load
+
+EVEN = pa.ForceDistribution.MIN_TANGENTIAL
+
+
+@pytest.fixture
+def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A shorter search, where what is tested is not how good the best is."""
+    monkeypatch.setattr(search, "_SAMPLES", 8)
+    monkeypatch.setattr(search, "_STARTS", 1)
+
+
+def utilisation(robot: pa.Robot, stand: pa.Stand) -> float:
+    return float(stand_statics(robot, stand, distribution=EVEN).motor_utilisation.max())
+
+
+def com_margin(robot: pa.Robot, stand: pa.Stand) -> float:
+    margin = stand_statics(robot, stand, distribution=EVEN).com_margin
+    assert margin is not None
+    return margin
+
+
+def bent(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
+    """The least singular value of each leg's Jacobian."""
+    values = []
+    for jacobian in pa.Configuration(robot, stand.qpos).foot_jacobians().values():
+        columns = jacobian[:, 6:]
+        values.append(np.sqrt(max(0.0, np.linalg.eigvalsh(columns @ columns.T)[0])))
+    return np.array(values)
+
+
+def neighbours(robot: pa.Robot, found: pa.BestStance, count: int) -> list[pa.Stand]:
+    """Stands near the best one, in all coordinates, that the search may take."""
+    space, random = StanceSpace(robot, found.nominal.task), np.random.default_rng(3)
+    at = np.array(list(found.coordinates.values()))
+    low = np.array([interval.low for interval in found.bounds.values()])
+    high = np.array([interval.high for interval in found.bounds.values()])
+    stands = []
+    for scale in np.geomspace(1e-3, 0.2, count):
+        step = scale * (high - low) * random.standard_normal(len(at))
+        task = space.task(np.clip(at + step * (random.random(len(at)) < 0.4), low, high))
+        try:
+            stand = pa.solve_stand(robot, task, explain=False)
+        except pa.StanceUnreachableError:
+            continue
+        if (bent(robot, stand) >= LEAST_SINGULAR_VALUE * bent(robot, found.nominal)).all():
+            stands.append(stand)
+    return stands
+
+
+def check_kept(robot: pa.Robot, found: pa.BestStance) -> None:
+    """It is a stance of the space: in reach, inside all bounds, balanced."""
+    assert found.stand.foot_error < 1e-9
+    joints = found.stand.joint_positions(robot)
+    assert (joints >= robot.lower_limits - 1e-9).all()
+    assert (joints <= robot.upper_limits + 1e-9).all()
+    for name, interval in found.bounds.items():
+        assert interval.low - 1e-12 <= found.coordinates[name] <= interval.high + 1e-12
+    least = LEAST_SINGULAR_VALUE * bent(robot, found.nominal)
+    assert (bent(robot, found.stand) >= least * (1 - 1e-9)).all()
+    statics = stand_statics(robot, found.stand, distribution=EVEN)
+    assert statics.residual_force < 1e-9
+    assert com_margin(robot, found.stand) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_least_utilisation(name: str) -> None:
+    robot, found = load(name), best_stance(load(name))
+    check_kept(robot, found)
+    assert found.value == pytest.approx(utilisation(robot, found.stand), rel=1e-9)
+    assert found.nominal_value == pytest.approx(utilisation(robot, pa.solve_stand(robot)))
+    assert found.value < 0.5 * found.nominal_value
+    near = neighbours(robot, found, 60)
+    assert len(near) > 5
+    for stand in near:
+        assert utilisation(robot, stand) > 0.995 * found.value
+    assert any("stretched" in what for what in found.active)
+    assert found.payload is None
+    report = pa.verify_stand(robot, pa.sunk_stand(robot, found.stand.task))
+    peak = np.abs(report.joint_torques / robot.effort_limits).max()
+    assert peak == pytest.approx(found.value, rel=0.1)
+
+
+@pytest.mark.slow
+def test_largest_margin() -> None:
+    """As long as it may be, and the com where the nearest edges are equally far."""
+    robot, found = load("v3"), best_stance(load("v3"), Objective.MARGIN)
+    check_kept(robot, found)
+    assert found.value == pytest.approx(com_margin(robot, found.stand), rel=1e-9)
+    half = np.ptp([place[0] for place in found.stand.contact_points.values()]) / 2
+    assert found.value == pytest.approx(half, rel=1e-4)
+    for foot in robot.feet:
+        end = "high" if found.coordinates[f"{foot} x"] > 0 else "low"
+        assert f"{foot} x {end}" in found.active
+        assert abs(found.coordinates[f"{foot} x"]) > 0.04
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_samples")
+def test_the_same_every_time() -> None:
+    robot = load("original")
+    assert best_stance(robot).to_json() == best_stance(robot).to_json()
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_largest_payload_holds_in_mujoco(name: str) -> None:
+    robot, found = load(name), best_stance(load(name), Objective.PAYLOAD)
+    check_kept(robot, found)
+    assert found.payload is not None
+    assert found.value == found.payload.mass
+    nominal = pa.payload_limit(robot, pa.solve_stand(robot)).mass
+    assert found.nominal_value == pytest.approx(nominal, rel=1e-9)
+    assert found.value > (3 if name == "v3" else 1.05) * nominal
+    below, above = (payload_trial(robot, found.stand, s * found.value) for s in (0.95, 1.05))
+    assert below.held, (below.failure, below.where)
+    assert above.failure is found.payload.failure
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_samples")
+def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -> None:
+    robot, point = load("v3"), (0.05, 0.0, 0.05)
+    found = StanceSearch(robot, Objective.PAYLOAD, point=point)
+    found.run()
+    loaded, kp = found.loaded, servos(robot).kp
+
+    def carried(stand: pa.Stand) -> float:
+        first = FirstOrder.of(robot, loaded, stand, kp)
+        return 0.0 if first is None else first.limit(robot.effort_limits)
+
+    best = carried(found.best.stand)
+    assert best > 2 * carried(found.space.nominal)
+    shares, random = Subspace(found.space, found.best.coordinates, np.eye(14)), None
+    random, allowed = np.random.default_rng(4), 0
+    for scale in np.geomspace(1e-3, 0.1, 30):
+        place = shares.at(np.clip(shares.start + scale * random.standard_normal(14), 0, 1))
+        stance = found.evaluate(place)
+        if stance is not None and stance.allowed:
+            assert carried(stance.stand) < 1.005 * best
+            allowed += 1
+    assert allowed >= 5
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("objective", [Objective.UTILISATION, Objective.PAYLOAD])
+def test_differential_evolution_finds_no_better_one(objective: Objective) -> None:
+    """With 3000 stances; benchmarks/best.py does the same with 20,000."""
+    robot = load("original")
+    ours, theirs = StanceSearch(robot, objective), StanceSearch(robot, objective)
+    ours.run()
+    free = Subspace(theirs.space, theirs.space.start, theirs.space.directions())
+
+    def cost(share: np.ndarray) -> float:
+        stance = theirs.evaluate(free.at(share))
+        if stance is None:
+            return 2e3
+        return stance.level if stance.allowed else 1e3 + theirs.merit(stance)
+
+    bounds = [(0.0, 1.0)] * free.size
+    optimize.differential_evolution(cost, bounds, popsize=15, maxiter=32, polish=False, rng=1)
+    assert theirs.best.level < theirs.nominal.level
+    assert ours.best.level < theirs.best.level + 0.005 * abs(theirs.best.level)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_samples")
+def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
+    """On three legs the com moves sideways: without that it would be outside the triangle."""
+    robot = load("v3")
+    task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
+    found = best_stance(robot, task=task)
+    assert not StanceSpace(robot, task).symmetric
+    assert StanceSpace(robot, pa.StandTask()).symmetric
+    assert found.stand.stance_feet == tuple(foot for foot in robot.feet if foot != "FL")
+    assert found.value < 0.8 * found.nominal_value
+    assert found.coordinates["y"] < -0.005
+    assert com_margin(robot, found.stand) >= 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_samples")
+def test_the_rest_of_the_task_stays() -> None:
+    robot = load("v3")
+    ground = pa.Ground(slope=0.1, uphill=1.0)
+    task = pa.StandTask(
+        roll=0.05, ground=ground, feet={"FL": (0.07, 0.10)}, joint_margin=0.1, com_margin=0.04
+    )
+    found = best_stance(robot, task=task)
+    assert found.value < found.nominal_value
+    assert found.stand.task.com == "centre"  # which is where it is if nothing is said
+    free = {"com": None, "height": None, "roll": 0.05, "pitch": 0.0, "yaw": 0.0, "offset": None}
+    assert replace(found.stand.task, foot_offsets={}, **free) == task
+    np.testing.assert_allclose(found.stand.foot_targets["FL"][:2], (0.07, 0.10))
+    assert "FL x" not in found.coordinates
+    assert set(BASE) < set(found.coordinates)
+    joints = found.stand.joint_positions(robot)
+    assert (joints >= robot.lower_limits + 0.1 - 1e-9).all()
+    assert (joints <= robot.upper_limits - 0.1 + 1e-9).all()
+    assert com_margin(robot, found.stand) >= 0.04
+
+
+@pytest.mark.longest
+def test_least_torque() -> None:
+    robot, distribution = load("v3"), pa.ForceDistribution.MIN_TORQUE
+    found = best_stance(robot, distribution=distribution)
+    statics = stand_statics(robot, found.stand, distribution=distribution)
+    assert found.value == pytest.approx(statics.motor_utilisation.max(), rel=1e-6)
+    assert found.value < 0.6 * found.nominal_value
+
+
+@pytest.mark.slow
+def test_wrong_requests() -> None:
+    robot = load("v3")
+    with pytest.raises(pa.ConfigurationError, match="objective"):
+        best_stance(robot, "speed")  # type: ignore[arg-type]
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        best_stance(robot, Objective.PAYLOAD, point=(0.0, 0.0))  # type: ignore[arg-type]
+    with pytest.raises(pa.StanceUnreachableError):
+        best_stance(robot, task=pa.StandTask(height=0.5))
+    with pytest.raises(pa.ConfigurationError, match="robot"):
+        best_stance(load("v3", fixed_base=True))
+    with pytest.raises(pa.NoEquilibriumError) as caught:
+        best_stance(robot, Objective.PAYLOAD, kp=0.5)
+    assert caught.value.share is None  # no feed-forward was taken away
+
+
+@pytest.mark.parametrize(("limit", "words"), [(0.0, "leg_front_r_1"), (np.inf, "no motor")])
+def test_motors_without_a_limit_to_use(limit: float, words: str) -> None:
+    robot = with_efforts(load("v3"), limit)
+    for objective in (Objective.UTILISATION, Objective.PAYLOAD):
+        with pytest.raises(pa.ConfigurationError, match=words):
+            best_stance(robot, objective)

@@ -1,0 +1,405 @@
+"""Paths through stances: smooth, and in balance at every sample."""
+
+from __future__ import annotations
+
+import csv
+import math
+from functools import cache
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.interpolate import make_interp_spline
+
+import pupper_analysis as pa
+from pupper_analysis.robot.configuration import UP
+from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.stance.path.stance_path import StancePath, stance_path
+from pupper_analysis.statics.inverse_dynamics import joint_resistance
+from tests.support.cases import some
+from tests.support.variants import load
+
+Task = pa.StandTask
+
+
+def circle(angle: float, legs: int = 6) -> list[pa.StandTask]:
+    turns = [2 * math.pi * leg / legs for leg in range(legs + 1)]
+    return [Task(), *(Task(roll=angle * math.sin(t), pitch=angle * math.cos(t)) for t in turns)]
+
+
+def lift(name: str, foot: str, height: float = 0.02) -> list[pa.StandTask]:
+    """Shift the weight on to three legs, lift the fourth, hold, set it down, shift back."""
+    robot = load(name)
+    feet = pa.Configuration(robot, robot.neutral()).foot_positions()
+    x, y = np.mean([feet[other][:2] for other in robot.feet if other != foot], axis=0)
+    over, up = Task(com=(x, y)), Task(com=(x, y), swing={foot: height})
+    return [Task(), over, up, up, over, Task()]
+
+
+def stances(name: str, kind: str) -> list[pa.StandTask]:
+    low = Task(height=0.9 * load(name).stand_height)
+    return {
+        "squat": [Task(), low, Task()],
+        "sway": [Task(), Task(offset=(0.0, 0.015)), Task(offset=(0.0, -0.015)), Task()],
+        "circle": circle(0.1),
+        "lift": lift(name, "FL"),
+    }[kind]
+
+
+SECONDS = {"squat": 2.0, "sway": 3.0, "circle": 5.0, "lift": 6.0}
+
+
+@cache
+def path_of(name: str, kind: str, rolling: bool = True) -> StancePath:
+    rate = 50.0 if kind == "circle" else 20.0  # feet that roll in circles add up their samples
+    return stance_path(load(name), stances(name, kind), SECONDS[kind], rate=rate, rolling=rolling)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "original"])
+@pytest.mark.parametrize("kind", SECONDS)
+@pytest.mark.parametrize("rolling", [False, True])
+def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool) -> None:
+    robot, path, tasks = load(name), path_of(name, kind, rolling), stances(name, kind)
+    joints = path.joint_positions()
+    assert (joints >= robot.lower_limits - 1e-9).all()
+    assert (joints <= robot.upper_limits + 1e-9).all()
+    assert 0 < path.peak_utilisation < 1
+    assert (path.com_margin > 0).all()
+    assert (path.loads >= 0).all()
+    assert ((path.loads > 0) <= path.stance_feet).all()
+    assert not path.infeasible.any()
+    nominal = pa.Configuration(robot, path.qpos[0]).foot_positions()
+    for index in range(0, len(path.time), 3):
+        config = pa.Configuration(robot, path.qpos[index], path.qvel[index])
+        rise = config.com_acceleration(path.qacc[index])[2]
+        carried = robot.total_mass * (rise - robot.gravity[2])
+        np.testing.assert_allclose(path.loads[index].sum(), carried, rtol=1e-9)
+        remainder = config.mass_matrix() @ path.qacc[index] + config.bias_forces()
+        remainder += joint_resistance(robot, path.qvel[index], path.qacc[index])
+        for column, foot in enumerate(robot.feet):
+            centre = config.foot_positions()[foot]
+            planted = nominal[foot] + (0, 0, path.clearance[index, column])
+            np.testing.assert_allclose(centre[2], planted[2], atol=2e-9)
+            if not rolling:
+                np.testing.assert_allclose(centre, planted, atol=2e-9)
+            down = -robot.foot_radius[foot] * UP
+            jacobian = config.frame_jacobian(robot.foot_frames[foot], down)
+            wrench = [*path.forces[index, column], *path.moments[index, column]]
+            remainder -= jacobian.T @ np.array(wrench)
+        remainder[6:] -= path.torques[index]
+        np.testing.assert_allclose(remainder, 0, atol=1e-8)
+    # At the stances it is what was asked.
+    per_leg = (len(path.time) - 1) // (len(tasks) - 1)
+    for number, (task, stand) in enumerate(zip(tasks, path.stances, strict=True)):
+        there = path.qpos[number * per_leg]
+        np.testing.assert_allclose(there[2:7], stand.qpos[2:7], atol=1e-8)
+        if not rolling:
+            np.testing.assert_allclose(there, stand.qpos, atol=1e-8)
+        one = pa.solve_stand(robot, task)
+        np.testing.assert_allclose(stand.qpos, one.qpos, atol=1e-7)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
+def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
+    """The velocity of the foot's material point at the contact, by differences, is zero."""
+    robot = load(name)
+    path = stance_path(robot, stances(name, kind), 3.0, rate=60.0)
+    slow, fast = 0.0, 0.0
+    for index in range(len(path.time) - 1):
+        one, two = (pa.Configuration(robot, path.qpos[i]) for i in (index, index + 1))
+        for column, foot in enumerate(robot.feet):
+            if not path.stance_feet[index : index + 2, column].all():
+                continue
+            frame, down = robot.foot_frames[foot], -robot.foot_radius[foot] * UP
+            turn = two.frame_rotation(frame) @ one.frame_rotation(frame).T
+            half = pin.exp3(pin.log3(turn) / 2)  # the point that is lowest half way between
+            moved = two.frame_position(frame) + half @ down
+            moved -= one.frame_position(frame) + half.T @ down
+            slow = max(slow, float(np.linalg.norm(moved[:2])))
+            rolled = two.frame_position(frame) - one.frame_position(frame)
+            fast = max(fast, float(np.linalg.norm(rolled)))
+    assert slow < 2e-3 * fast
+
+
+def test_a_squat_rolls_the_feet_by_radius_times_angle() -> None:
+    robot, path = load("original"), path_of("original", "squat")
+    top, low = (pa.Configuration(robot, path.qpos[i]) for i in (0, (len(path.time) - 1) // 2))
+    for foot, frame in robot.foot_frames.items():
+        turn = pin.log3(low.frame_rotation(frame) @ top.frame_rotation(frame).T)
+        rolled = low.foot_positions()[foot] - top.foot_positions()[foot]
+        assert abs(turn[1]) > 0.05
+        assert rolled[0] == pytest.approx(robot.foot_radius[foot] * turn[1], rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", some(list(SECONDS), 2))
+def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
+    path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
+    joints, step = path.joint_positions(), path.time[1]
+    velocity = np.abs(np.gradient(joints, step, axis=0)).max(axis=1)
+    acceleration = np.abs(np.diff(joints, 2, axis=0)).max(axis=1) / step**2
+    assert velocity.max() > 0.1
+    for number in range(3):
+        at = number * (len(path.time) - 1) // 2
+        assert velocity[at] < 3e-3 * velocity.max()
+        near = acceleration[max(at - 2, 0) : at + 1]
+        assert near.min() < 0.2 * acceleration.max()
+
+
+@pytest.mark.slow
+def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
+    """From sample to sample they change half as much at twice the rate."""
+    jumps = []
+    for rate in (60.0, 120.0):
+        path = stance_path(load("original"), stances("original", "lift"), 3.0, rate=rate)
+        jumps.append(np.abs(np.diff(path.torques, axis=0)).max())
+    assert jumps[1] < 0.6 * jumps[0]
+    assert jumps[1] < 0.1 * np.ptp(path.torques, axis=0).max()
+
+
+@pytest.mark.slow
+def test_finite_differences_shrink_with_the_step_at_a_stance() -> None:
+    """Velocity as step^2 and acceleration as step: both are zero in the limit."""
+    rates = []
+    for rate in (30.0, 60.0):
+        path = stance_path(load("v3"), stances("v3", "squat"), 2.0, rate=rate)
+        joints, step, at = path.joint_positions(), path.time[1], len(path.time) // 2
+        ahead, further = joints[at + 1] - joints[at], joints[at + 2] - joints[at]
+        rates.append((np.abs(ahead).max() / step, np.abs(further - 2 * ahead).max() / step**2))
+    assert rates[1][0] == pytest.approx(rates[0][0] / 4, rel=0.15)
+    assert rates[1][1] == pytest.approx(rates[0][1] / 2, rel=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
+def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None:
+    """Of a spline of order 7 through qpos, leg by leg: at the stances the jerk is not smooth."""
+    robot, legs = load(name), len(stances(name, kind)) - 1
+    path = stance_path(robot, stances(name, kind), float(legs), rate=40.0, rolling=False)
+    inner = slice(5, -5)  # where a spline is good
+    for leg in range(legs):
+        part = slice(40 * leg, 40 * leg + 41)
+        spline = make_interp_spline(path.time[part], path.qpos[part], k=7)
+        for order, table in ((1, path.qvel), (2, path.qacc)):
+            found, wanted = spline(path.time[part], order)[inner], table[part][inner]
+            scale = np.abs(table).max()
+            np.testing.assert_allclose(wanted[:, :3], found[:, :3], atol=1e-6 * scale)
+            np.testing.assert_allclose(wanted[:, 6:], found[:, 7:], atol=1e-6 * scale)
+        # The base's angular velocity in its own axes, from the quaternion's derivative.
+        rate = spline(path.time[part], 1)[inner, 3:7]
+        for quaternion, change, qvel in zip(
+            path.qpos[part][inner, 3:7], rate, path.qvel[part][inner], strict=True
+        ):
+            w, x, y, z = quaternion
+            inverse = pin.Quaternion(w, -x, -y, -z)
+            turn = inverse * pin.Quaternion(*change)
+            np.testing.assert_allclose(qvel[3:6], 2 * turn.coeffs()[:3], atol=1e-6)
+
+
+def test_inertia_counts_as_one_over_time_squared() -> None:
+    """Twice as fast, four times the change of the torques; dampers and dry friction apart."""
+    robot, torques = load("original"), []
+    for seconds in (1e4, 1.0, 0.5):
+        path = stance_path(robot, stances("original", "squat"), seconds, rate=32 / seconds)
+        motion = zip(path.qvel, path.qacc, strict=True)
+        resistance = np.array([joint_resistance(robot, *row)[6:] for row in motion])
+        torques.append(path.torques - resistance)
+        at_rest = pa.gravity_compensation(
+            pa.Configuration(robot, path.qpos[5]), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        )
+        if seconds == 1e4:
+            np.testing.assert_allclose(path.torques[5], at_rest.joint_torques, atol=5e-3)
+    slow, fast = np.abs(torques[1] - torques[0]).max(), np.abs(torques[2] - torques[0]).max()
+    assert fast > 0.05
+    assert fast == pytest.approx(4 * slow, rel=1e-3)
+
+
+def test_beyond_what_contacts_allow() -> None:
+    robot, tasks = load("v3"), stances("v3", "squat")
+    with pytest.raises(pa.StaticsInfeasibleError, match=r"at 0\.\d\d s, between stances") as caught:
+        stance_path(robot, tasks, 0.1)
+    assert caught.value.reason in (pa.Infeasibility.ZMP_OUTSIDE, pa.Infeasibility.PULL)
+    path = stance_path(robot, tasks, 0.1, beyond=True)
+    assert path.infeasible.any()
+    assert (path.loads[path.infeasible].min(axis=1) < 0).all()
+    assert (path.loads[~path.infeasible] >= -1e-9).all()
+    assert path.peak_joint in robot.joint_names
+    sample = round(path.peak_time / path.time[1])
+    used = np.abs(path.torques[sample]) / robot.effort_limits
+    assert used.max() == pytest.approx(path.peak_utilisation)
+
+
+def test_a_foot_is_unloaded_before_it_lifts() -> None:
+    path = path_of("v3", "lift")
+    foot, leg = path.feet.index("FL"), (len(path.time) - 1) // 5
+    loads, clear = path.loads[:, foot], path.clearance[:, foot]
+    assert loads[0] > 0.2 * path.loads[0].sum()
+    # The robot sets off by pressing on the foot that it leaves, against its own inertia.
+    pressed = int(loads[: leg + 1].argmax())
+    assert pressed < leg / 3
+    assert (np.diff(loads[pressed : leg + 1]) < 1e-9).all()
+    assert (loads[leg : 4 * leg + 1] == 0).all()
+    assert (clear[: leg + 1] == 0).all()
+    np.testing.assert_allclose(clear[2 * leg : 3 * leg + 1], 0.02)
+    assert loads[-1] == pytest.approx(loads[0], rel=1e-4)
+
+
+@pytest.mark.slow
+def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
+    robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
+    moved = [
+        pa.StandTask(com=t.com, swing=t.swing, ground=ground, foot_offsets={"FL": (place, 0.0)})
+        for t, place in zip(lift("v3", "FL")[1:5], (0, 0, 0.01, 0.01), strict=True)
+    ]
+    path = stance_path(robot, moved, 4.0, rate=20.0, rolling=False)
+    first, last = (pa.Configuration(robot, path.qpos[i]).foot_positions() for i in (0, -1))
+    np.testing.assert_allclose(last["FL"][:2] - first["FL"][:2], (0.01, 0), atol=1e-8)
+    tracking = track_path(robot, path)
+    assert tracking.passed, tracking.failures
+
+
+def test_npz_is_written_by_every_numpy_that_is_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy 2.0 and 2.1 know no allow_pickle, and would store it as one more array."""
+
+    def savez_of_numpy_2_0(file: IO[bytes], *args: object, **kwds: object) -> None:
+        given.update(kwds)
+        savez(file, *args, **kwds)
+
+    given: dict[str, object] = {}
+    savez = np.savez_compressed
+    monkeypatch.setattr(np, "savez_compressed", savez_of_numpy_2_0)
+    path_of("v3", "lift").to_npz(tmp_path / "path.npz")
+    assert given
+    assert all(isinstance(value, np.ndarray) for value in given.values())
+    with np.load(tmp_path / "path.npz", allow_pickle=False) as arrays:
+        assert set(arrays) == set(given)
+
+
+def test_files_hold_the_path(tmp_path: Path) -> None:
+    path = path_of("v3", "lift")
+    path.to_csv(tmp_path / "new" / "path.csv")
+    with (tmp_path / "new" / "path.csv").open() as file:
+        header, *rows = csv.reader(file)
+    names = load("v3").joint_names
+    units = [f"q {name} (rad)" for name in names] + [f"tau {name} (N m)" for name in names]
+    assert header == ["time (s)", *units]
+    table = np.array(rows, dtype=float)
+    wanted = np.column_stack([path.time, path.joint_positions(), path.torques])
+    np.testing.assert_array_equal(table, wanted)
+    for file_name in ("path.npz", "path.data"):
+        path.to_npz(str(tmp_path / file_name))
+        with np.load(tmp_path / file_name) as arrays:
+            assert tuple(arrays["joint_names"]) == names
+            assert tuple(arrays["feet"]) == path.feet
+            np.testing.assert_array_equal(arrays["joints"], path.joint_positions())
+            for key in ("qvel", "qacc", "forces", "moments", "zero_moment_point", "zmp_margin"):
+                np.testing.assert_array_equal(arrays[key], getattr(path, key))
+            for key in (
+                "time",
+                "qpos",
+                "torques",
+                "stance_feet",
+                "loads",
+                "clearance",
+                "com_margin",
+            ):
+                np.testing.assert_array_equal(arrays[key], getattr(path, key))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["new", "path.data", "path.npz"]
+    with pytest.raises(pa.OutputError):
+        path.to_csv(tmp_path / "path.npz" / "path.csv")
+
+
+FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
+
+
+@pytest.mark.parametrize(
+    ("tasks", "seconds", "rate", "named"),
+    [
+        ([], 1.0, 50.0, "stances: .* at least 2"),
+        ([Task()], 1.0, 50.0, "stances: .* at least 2"),
+        (Task(), 1.0, 50.0, "stances: .* not a sequence"),
+        ([Task(), None], 1.0, 50.0, "stances: .*, None. is not"),
+        ([Task(), Task()], 0.0, 50.0, "seconds"),
+        ([Task(), Task()], -1.0, 50.0, "seconds"),
+        ([Task(), Task()], math.inf, 50.0, "seconds"),
+        ([Task(), Task()], math.nan, 50.0, "seconds"),
+        ([Task(), Task()], "1", 50.0, "seconds"),
+        ([Task(), Task()], True, 50.0, "seconds"),
+        ([Task(), Task()], 1.0, 0.0, "rate"),
+        ([Task(), Task()], 1e6, 50.0, "samples"),
+        ([Task(), Task(ground=pa.Ground(slope=0.1))], 1.0, 50.0, "different grounds"),
+        ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
+        ([Task(com="inside"), Task(offset=(0.0, 0.0))], 1.0, 50.0, "inside"),
+        ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries between"),
+        ([Task(swing=FL), Task(swing=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
+        ([Task(swing=FL), Task(), Task(swing=FR)], 1.0, 50.0, "lands and another lifts"),
+        ([Task(), Task(yaw=0.3), Task(yaw=-0.3)], 1.0, 0.1, "jumps"),
+    ],
+)
+def test_bad_arguments(
+    tasks: list[Task], seconds: float, rate: float, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if named == "jumps":
+        tasks = [Task(height=0.15), Task(height=0.08)]
+        monkeypatch.setattr("pupper_analysis.stance.path.stance_path.LEAST_PER_LEG", 2)
+    with pytest.raises(pa.ConfigurationError, match=named) as caught:
+        stance_path(load("v3"), tasks, seconds, rate=rate)
+    assert "\n" not in str(caught.value)
+
+
+def test_refusals_name_the_moment() -> None:
+    robot = load("v3")
+    with pytest.raises(
+        pa.StaticsInfeasibleError, match=r"at 0\.00 s, between stances 1 and 2: .*insert"
+    ):
+        stance_path(robot, [Task(), Task(swing=FL)], 1.0)
+    over = lift("v3", "FL")
+    with pytest.raises(pa.StaticsInfeasibleError, match=r"at 1.00 s, between .* 1 and 2") as caught:
+        stance_path(robot, [over[1], Task(), over[2]], 2.0, rolling=False)
+    assert caught.value.reason is pa.Infeasibility.COM_OUTSIDE
+    assert "\n" not in str(caught.value)
+    with pytest.raises(pa.StaticsInfeasibleError, match="between stances 1 and 2"):
+        stance_path(robot, [Task(offset=(0.0, 0.0)), Task(offset=(0.14, 0.0), height=0.1)], 1.0)
+    with pytest.raises(pa.StanceUnreachableError, match="stance 2: ") as missed:
+        stance_path(robot, [Task(), Task(height=0.4)], 1.0)
+    assert missed.value.shortfall
+    with pytest.raises(pa.UnknownNameError):
+        stance_path(robot, [Task(), Task(swing={"XX": 0.01})], 1.0)
+
+
+@pytest.mark.slow
+def test_a_path_keeps_its_clearances() -> None:
+    """A knee that comes down to 30 mm, where 35 are asked for."""
+    robot = load("v3")
+    low = 0.08
+    stance_path(robot, [Task(), Task(height=low)], 1.0, rate=20.0)
+    near = pa.solve_stand(robot, Task(height=low)).ground_clearance
+    assert near is not None
+    least = near.distance + 1e-3
+    with pytest.raises(pa.StanceUnreachableError, match=r"stance 2: .* above the ground"):
+        stance_path(robot, [Task(), Task(height=low, ground_clearance=least)], 1.0, rate=20.0)
+    path = stance_path(
+        robot, [Task(ground_clearance=0.04), Task(height=0.1, ground_clearance=0.02)], 1.0
+    )
+    assert path.peak_utilisation < 1
+
+
+def test_a_sample_out_of_reach_names_the_moment(monkeypatch: pytest.MonkeyPatch) -> None:
+    solve = pa.solve_stand
+
+    def refuse(robot: pa.Robot, task: pa.StandTask, *, explain: bool = True) -> pa.Stand:
+        if 0.1 < task.roll < 0.3 and not explain:
+            raise pa.StanceUnreachableError(str(task), {"FL": 0.01}, {})
+        return solve(robot, task, explain=explain)
+
+    monkeypatch.setattr("pupper_analysis.stance.path.geometry.solve_stand", refuse)
+    where = r"^at 1\.44 s, between stances 2 and 3: stance out of reach .*FL by 10 mm"
+    with pytest.raises(pa.StanceUnreachableError, match=where) as caught:
+        stance_path(load("v3"), [Task(), Task(), Task(roll=0.3)], 2.0, rate=4.0)
+    assert caught.value.shortfall == {"FL": 0.01}

@@ -1,0 +1,70 @@
+"""What motors bear if their legs share a load: on six feet more than where the ground shares it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.payload.sharing import load_sharing
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.stand import stand_for
+from pupper_analysis.stance.sunk import loaded_stand
+from tests.support.random_legged import ring, written
+
+POINT = (0.03, 0.02, 0.05)
+
+
+def loaded(folder: Path, seed: int, legs: int) -> pa.Robot:
+    pair = written(ring(seed, legs), folder)
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def lowest(robot: pa.Robot, stand: pa.Stand, share: float) -> float:
+    """By how much MuJoCo's base sinks in 4 s with a share of the load that is shared (m)."""
+    sharing = load_sharing(robot, stand, POINT)
+    assert sharing is not None
+    laden = with_payload(robot, share * sharing.mass, POINT)
+    depths = {
+        foot: GroundLaw.of(laden, foot).depth(force)
+        for foot, force in sharing.normal_forces.items()
+    }
+    task = loaded_stand(laden, stand).task
+    sunk = stand_for(laden, goal_of(laden, task, depths), explain=False)
+    drive = servos(laden)
+    data = mujoco.MjData(drive.model)
+    speed = np.zeros(laden.nv)
+    speed[2] = -0.01
+    laden.mj_convention.set_state(data, sunk.qpos, speed)
+    data.ctrl[:] = drive.command(laden, sunk.joint_positions(laden), sharing.joint_torques)
+    while data.time < 4.0:
+        mujoco.mj_step(drive.model, data)
+    return float(sunk.qpos[2] - data.qpos[2])
+
+
+def test_three_feet_share_a_load_in_one_way(tmp_path: Path) -> None:
+    robot = loaded(tmp_path, 0, 3)
+    found = pa.payload_limit(robot, pa.solve_stand(robot), POINT)
+    assert found.shared is not None
+    assert found.shared.mass == pytest.approx(found.motors.mass, rel=1e-9)
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize(("seed", "legs"), [(0, 6), (2, 6), (2, 5), (2, 4)])
+def test_mujoco_bears_what_legs_share(seed: int, legs: int, tmp_path: Path) -> None:
+    """Commanded so it stays, to 1e-4 of its height; with 5 % more it goes down."""
+    robot = loaded(tmp_path, seed, legs)
+    stand = pa.solve_stand(robot)
+    found = pa.payload_limit(robot, stand, POINT)
+    assert found.shared is not None
+    assert found.shared.mass > 1.01 * found.motors.mass
+    torques = np.abs(found.shared.joint_torques) / robot.effort_limits
+    assert torques.max() == pytest.approx(1.0)
+    assert abs(lowest(robot, stand, 1.0)) < 1e-4 * stand.qpos[2]
+    assert lowest(robot, stand, 1.05) > 0.03 * stand.qpos[2]

@@ -1,0 +1,613 @@
+"""The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
+
+import contextlib
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.diagnostics import Subject
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.sag import equilibrium
+from pupper_analysis.stance.sag import steady_state as settle
+from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.slip import slipping
+from pupper_analysis.stance.sag.solution import Solution, goes_round, move
+from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
+from pupper_analysis.stance.sag.way import Way
+from tests.support.cases import some
+from tests.support.engines import changed, mujoco_at
+from tests.support.variants import BASES_FIRST, NAMES, SKELETON_NAMES, load, stand_of
+
+LASTING = 1e-4
+"""With less height drift than this, 5 s of creep change the height by less than 0.5 mm (m/s)."""
+
+SETTLING = tuple(name for name in NAMES if name != "v3-long-leg")
+
+
+def fast_creep(model: mujoco.MjModel) -> None:
+    """Friction that creeps 50 or 100 times as fast, and holds no moments."""
+    model.opt.impratio = 1
+    model.geom_condim[:] = 3
+    model.dof_frictionloss[:] = 0
+
+
+def firm_grip(model: mujoco.MjModel) -> None:
+    """Friction that hardly creeps, and holds no moments."""
+    fast_creep(model)
+    model.opt.impratio = 1e4
+
+
+# ------------------------------------------------------------------------------------- equilibrium
+
+
+@pytest.mark.parametrize("feet", ["pinned", "sliding"])
+@pytest.mark.parametrize("name", SETTLING)
+def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feet=feet)
+    data = mujoco_at(robot, pose.qpos)
+    rest = data.qfrc_bias[robot.mj_convention.qvel_index].copy()
+    torques = servos(robot).kp * (stand.qpos[7:] - pose.qpos[7:])
+    np.testing.assert_allclose(pose.joint_torques, torques, rtol=0, atol=1e-12)
+    rest[6:] -= pose.joint_torques
+    for touch in data.contact:
+        if max(touch.geom) not in robot.foot_geoms:
+            continue
+        foot = robot.foot_geoms[max(touch.geom)]
+        jacobian = np.zeros((3, robot.mj_model.nv))
+        body = robot.foot_places[foot][0]
+        mujoco.mj_jac(robot.mj_model, data, jacobian, None, touch.pos, body)
+        force = pose.contact_forces[foot]
+        rest -= jacobian[:, robot.mj_convention.qvel_index].T @ force
+        assert GroundLaw.of(robot, foot).force(-touch.dist) == pytest.approx(force[2], rel=1e-8)
+        if feet == "sliding":
+            assert np.linalg.norm(force[:2]) < 1e-4
+    assert np.abs(rest).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_it_is_a_minimum_of_the_energy(name: str) -> None:
+    """Sliding, the energy is a function of qpos alone: it grows in every direction."""
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feet="sliding")
+    kp, g = servos(robot).kp, -robot.gravity[2]
+    laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
+
+    def energy(qpos: np.ndarray) -> float:
+        config = pa.Configuration(robot, qpos)
+        total = robot.total_mass * g * config.center_of_mass()[2]
+        total += 0.5 * kp @ (qpos[7:] - stand.qpos[7:]) ** 2
+        for foot, place in config.foot_positions().items():
+            depths = np.linspace(0, robot.foot_radius[foot] - place[2], 401)
+            forces = [laws[foot].force(float(depth)) for depth in depths]
+            total += np.trapezoid(forces, depths)
+        return float(total)
+
+    least, random = energy(pose.qpos), np.random.default_rng(0)
+    for _ in range(8):
+        step = 1e-4 * random.standard_normal(robot.nv)
+        up, down = (energy(move(pose.qpos, sign * step)) for sign in (1, -1))
+        assert up > least
+        assert down > least
+        assert abs(up - down) < 0.1 * (up + down - 2 * least)
+
+
+def test_newton_converges_quadratically() -> None:
+    for name in SETTLING:
+        residuals = steady_state(load(name), stand_of(name)).residuals
+        assert residuals[-1] < 1e-10
+        assert len(residuals) <= 6
+        for last, this in zip(residuals[-4:-1], residuals[-3:], strict=True):
+            assert this < 40 * last**2 + 1e-13
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_feedforward_leaves_only_the_contact(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feedforward=True)
+    run = pa.verify_stand(robot, stand)
+    assert pose.height_loss == pytest.approx(run.height_loss, abs=2e-5)
+    assert abs(pose.servo_sag) < 2e-5
+    np.testing.assert_allclose(pose.joint_torques, run.predicted_torques, atol=2e-3)
+
+
+# ------------------------------------------------------------------------------------- simulation
+
+
+def assert_predicts(pose: settle.SteadyState, run: pa.StandVerification, tolerance: float) -> None:
+    assert pose.base_height == pytest.approx(run.base_height, abs=tolerance)
+    assert pose.contact_sag == pytest.approx(run.contact_sag, abs=1e-5 + 0.02 * tolerance)
+    for foot, force in run.foot_forces.items():
+        assert pose.contact_forces[foot][2] == pytest.approx(force[2], rel=0.02)
+
+
+@pytest.mark.parametrize("name", SETTLING)
+def test_nominal_stands(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand)
+    assert pose.stable
+    assert not pose.failures
+    run = pa.verify_stand(robot, stand, feedforward=False)
+    assert_predicts(pose, run, 1e-6 if name in SKELETON_NAMES else 1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", some(BASES_FIRST, 6, first=2))
+def test_random_stands(name: str) -> None:
+    robot, random, count = load(name), np.random.default_rng(1), 0
+    while count < 10:
+        height = robot.stand_height * random.uniform(0.85, 1.15)
+        roll, pitch, yaw = random.uniform(-0.1, 0.1, 3)
+        try:
+            stand = pa.solve_stand(robot, pa.StandTask(height, roll, pitch, yaw))
+        except pa.StanceUnreachableError:
+            continue
+        count += 1
+        run = pa.verify_stand(robot, stand, feedforward=False)
+        try:
+            pose = steady_state(robot, stand)
+        except pa.NoEquilibriumError:
+            pose = None
+        if pose and not pose.failures and abs(pose.height_drift) < LASTING:
+            tolerance = 1e-5 if name in SKELETON_NAMES else 1.5e-4
+            assert pose.base_height == pytest.approx(run.base_height, abs=tolerance)
+        elif pose and pose.failures and name == "v3-heavy":
+            touches = [one.code == "body-touches-ground" for one in pose.failures]
+            assert all(touches) or pose.lasts < 12
+            assert any(one.code == "body-touches-ground" for one in run.failures)
+        else:  # it says that it does not last, and the simulation sinks
+            assert name == "v3-long-leg"
+            assert run.height_drift < -0.3e-3
+
+
+@pytest.mark.parametrize("name", ["original", "heavy", "v3"])
+def test_creeping_feet_end_sliding(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    pose = steady_state(robot, stand, feet="sliding")
+    run = pa.verify_stand(changed(robot, fast_creep), stand, feedforward=False, duration=8)
+    assert_predicts(pose, run, 5e-6)
+
+
+@pytest.mark.parametrize("name", ["v3", "v3-heavy"])
+def test_creep_of_pinned_feet(name: str) -> None:
+    """Once dry friction in the joints, which delays it, has crept away."""
+    pose = steady_state(load(name), stand_of(name))
+    run = pa.verify_stand(load(name), stand_of(name), feedforward=False, duration=8, nudged=0)
+    assert run.height_drift == pytest.approx(pose.height_drift, rel=0.15)
+
+
+def with_torque_limit(limit: float) -> pa.Robot:
+    def change(model: mujoco.MjModel) -> None:
+        model.actuator_forcerange[:] = -limit, limit
+
+    return changed(load("heavy"), change)
+
+
+def test_force_limits_of_servos() -> None:
+    """The knees need 0.639 N m. With 0.636 the others help out; with 0.632 there is no holding."""
+    stand = stand_of("heavy")
+    free, pose = (steady_state(with_torque_limit(x), stand) for x in (0.7, 0.636))
+    assert not free.saturated
+    assert np.abs(free.joint_torques).max() == pytest.approx(0.6393, abs=1e-4)
+    assert pose.saturated == ("RL_KFE", "RR_KFE")
+    assert pose.stiffness < 0.5 * free.stiffness
+    with pytest.raises(pa.NoEquilibriumError):
+        steady_state(with_torque_limit(0.632), stand)
+    run = pa.verify_stand(with_torque_limit(0.632), stand, feedforward=False)
+    assert run.failures[0].code == "fell-over"
+
+
+ANYWHERE = {
+    "slope": pa.StandTask(pitch=-0.2, ground=pa.Ground(0.25, 0.3), com="inside"),
+    "steps": pa.StandTask(ground=pa.Ground(heights={"FR": 0.012, "RL": 0.006})),
+    "three legs": pa.StandTask(swing={"FL": 0.03}, com="inside", com_margin=0.01),
+    "off the centre": pa.StandTask(offset=(-0.01, 0.02)),
+}
+
+
+@pytest.mark.parametrize("what", ANYWHERE)
+@pytest.mark.parametrize("name", ["original", "heavy", "v3"])
+def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
+    kp = 20.0 if name == "v3" else None  # its own servos let the lifted foot down to the ground
+    kd = 0.5 if name == "v3" else None
+    robot, stand = load(name), pa.solve_stand(load(name), ANYWHERE[what])
+    pose = steady_state(robot, stand, kp=kp, seconds=4.5)
+    assert not pose.failures
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, kd=kd)
+    assert pose.base_height == pytest.approx(run.base_height, abs=1e-4)
+    np.testing.assert_allclose(pose.joint_torques, run.joint_torques, atol=0.01)
+    for foot, force in run.foot_forces.items():
+        if foot in stand.stance_feet:
+            np.testing.assert_allclose(pose.contact_forces[foot], force, atol=0.25)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["heavy", "v3"])
+def test_creep_in_time(name: str) -> None:
+    """Sliding down a slope, and towards the sliding equilibrium on the level."""
+    robot = load(name)
+    stand = pa.solve_stand(robot, ANYWHERE["slope"])
+    for seconds in (2.0, 8.0):
+        run = pa.verify_stand(robot, stand, feedforward=False, duration=seconds, nudged=0)
+        pose = steady_state(robot, stand, seconds=seconds - 0.5)
+        assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    drift = run.height_drift
+    assert drift < -1e-5
+    assert pose.height_drift == pytest.approx(drift, rel=0.1)
+    stand = stand_of(name)
+    away = [
+        abs(steady_state(robot, stand, seconds=seconds).base_height - end)
+        for end in (steady_state(robot, stand, feet="sliding").base_height,)
+        for seconds in (0.0, 10.0, 1000.0)
+    ]
+    assert away[0] >= away[1] >= away[2]
+    assert away[2] < 0.05 * away[0] + 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "heavy"])
+def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
+    """Against simulations: with margin to spare the height is exact, and below zero it is not."""
+    robot = load(name)
+    seen = set()
+    for y in np.linspace(0.0, 0.055, 6):
+        stand = pa.solve_stand(robot, pa.StandTask(offset=(-0.6 * float(y), float(y))))
+        pose = steady_state(robot, stand, seconds=4.5)
+        if pose.failures:
+            break
+        run = pa.verify_stand(robot, stand, feedforward=False)
+        error = abs(pose.base_height - run.base_height)
+        if pose.release_margin > settle.RELEASE_MARGIN:
+            assert error < 1e-5
+            seen.add("firm")
+        if pose.release_margin < -0.02:
+            assert error > 1e-5
+            seen.add("slips")
+    assert seen == {"firm", "slips"}
+    still = steady_state(robot, stand_of(name), feedforward=True)
+    assert still.release_margin > 0.2
+
+
+# ------------------------------------------------------------------------------------- lifted feet
+
+
+def lifted(name: str, foot: str, height: float, **task: object) -> pa.Stand:
+    """A stand with the com 10 mm inside the triangle of the other feet."""
+    asked = pa.StandTask(swing={foot: height}, com="inside", com_margin=0.01, **task)
+    return pa.solve_stand(load(name), asked)
+
+
+LANDING = [
+    ("v3", "RR", 0.006, 5.0),
+    ("v3", "RL", 0.006, 3.0),
+    ("v3", "FR", 0.006, 8.0),  # it slips
+    ("v3-heavy", "RL", 0.002, 6.6),
+    ("v3-long-leg", "RR", 0.006, 9.0),
+    ("original", "FL", 0.002, 12.0),  # it slips
+    ("long-leg", "RR", 0.002, 12.0),
+    ("heavy", "RL", 0.002, 10.0),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "foot", "height", "kp"), LANDING)
+def test_a_lifted_foot_that_comes_down_carries(
+    name: str, foot: str, height: float, kp: float
+) -> None:
+    robot, stand = load(name), lifted(name, foot, height)
+    pose = steady_state(robot, stand, kp=kp, seconds=7.5)
+    assert pose.stance_feet == robot.feet
+    presses = [one.subject for one in pose.failures if one.code == "lifted-foot-presses"]
+    assert presses == [Subject("foot", foot)]
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8, nudged=0)
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    for other, force in run.foot_forces.items():
+        assert pose.contact_forces[other][2] == pytest.approx(force[2], abs=0.25)
+
+
+@pytest.mark.parametrize("kp", [3.0, 5.0, 20.0, 100.0])
+def test_feet_carry_where_they_are_in_the_ground(kp: float) -> None:
+    """Complementarity, by MuJoCo's collisions and the law of the ground."""
+    robot, stand = load("v3"), lifted("v3", "RR", 0.006)
+    pose = steady_state(robot, stand, kp=kp)
+    depths = {}
+    for touch in mujoco_at(robot, pose.qpos).contact:
+        depths[robot.foot_geoms[max(touch.geom)]] = -touch.dist
+    assert set(pose.stance_feet) == set(depths)
+    assert ("RR" in depths) == (kp < 50)  # on stiff servos only the ground gives
+    for foot, force in pose.contact_forces.items():
+        if foot in depths:
+            assert force[2] == pytest.approx(GroundLaw.of(robot, foot).force(depths[foot]))
+        else:
+            np.testing.assert_array_equal(force, 0)
+    weight = robot.total_mass * robot.gravity
+    np.testing.assert_allclose(sum(pose.contact_forces.values()), -weight, atol=1e-8)
+
+
+def test_touching_begins_without_a_jump() -> None:
+    """Lifted by as much as it comes down, a foot just touches."""
+    robot = load("v3")
+
+    def pose(height: float) -> settle.SteadyState:
+        return steady_state(robot, lifted("v3", "RR", height), kp=4.0)
+
+    low, high = 0.006, 0.03  # it touches; it does not
+    assert "RR" in pose(low).stance_feet
+    assert "RR" not in pose(high).stance_feet
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        low, high = (middle, high) if "RR" in pose(middle).stance_feet else (low, middle)
+    assert 0 < pose(low).contact_forces["RR"][2] < 5e-3
+    assert pose(low).height_loss == pytest.approx(pose(high).height_loss, abs=2e-6)
+
+
+@pytest.mark.parametrize(
+    ("what", "kp", "ground"),
+    [
+        ("step", 5.0, pa.Ground(heights={"RR": 0.006})),
+        ("slope", 5.0, pa.Ground(0.1, 0.5)),
+    ],
+)
+def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa.Ground) -> None:
+    robot, stand = load("v3"), lifted("v3", "RR", 0.004, ground=ground)
+    pose = steady_state(robot, stand, kp=kp, seconds=5.5)
+    assert "RR" in pose.stance_feet
+    run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=6, nudged=0)
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-4)
+    assert pose.contact_forces["RR"][2] == pytest.approx(run.foot_forces["RR"][2], abs=0.2)
+
+
+def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
+    robot, stand = load("original"), lifted("original", "FL", 0.002)
+    way = Way(Equilibrium(robot, stand, 12.0, "pinned"))
+    way.follow(1.0)
+    system, solution = way.system, way.solution
+    assert slipping(system, solution) == ("FL",)
+    force = solution.forces["FL"]
+    mu = robot.contacts["FL"].sliding_friction
+    assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=1e-9)
+    # The contact point moves as the centre does, less what the sphere rolls: r (turn x up).
+    frame, anchor = robot.foot_frames["FL"], system.anchors["FL"]
+    config = pa.Configuration(robot, solution.qpos)
+    turned = config.frame_rotation(frame) @ anchor.turned.T
+    turn = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], 0]) / 2
+    rolled = robot.foot_radius["FL"] * np.cross(turn, (0, 0, 1))
+    slip = (config.frame_position(frame) - anchor.place - rolled)[:2]
+    assert np.linalg.norm(slip) > 1e-4
+    assert force[:2] @ slip < -0.99 * np.linalg.norm(force[:2]) * np.linalg.norm(slip)
+
+
+@pytest.mark.parametrize(("name", "foot", "kp"), [("original", "FL", 12.0), ("v3", "RR", 4.0)])
+def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
+    """Against differences, with feet that stick, slip, and creep."""
+    way = Way(Equilibrium(load(name), lifted(name, foot, 0.002), kp, "pinned"))
+    way.follow(1.0)
+    system, solution = way.system, way.solution
+    forces = np.array(list(solution.forces.values()))
+    random = np.random.default_rng(0)
+    for _ in range(2):
+        derivative = system.derivative(solution.qpos, forces)
+        for _ in range(4):
+            step = 1e-6 * random.standard_normal(len(derivative))
+            ends = [
+                system.residual(
+                    move(solution.qpos, sign * step[: system.robot.nv]),
+                    forces + sign * step[system.robot.nv :].reshape(-1, 3),
+                )
+                for sign in (1, -1)
+            ]
+            np.testing.assert_allclose((ends[0] - ends[1]) / 2, derivative @ step, atol=2e-9)
+        system.begin_creep(solution, 1.0)
+
+
+def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
+    robot = load("original")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.055)))
+    assert pa.stand_statics(robot, stand).contact_forces["RR"][2] > 0
+    pose = steady_state(robot, stand, seconds=4.5)
+    assert pose.stance_feet == ("FL", "FR", "RL")
+    assert [str(one) for one in pose.failures] == ["foot RR carries nothing"]
+    np.testing.assert_array_equal(pose.contact_forces["RR"], 0)
+    run = pa.verify_stand(robot, stand, feedforward=False)
+    assert run.foot_forces["RR"][2] == 0
+    assert pose.base_height == pytest.approx(run.base_height, abs=2e-5)
+
+
+@pytest.mark.slow
+def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
+    robot, stand = load("v3"), lifted("v3", "RR", 0.02)
+    kp = minimum_stiffness(robot, stand, tolerance=0.02)
+    assert steady_state(robot, stand, kp=kp).stance_feet == stand.stance_feet
+    assert "RR" in steady_state(robot, stand, kp=0.95 * kp).stance_feet
+    with pytest.raises(pa.NoStiffnessError, match="foot RR, lifted, touches the ground") as caught:
+        minimum_stiffness(robot, lifted("v3", "RR", 0.0005))  # the others sink deeper than that
+    assert caught.value.kp > 5e3
+    assert "RR" in str(caught.value.problem)
+
+
+# ------------------------------------------------------------------------------------- stability
+
+
+def test_long_leg_of_v3_does_not_last() -> None:
+    robot, stand = load("v3-long-leg"), stand_of("v3-long-leg")
+    with pytest.raises(pa.NoEquilibriumError, match="sliding") as caught:
+        steady_state(robot, stand, feet="sliding")
+    assert 0 < caught.value.share < 0.1
+    with pytest.raises(pa.NoEquilibriumError, match="FR and FL begin to slide") as caught:
+        steady_state(robot, stand)
+    assert 0.8 < caught.value.share < 0.9
+    for change in (None, firm_grip):
+        ground = robot if change is None else changed(robot, change)
+        run = pa.verify_stand(ground, stand, feedforward=False, duration=10, nudged=0)
+        assert any(one.code == "body-touches-ground" for one in run.failures)
+
+
+def test_a_little_above_the_minimum_no_stiffness_is_left_out() -> None:
+    """A long step on the way to rest may end on another branch; MuJoCo stands with all of these."""
+    robot, stand = load("v3"), stand_of("v3")
+    found = [steady_state(robot, stand, kp=kp) for kp in np.arange(2.30, 2.72, 0.02)]
+    assert all(one.stable for one in found)
+    # What is wrong with some is only where creep takes them later: a knee comes to the ground.
+    assert not any(one.failures for one in found if math.isinf(one.lasts))
+    lasting = [one.lasts for one in found]
+    assert lasting == sorted(lasting)
+    assert lasting[0] < 12
+    heights = [float(one.qpos[2]) for one in found]
+    assert (np.diff(heights) > 0).all()
+    assert heights[0] == pytest.approx(0.1004, abs=5e-4)  # MuJoCo's, after 12 s: 0.1004 m
+
+
+def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
+    """2 % above the least kp of feet that stay original was said to stand; MuJoCo falls in 8 s."""
+    robot, stand = load("original"), stand_of("original")
+    pose = steady_state(robot, stand, kp=2.38)
+    assert pose.stable
+    assert pose.lasts == pytest.approx(6.0, abs=1.0)
+    assert len(pose.failures) == 1
+    heights = {}
+    for noslip in (0, 20):  # with that solver nothing creeps
+
+        def grip(model: mujoco.MjModel, noslip: int = noslip) -> None:
+            model.opt.noslip_iterations = noslip
+
+        still = changed(robot, grip)
+        drive = servos(still, 2.38, 0.1)
+        data = mujoco.MjData(drive.model)
+        robot.mj_convention.set_state(data, pose.qpos)
+        data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))
+        while data.time < 8.0:
+            mujoco.mj_step(drive.model, data)
+        heights[noslip] = float(data.qpos[2])
+        assert bool(steady_state(still, stand, kp=2.38).failures) == (noslip == 0)
+    assert heights[0] < 0.125 < pose.base_height
+    assert heights[20] == pytest.approx(pose.base_height, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_minimum_stiffness_of_pinned_feet() -> None:
+    robot, stand = load("long-leg"), stand_of("long-leg")
+    kp = minimum_stiffness(robot, stand, tolerance=0.05)
+    firm = changed(robot, firm_grip)
+    above = pa.verify_stand(firm, stand, feedforward=False, kp=1.05 * kp, kd=1.0)
+    assert above.passed
+    assert steady_state(robot, stand, kp=1.05 * kp).height_loss == pytest.approx(
+        above.height_loss, abs=2e-4
+    )
+    below = pa.verify_stand(firm, stand, feedforward=False, kp=0.9 * kp, kd=1.0)
+    assert any(one.code == "body-touches-ground" for one in below.failures)
+
+
+def test_minimum_stiffness_of_sliding_feet() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    kp = minimum_stiffness(robot, stand, feet="sliding", tolerance=0.05)
+    fast = changed(robot, fast_creep)
+    options = {"feedforward": False, "kd": 0.1, "integrator": "implicitfast", "duration": 8.0}
+    assert pa.verify_stand(fast, stand, kp=1.05 * kp, **options).passed
+    below = pa.verify_stand(fast, stand, kp=0.9 * kp, **options)
+    assert any(one.code == "body-touches-ground" for one in below.failures)
+
+
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Solution | None, int]]:
+    """What every search of Newton's finds from now on, and how many steps it takes."""
+    looked, ended = [0], []
+    derivative, newton = Equilibrium.derivative, Equilibrium._newton
+
+    def counted(self: Equilibrium, *args: np.ndarray) -> np.ndarray:
+        looked[0] += 1
+        return derivative(self, *args)
+
+    def watched(self: Equilibrium, guess: Solution, *left: float) -> Solution | None:
+        begun = looked[0]
+        found = newton(self, guess, *left)
+        ended.append((found, looked[0] - begun))
+        return found
+
+    monkeypatch.setattr(Equilibrium, "derivative", counted)
+    monkeypatch.setattr(Equilibrium, "_newton", watched)
+    return ended
+
+
+def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = searches(monkeypatch)
+    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.5))  # its stand ends half way
+    with pytest.raises(pa.NoEquilibriumError, match="of the feed-forward is taken away"):
+        steady_state(robot, pa.solve_stand(robot))
+    lost = [steps for found, steps in ended if found is None]
+    assert len(lost) >= 5
+    assert sum(lost) < 10 * len(lost)  # all took 25 steps
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("torso", [1.0, 3.0, 5.0])
+def test_a_search_that_finds_something_does_not_go_round(
+    monkeypatch: pytest.MonkeyPatch, torso: float
+) -> None:
+    monkeypatch.setattr(equilibrium, "goes_round", lambda _: False)
+    ended = searches(monkeypatch)
+    for leg in (0.8, 1.1, 1.4):
+        robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=leg, torso_mass_scale=torso))
+        with contextlib.suppress(pa.NoEquilibriumError):
+            steady_state(robot, pa.solve_stand(robot))
+    found = [one.residuals for one, _ in ended if one is not None]
+    assert len(found) >= 6
+    for residuals in found:
+        assert not any(goes_round(residuals[:end]) for end in range(len(residuals)))
+
+
+def test_what_goes_round() -> None:
+    assert goes_round([0.1, 3.0, 0.02, 3.1, 0.0201, 3.105])
+    assert goes_round([1.0, 7.0, 0.16, 0.003, 0.88, 0.16, 0.003, 0.88])
+    assert not goes_round([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125])
+    assert not goes_round([1.0, 0.02, 1.0, 0.01, 1.0, 0.005])  # every other one comes nearer
+    assert not goes_round([0.5, 0.5, 0.5])
+
+
+def test_instability_is_reported() -> None:
+    """At full feed-forward the stand is an equilibrium with any kp; with a low one, no stable."""
+    robot, stand = load("original"), stand_of("original")
+    pose = steady_state(robot, stand, kp=0.1, feedforward=True)
+    assert not pose.stable
+    assert any(one.code == "equilibrium-not-stable" for one in pose.failures)
+    run = pa.verify_stand(robot, stand, kp=0.1, kd=0.1, duration=20, nudged=0)
+    assert any(one.code == "fell-over" for one in run.failures)
+
+
+# ------------------------------------------------------------------------------------- requests
+
+
+def test_wrong_requests() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    with pytest.raises(pa.ConfigurationError, match="feet"):
+        steady_state(robot, stand, feet="glued")  # type: ignore[arg-type]
+    with pytest.raises(pa.ConfigurationError, match="robot"):
+        steady_state(load("v3", fixed_base=True), stand)
+    slope = pa.solve_stand(robot, pa.StandTask(pitch=-0.1, ground=pa.Ground(0.1)))
+    with pytest.raises(pa.ConfigurationError, match="slope"):
+        steady_state(robot, slope, feet="sliding")
+    for seconds, feet in ((-1.0, "pinned"), (np.inf, "pinned"), (1.0, "sliding")):
+        with pytest.raises(pa.ConfigurationError, match="seconds"):
+            steady_state(robot, stand, seconds=seconds, feet=feet)
+    with pytest.raises(pa.ConfigurationError, match="kp"):
+        steady_state(robot, stand, kp=-1)
+    for tolerance in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(pa.ConfigurationError, match="tolerance"):
+            minimum_stiffness(robot, stand, tolerance=tolerance)
+    named = {foot.lower(): place for foot, place in stand.foot_targets.items()}
+    with pytest.raises(pa.UnknownNameError, match="fr"):
+        steady_state(robot, replace(stand, foot_targets=named))
+    slippery = {
+        foot: replace(contact, friction=(0.0,) * 5) for foot, contact in robot.contacts.items()
+    }
+    with pytest.raises(pa.ConfigurationError, match="no friction"):
+        steady_state(replace(robot, contacts=slippery), stand)
+
+
+def test_result_is_json() -> None:
+    result = steady_state(load("v3"), stand_of("v3")).to_dict()
+    assert result["base_height"] == pytest.approx(0.11963, abs=1e-5)
+    assert result["height_loss"] == pytest.approx(result["servo_sag"] + result["contact_sag"])

@@ -1,0 +1,102 @@
+"""The equations of a robot at rest: their derivative in closed form, against differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+import pupper_analysis as pa
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.solution import move
+from tests.support.variants import NAMES, load, stand_of
+
+
+def differences(function: Callable[[np.ndarray], np.ndarray], size: int, step: float) -> np.ndarray:
+    """Columns of central differences, of the fourth order."""
+    columns = []
+    for direction in np.eye(size):
+        far, near = (
+            (function(way * direction) - function(-way * direction)) / (2 * way)
+            for way in (2 * step, step)
+        )
+        columns.append((4 * near - far) / 3)
+    return np.array(columns).T
+
+
+@pytest.mark.parametrize("feet", ["pinned", "sliding"])
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("slope", [0.0, 0.15])
+def test_derivative_is_that_of_the_residual(
+    name: str, feet: Literal["pinned", "sliding"], slope: float
+) -> None:
+    """Away from the equilibrium, with feet that have turned, moments on them, and a slope."""
+    robot, rng = load(name), np.random.default_rng(5)
+    stand = stand_of(name)
+    if slope:
+        task = pa.StandTask(ground=pa.Ground(slope=slope, uphill=0.4), yaw=0.1)
+        stand = pa.solve_stand(robot, task)
+    system = Equilibrium(robot, stand, None, feet)
+    forces = rng.normal(size=(len(system.anchors), 3)) + np.array([0.0, 0.0, 8.0])
+    system.moments = {foot: 0.1 * rng.normal(size=3) for foot in system.anchors}
+    qpos = move(stand.qpos, 2e-4 * rng.normal(size=robot.nv))  # the feet stick
+    n = robot.nv
+    found = system.derivative(qpos, forces)
+    by_qpos = differences(lambda step: system.residual(move(qpos, step), forces), n, 1e-5)
+    by_force = differences(
+        lambda step: system.residual(qpos, forces + step.reshape(-1, 3)), forces.size, 1e-3
+    )
+    for block, expected in ((found[:, :n], by_qpos), (found[:, n:], by_force)):
+        size = max(1.0, float(np.abs(expected).max()))
+        np.testing.assert_allclose(block, expected, rtol=0, atol=1e-7 * size)
+
+
+def test_moments_turn_with_nothing() -> None:
+    """Far from the stand, where second-order terms of all rotations count."""
+    robot, rng = load("v3"), np.random.default_rng(6)
+    config = pa.Configuration(robot, move(stand_of("v3").qpos, 0.3 * rng.normal(size=robot.nv)))
+    wrenches = {foot: rng.normal(size=6) for foot in robot.feet}
+
+    def left(step: np.ndarray) -> np.ndarray:
+        at = pa.Configuration(robot, move(config.qpos, step))
+        return at.gravity() - sum(
+            at.frame_jacobian(robot.foot_frames[foot]).T @ wrench
+            for foot, wrench in wrenches.items()
+        )
+
+    expected = differences(left, robot.nv, 1e-4)
+    np.testing.assert_allclose(config.static_rates(wrenches), expected, rtol=0, atol=1e-9)
+
+
+def test_depth_is_where_the_force_is() -> None:
+    """Against scipy's root of the same law, for laws of every form."""
+    rng = np.random.default_rng(7)
+    for _ in range(300):
+        low, high = np.sort(rng.uniform(1e-4, 0.9999, 2))
+        law = GroundLaw(
+            stiffness=float(10 ** rng.uniform(1, 6)),
+            damping=1.0,
+            solimp=(
+                *map(float, (low, high, 10 ** rng.uniform(-5, -1), rng.uniform(1e-4, 0.9999))),
+                float(rng.choice([1.0, 2.0, 6.0, rng.uniform(1, 8)])),
+            ),
+            normal=float(10 ** rng.uniform(-3, 2)),
+            tangential=1.0,
+        )
+        force = float(10 ** rng.uniform(-6, 4))
+        bound = 2 * force / law.rate(0.0)
+        expected = optimize.brentq(lambda x, law=law, f=force: law.force(x) - f, 0, bound)
+        assert law.depth(force) == pytest.approx(expected, rel=1e-9, abs=1e-11)
+        assert law.force(law.depth(force)) == pytest.approx(force, rel=1e-12)
+
+
+def test_ground_that_gets_softer_has_a_depth() -> None:
+    """Where the impedance falls with the depth, a foot sinks by more than twice the first guess."""
+    law = GroundLaw(1e3, 1.0, (0.95, 0.05, 1e-3, 0.5, 2.0), 1.0, 1.0)
+    depth = law.depth(10.0)
+    assert law.force(depth) == pytest.approx(10.0, rel=1e-12)
+    assert depth > 2 * 10.0 / law.rate(0.0)

@@ -1,0 +1,161 @@
+"""The ways to bend the legs, against random starts of another method."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import optimize
+
+import pupper_analysis as pa
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.stance.branches import Branch, branches, combinations, limbs
+from tests.support.engines import mujoco_at
+from tests.support.variants import load
+
+QPOS = {
+    name: np.array([0.0, 0.0, height, 1.0, 0.05, -0.1, 0.1, *np.zeros(12)])
+    for name, height in (("v3", 0.13), ("original", 0.16))
+}
+
+
+def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndarray]]:
+    """Feet at places that random joint positions take them to, so that all are in reach."""
+    robot = load(name)
+    qpos = QPOS[name].copy()
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    bent = qpos.copy()
+    random = np.random.default_rng(seed)
+    bent[7:] = random.uniform(robot.lower_limits, robot.upper_limits)
+    return robot, qpos, pa.Configuration(robot, bent).foot_positions()
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_a_limb_is_a_leg(name: str) -> None:
+    robot = load(name)
+    found = limbs(robot)
+    assert [limb.feet for limb in found] == [(foot,) for foot in robot.feet]
+    assert sorted(np.concatenate([limb.joints for limb in found])) == list(range(12))
+
+
+def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
+    data = mujoco_at(robot, qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return {
+        foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        for foot, (body, place) in robot.foot_places.items()
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
+    name: str, seed: int
+) -> None:
+    robot, qpos, targets = goals(name, seed)
+    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    others = 0
+    for limb, ways in found.items():
+        (foot,) = limb.feet
+        reached = [way for way in ways if way.miss < 1e-5]
+        assert reached, "it is in reach"
+        for way in ways:
+            bent = qpos.copy()
+            bent[7 + limb.joints] = way.positions
+            miss = np.linalg.norm(places_by_mujoco(robot, bent)[foot] - targets[foot])
+            assert miss == pytest.approx(way.miss, abs=1e-9)
+        low, high = robot.lower_limits[limb.joints], robot.upper_limits[limb.joints]
+        random = np.random.default_rng(100 + seed)
+        for _ in range(12):
+
+            def off(joints: np.ndarray, limb: object = limb, foot: str = foot) -> np.ndarray:
+                bent = qpos.copy()
+                bent[7 + limb.joints] = joints  # type: ignore[attr-defined]
+                return np.asarray(places_by_mujoco(robot, bent)[foot] - targets[foot])
+
+            other = optimize.least_squares(off, random.uniform(low, high), bounds=(low, high))
+            if np.abs(other.fun).max() < 1e-8:
+                others += 1
+                assert min(np.abs(way.positions - other.x).max() for way in reached) < 0.05
+    assert others, "no start led to a way to bend a leg"
+
+
+def test_a_whole_turn_is_no_other_branch() -> None:
+    """Knee and hip of a leg that turns all the way round: two choices each, and nothing more."""
+    bounded = load("original")
+    urdf = bounded.description.urdf.replace('type="revolute"', 'type="continuous"')
+    robot = build_robot(replace(bounded.description, urdf=urdf))
+    assert np.isinf(robot.upper_limits).all()
+    qpos = QPOS["original"].copy()
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    bent = qpos.copy()
+    bent[7:] = np.tile([0.2, 0.7, -1.4], 4)
+    targets = pa.Configuration(robot, bent).foot_positions()
+    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    for limb, ways in found.items():
+        reached = [way.positions for way in ways if way.miss < 1e-5]
+        assert len(reached) == 4
+        assert all((np.abs(positions) <= np.pi).all() for positions in reached)
+        assert min(np.abs(positions - bent[7 + limb.joints]).max() for positions in reached) < 1e-3
+        for one, two in itertools.combinations(reached, 2):
+            assert np.abs(np.exp(1j * one) - np.exp(1j * two)).max() > 0.05
+
+
+def test_combinations_begin_with_what_is_in_reach_and_near() -> None:
+    robot = load("v3")
+    first, second, *rest = limbs(robot)
+    near = np.zeros(12)
+    found = {
+        first: (Branch(np.full(3, 1.0), 0.0), Branch(np.full(3, 0.1), 0.0)),
+        second: (Branch(np.full(3, 0.2), 0.0), Branch(np.full(3, 0.0), 0.01)),
+        **{limb: (Branch(np.zeros(3), 0.0),) for limb in rest},
+    }
+    chosen = list(combinations(found, near))
+    assert len(chosen) == 4
+    pairs = [(row[first.joints[0]], row[second.joints[0]]) for row in chosen]
+    assert pairs == [(0.1, 0.2), (1.0, 0.2), (0.1, 0.0), (1.0, 0.0)]
+    assert len({row.tobytes() for row in chosen}) == len(list(itertools.chain(chosen)))
+
+
+BESIDE_A_STEP = pa.StandTask(
+    height=0.1080530850699608,
+    roll=0.2369110561876388,
+    foot_offsets={"RL": (0.016726622926013145, -0.0031684613124968973)},
+    swing={"RR": 0.011109525082513838},
+    ground=pa.Ground(0.22402126126057564, -1.5789089193633834, {"FR": 0.0151867, "RL": 0.0079027}),
+    com="inside",
+    com_margin=0.018870068691670343,
+)
+ON_A_STEEP_SLOPE = pa.StandTask(
+    height=0.12886978562632848,
+    pitch=0.9830113688699735,
+    yaw=-0.1852603102694485,
+    foot_offsets={"RL": (-0.008297196379652478, 0.004187460646046973)},
+    swing={"RR": 0.008706375168235695},
+    ground=pa.Ground(1.0320377889349654, math.pi),
+    com="inside",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "angle", "values"),
+    [
+        (BESIDE_A_STEP, "roll", (0.17, 0.1771509, 0.178, 0.1785, 0.18)),
+        (ON_A_STEEP_SLOPE, "yaw", (-0.175, -0.1797689, -0.1841322, -0.185, -0.1852)),
+    ],
+)
+def test_a_thigh_in_the_ground_is_lifted_out_by_another_branch_elsewhere(
+    task: pa.StandTask, angle: str, values: tuple[float, ...]
+) -> None:
+    """Where it is out of the ground the com is centimetres away, and other legs are bent too."""
+    robot = load("v3")
+    for value in values:  # some of them were found before, and those between them refused
+        stand = pa.solve_stand(robot, replace(task, **{angle: value}), explain=False)
+        assert stand.ground_clearance is not None
+        assert stand.ground_clearance.distance > -1e-6

@@ -1,0 +1,318 @@
+"""Distances between parts, and to the ground, on Pinocchio's links against MuJoCo's own."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.judge import base_is_in_the_ground
+from pupper_analysis.stance.problem import goal_of
+from tests.support.engines import mujoco_at
+from tests.support.states import random_state
+from tests.support.variants import NAMES, load
+
+FAR = 10.0  # m
+
+
+def shapes_of(robot: pa.Robot, body: int) -> list[int]:
+    """The geoms of a body that touch things, but for the foot_geoms."""
+    model = robot.mj_model
+    return [
+        geom
+        for geom in range(model.ngeom)
+        if model.geom_bodyid[geom] == body
+        and (model.geom_contype[geom] or model.geom_conaffinity[geom])
+    ]
+
+
+def distance(model: mujoco.MjModel, data: mujoco.MjData, one: int, two: int) -> float:
+    return float(mujoco.mj_geomDistance(model, data, one, two, FAR, None))
+
+
+def ground_distances(robot: pa.Robot, qpos: np.ndarray) -> Iterator[float]:
+    """MuJoCo's distances between all that is not a foot, and floor and steps."""
+    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    for body in range(1, model.nbody):
+        for part in shapes_of(robot, body):
+            if part in robot.foot_geoms:
+                continue
+            for obstacle in shapes_of(robot, 0):
+                if model.geom_type[obstacle] == mujoco.mjtGeom.mjGEOM_PLANE.value:
+                    normal = data.geom_xmat[obstacle].reshape(3, 3)[:, 2]
+                    yield lowest(model, data, part, normal, data.geom_xpos[obstacle])
+                else:
+                    yield distance(model, data, part, obstacle)
+
+
+def lowest(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: int, normal: np.ndarray, point: np.ndarray
+) -> float:
+    """How high a geom's lowest point is above a plane, in closed form."""
+    size, kind = model.geom_size[geom], mujoco.mjtGeom(int(model.geom_type[geom]))
+    local = data.geom_xmat[geom].reshape(3, 3).T @ normal
+    reach = {
+        mujoco.mjtGeom.mjGEOM_SPHERE: size[0],
+        mujoco.mjtGeom.mjGEOM_CAPSULE: size[0] + size[1] * abs(local[2]),
+        mujoco.mjtGeom.mjGEOM_CYLINDER: size[0] * np.hypot(*local[:2]) + size[1] * abs(local[2]),
+        mujoco.mjtGeom.mjGEOM_BOX: float(size @ np.abs(local)),
+    }[kind]
+    return float(normal @ (data.geom_xpos[geom] - point) - reach)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_height_above_level_ground(name: str) -> None:
+    robot, shapes = load(name), Shapes(load(name))
+    for seed in range(20):
+        qpos, _ = random_state(robot, seed)
+        found = shapes.above_ground(qpos, pa.Ground(), {}, {})
+        assert found is not None
+        assert found.distance == pytest.approx(min(ground_distances(robot, qpos)), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_height_above_slope_and_steps(name: str) -> None:
+    robot, shapes = load(name), Shapes(load(name))
+    ground = pa.Ground(0.2, 0.8, {"FL": 0.03, "RR": 0.05})
+    feet = pa.Configuration(robot, robot.home).foot_positions()
+    there, seen = on_ground(robot, ground, feet), 0
+    for seed in range(40):
+        qpos, _ = random_state(robot, seed)
+        qpos[:3] = 0.05 * np.tanh(qpos[:3]) + (0, 0, 0.3)
+        found = shapes.above_ground(qpos, ground, feet, {})
+        expected = min(ground_distances(there, qpos))
+        assert found is not None
+        if expected > 0:  # of shapes in each other the two libraries give other depths
+            seen += 1
+            assert found.distance == pytest.approx(expected, abs=1e-5)
+        else:
+            assert found.distance < 1e-5
+    assert seen > 10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_height_above_a_slope(name: str) -> None:
+    """In closed form both, at places of two models: the URDF's links, the MJCF's geoms."""
+    robot, shapes = load(name), Shapes(load(name))
+    ground = pa.Ground(0.3, -2.1)
+    there = on_ground(robot, ground, {})
+    for seed in range(20):
+        qpos, _ = random_state(robot, seed)
+        found = shapes.above_ground(qpos, ground, {}, {})
+        assert found is not None
+        assert found.distance == pytest.approx(min(ground_distances(there, qpos)), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_distance_between_links(name: str) -> None:
+    robot, shapes = load(name), Shapes(load(name))
+    model, seen = robot.mj_model, 0
+    home = mujoco_at(robot, robot.home)
+
+    def pairs(data: mujoco.MjData) -> dict[tuple[int, int], float]:
+        found = {}
+        for one, two in itertools.combinations(range(1, model.nbody), 2):
+            if model.body_parentid[two] == one or model.body_parentid[one] == two:
+                continue
+            gaps = [
+                distance(model, data, *pair)
+                for pair in itertools.product(shapes_of(robot, one), shapes_of(robot, two))
+            ]
+            if gaps:
+                found[one, two] = min(gaps)
+        return found
+
+    neighbours = {pair for pair, gap in pairs(home).items() if gap <= 0}
+    for seed in range(10):
+        qpos, _ = random_state(robot, seed)
+        found = shapes.between_links(qpos)
+        assert found is not None
+        gaps = {p: gap for p, gap in pairs(mujoco_at(robot, qpos)).items() if p not in neighbours}
+        if min(gaps.values()) > 0:
+            seen += 1
+            assert found.distance == pytest.approx(min(gaps.values()), abs=1e-5)
+        else:
+            assert found.distance < 1e-5
+    assert seen
+
+
+def test_a_calf_may_be_as_deep_as_its_foot() -> None:
+    """The skeleton's calf ends in its foot, 7 mm above the ground; a sunk foot takes it along."""
+    robot, shapes = load("original"), Shapes(load("original"))
+    stand = pa.solve_stand(robot)
+    places, deep = stand.foot_targets, dict.fromkeys(robot.feet, 0.009)
+    qpos = stand.qpos.copy()
+    qpos[2] -= 0.009
+    rigid, soft = (shapes.above_ground(qpos, pa.Ground(), places, d) for d in ({}, deep))
+    assert rigid is not None
+    assert soft is not None
+    assert rigid.links[0].endswith("_calf")
+    assert rigid.distance == pytest.approx(-0.002)
+    assert soft.distance == pytest.approx(0.007)
+
+
+# ------------------------------------------------------------------------------------- stands
+
+LOW = pa.StandTask(height=0.1113, pitch=0.3755, ground=pa.Ground(0.465, np.pi))
+
+
+def test_a_stand_with_a_knee_in_the_ground_is_refused() -> None:
+    robot = load("v3")
+    with pytest.raises(
+        pa.StanceUnreachableError, match=r"leg_\w+_2 is .* mm in the ground"
+    ) as caught:
+        pa.solve_stand(robot, LOW)
+    error = caught.value
+    assert error.shortfall == {}
+    assert len(error.blocked) == 1
+    assert "height" in error.possible
+    assert error.nearest is not None
+    nearest = error.nearest
+    there = on_ground(robot, nearest.task.ground, nearest.foot_targets)
+    near = min(ground_distances(there, nearest.qpos))
+    assert near == pytest.approx(nearest.ground_clearance.distance, abs=1e-9)
+    assert near == pytest.approx(0, abs=1e-3)
+    assert near > -1e-6
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_a_base_in_the_ground_needs_no_search(name: str) -> None:
+    """Its turn and height are the task's: MuJoCo has it as deep wherever com and feet are."""
+    robot, seen = load(name), set()
+    model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        task = pa.StandTask(
+            height=robot.stand_height * random.uniform(0.4, 1.0),
+            pitch=random.uniform(-0.8, 0.8),
+            roll=random.uniform(-0.4, 0.4),
+            ground_clearance=random.choice([0.0, 0.03]),
+            com="inside",
+        )
+        qpos, _ = random_state(robot, seed)
+        qpos[2], qpos[3:7] = task.height, task.turn()
+        data = mujoco_at(robot, qpos)
+        up, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
+        height = min(lowest(model, data, geom, up, zero) for geom in shapes_of(robot, base))
+        found = base_is_in_the_ground(Shapes(robot), goal_of(robot, task, {}))
+        assert found == (height < task.ground_clearance)
+        seen.add(found)
+        if found:
+            with pytest.raises(pa.StanceUnreachableError):
+                pa.solve_stand(robot, task, explain=False)
+    assert seen == {True, False}
+    slope = goal_of(robot, pa.StandTask(height=0.01, ground=pa.Ground(0.1), com="inside"), {})
+    assert not base_is_in_the_ground(Shapes(robot), slope)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_ground_clearance(name: str) -> None:
+    robot = load(name)
+    near = pa.solve_stand(robot).ground_clearance
+    assert near is not None
+    for more, reached in ((-1e-4, True), (1e-4, False)):
+        task = pa.StandTask(ground_clearance=near.distance + more)
+        if reached:
+            pa.solve_stand(robot, task)
+        else:
+            with pytest.raises(pa.StanceUnreachableError, match="above the ground"):
+                pa.solve_stand(robot, task)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_self_clearance(name: str) -> None:
+    robot = load(name)
+    near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
+    assert near is not None
+    task = pa.StandTask(self_clearance=near.distance - 1e-4)
+    assert pa.solve_stand(robot, task).foot_error < 1e-9
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, replace(task, self_clearance=near.distance + 1e-3))
+    assert near.links[0] in str(caught.value.blocked[0])
+    assert list(caught.value.possible) == ["self_clearance"]
+    least = caught.value.limits["self_clearance"]["self_clearance"]
+    assert 0.99 * near.distance < least <= near.distance + 1e-9
+    assert str(caught.value.possible["self_clearance"]) == f"self_clearance {1e3 * least:g} mm"
+
+
+def test_a_posture_with_its_links_apart_is_found() -> None:
+    """v3, turned by 30 degrees, has its links 15.1 mm apart in the branch that reaches that."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.014))
+    assert stand.self_clearance is not None
+    assert stand.self_clearance.distance >= 0.014 - 1e-6
+    nearer = pa.solve_stand(robot, pa.StandTask(yaw=math.radians(30), self_clearance=0.0))
+    again = pa.solve_stand(
+        robot, replace(nearer.task, ik_seed=tuple(nearer.joint_positions(robot).tolist()))
+    )
+    np.testing.assert_allclose(again.qpos, nearer.qpos, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_links_that_would_touch_are_kept_apart() -> None:
+    """Two feet of one side on one spot."""
+    robot = load("v3")
+    x = 0.075
+    task = pa.StandTask(foot_offsets={"FL": (-x, 0.0), "RL": (x, 0.0)}, com="inside")
+    pa.solve_stand(robot, task)
+    with pytest.raises(pa.StanceUnreachableError, match="mm in leg_") as caught:
+        pa.solve_stand(robot, replace(task, self_clearance=0.004))
+    nearest = caught.value.nearest
+    assert nearest is not None
+    assert nearest.self_clearance.distance > nearest.task.self_clearance - 1e-6
+    assert "foot_offsets" in caught.value.possible
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+@pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.3, 0.7, {"FL": 0.05, "RR": 0.03})])
+def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> None:
+    """By central differences; near steps coal's distances are found by iteration, less exact."""
+    robot = load(name)
+    shapes, random = Shapes(robot), np.random.default_rng(0)
+    places = pa.Configuration(robot, robot.neutral()).foot_positions()
+    for _ in range(3):
+        qpos = robot.home.copy()
+        qpos[3:7] += random.uniform(-0.2, 0.2, 4)
+        qpos[3:7] /= np.linalg.norm(qpos[3:7])
+        qpos[7:] = random.uniform(robot.lower_limits, robot.upper_limits)
+        rates = shapes.height_rates(qpos, ground, places, {})
+        there = np.isfinite(shapes.heights(qpos, ground, places, {}))
+        assert not rates[~there].any()
+        for column, index in zip(
+            (0, 1, 2, *range(6, robot.nv)), (0, 1, 2, *range(7, robot.nq)), strict=True
+        ):
+            ends = []
+            for step in (1e-4, -1e-4):
+                moved = qpos.copy()
+                moved[index] += step
+                ends.append(shapes.heights(moved, ground, places, {})[there])
+            slopes = (ends[0] - ends[1]) / 2e-4
+            np.testing.assert_allclose(rates[there, column], slopes, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_a_stand_that_leaves_the_base_millimetres_is_found() -> None:
+    """On three feet with all else high up: knees are over the hips, and the base has 3 mm."""
+    robot = load("v3")
+    task = pa.StandTask(swing={"FR": 0.003}, ground_clearance=0.066, com="inside")
+    stand = pa.solve_stand(robot, task, explain=False)
+    data = mujoco_at(robot, stand.qpos)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    mujoco.mj_comPos(robot.mj_model, data)
+    for foot, (body, place) in robot.foot_places.items():
+        there = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+        assert there[2] == pytest.approx(robot.foot_radius[foot] + task.swing.get(foot, 0.0))
+    rear = min(stand.contact_points[foot][0] for foot in ("RR", "RL"))
+    assert data.subtree_com[0][0] > rear - 1e-9
+    lowest = stand.ground_clearance
+    assert lowest is not None
+    assert lowest.distance > 0.066 - 1e-6

@@ -1,0 +1,267 @@
+"""Clearances of robots whose shapes are meshes: convex hulls, as in MuJoCo's collisions."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.clearance import Shapes
+from tests.support.engines import changed, mujoco_at
+from tests.support.legged import Pair, quadruped
+
+FAR = 50.0  # m
+TRUNK = '<geom type="box" size="0.2 0.1 0.04"/>'
+
+# A box that is open above (its hull is not) with a keel below, in front and to the left.
+SHELL = [
+    *itertools.product((-0.2, 0.22), (-0.1, 0.09), (-0.03, 0.04)),
+    *itertools.product((-0.1, 0.1), (-0.05, 0.05), (0.0, 0.01)),
+    (0.16, 0.03, -0.17),
+]
+ROD = [*itertools.product((-0.012, 0.01), (-0.009, 0.011)), (0.0, 0.0)]
+
+
+def obj(points: list[tuple[float, ...]]) -> str:
+    """A surface through all points, each in some triangle; what matters is their hull."""
+    lines = [f"v {x} {y} {z}" for x, y, z in points]
+    count = len(points)
+    faces = [f"f {i + 1} {(i + 1) % count + 1} {(i + 3) % count + 1}" for i in range(count)]
+    return "\n".join([*lines, *faces, ""])
+
+
+def meshed(folder: Path, more: str = "") -> Pair:
+    """A quadruped whose trunk and legs are meshes in the MJCF, and nothing in the URDF."""
+    rod = [(x, y, z) for x, y in ROD[:4] for z in (-0.17, -0.01)]
+    (folder / "shell.obj").write_text(obj(SHELL))
+    (folder / "rod.obj").write_text(obj([*rod, (0.02, 0.0, -0.1)]))
+    feet = '<geom type="sphere" size="0.02" pos="0 0 -0.2"/><geom type="mesh" mesh="rod"/>'
+    pair = quadruped(folder, foot=feet, floor=True, actuators="position")
+    text = pair.mjcf.read_text()
+    assert TRUNK in text
+    text = text.replace(TRUNK, '<geom type="mesh" mesh="shell" pos="0.01 0 0" euler="0 0.1 0"/>')
+    text = text.replace(
+        "<worldbody>",
+        '<asset><mesh name="shell" file="shell.obj" inertia="shell"/>'
+        '<mesh name="rod" file="rod.obj" inertia="shell"/></asset>' + more + "<worldbody>",
+    )
+    for leg in ("FL", "FR"):
+        bar = f'<joint name="{leg}_pitch" axis="0 1 0" range="-1.5 2.5"/>'
+        assert bar in text
+        form = '<geom type="mesh" mesh="rod"/><geom type="ellipsoid" size="0.02 0.03 0.04"/>'
+        text = text.replace(bar, bar + form)
+    pair.mjcf.write_text(text)
+    return pair
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> pa.Robot:
+    pair = meshed(tmp_path_factory.mktemp("meshed"))
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def touching(model: mujoco.MjModel) -> Iterator[int]:
+    for geom in range(model.ngeom):
+        if model.geom_bodyid[geom] and (model.geom_contype[geom] or model.geom_conaffinity[geom]):
+            yield geom
+
+
+def above_ground(robot: pa.Robot, qpos: np.ndarray) -> float:
+    """MuJoCo's least distance between the ground and what is no foot (m)."""
+    model, data = robot.mj_model, mujoco_at(robot, qpos)
+    floor = int(np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value)[0])
+    geoms = set(touching(model)) - set(robot.foot_geoms)
+    return min(mujoco.mj_geomDistance(model, data, floor, geom, FAR, None) for geom in geoms)
+
+
+def drawn(robot: pa.Robot, seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    qpos = robot.home.copy()
+    qpos[:3] = np.array([0.0, 0.0, 0.6]) + random.uniform(-0.2, 0.2, 3)
+    qpos[3:7] = random.normal(size=4)
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    qpos[7:] = random.uniform(robot.lower_limits, robot.upper_limits)
+    return qpos
+
+
+@pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.4, 1.1)])
+def test_heights_are_those_of_mujocos_hulls(robot: pa.Robot, ground: pa.Ground) -> None:
+    shapes, there = Shapes(robot), on_ground(robot, ground, {})
+    kinds = {shape.kind for shape in robot.shapes}
+    assert {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_ELLIPSOID} <= kinds
+    for seed in range(20):
+        qpos = drawn(robot, seed)
+        found = shapes.above_ground(qpos, ground, {}, {})
+        assert found is not None
+        assert found.distance == pytest.approx(above_ground(there, qpos), abs=1e-9)
+
+
+def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
+    """What is nearest is a step or the plane; of shapes in each other the depths differ."""
+    shapes = Shapes(robot)
+    ground = pa.Ground(0.2, 0.8, dict(zip(robot.feet, (0.05, 0.08), strict=False)))
+    places = pa.Configuration(robot, robot.home).foot_positions()
+    there, seen = on_ground(robot, ground, places), 0
+    model = there.mj_model
+    model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-9, 200
+    still = np.flatnonzero(model.geom_bodyid == 0)
+    for seed in range(20):
+        qpos = drawn(robot, seed)
+        data = mujoco_at(there, qpos)
+        geoms = set(touching(model)) - set(there.foot_geoms)
+        expected = min(
+            mujoco.mj_geomDistance(model, data, int(fixed), geom, FAR, None)
+            for fixed, geom in itertools.product(still, geoms)
+        )
+        found = shapes.above_ground(qpos, ground, places, {})
+        assert found is not None
+        if expected > 0:
+            seen += 1
+            assert found.distance == pytest.approx(expected, abs=1e-6)
+        else:
+            assert found.distance < 1e-6
+    assert seen > 10
+
+
+def test_distances_between_links_are_those_of_mujocos_hulls(robot: pa.Robot) -> None:
+    shapes, model = Shapes(robot), robot.mj_model
+    neighbours, seen = neighbouring(robot), 0
+    for seed in range(15):
+        qpos = drawn(robot, seed)
+        data = mujoco_at(robot, qpos)
+        expected = min(
+            mujoco.mj_geomDistance(model, data, one, two, FAR, None)
+            for one, two in itertools.combinations(touching(model), 2)
+            if pair_of(model, one, two) not in neighbours
+        )
+        found = shapes.between_links(qpos)
+        assert found is not None
+        if expected > 0:
+            seen += 1
+            assert found.distance == pytest.approx(expected, abs=1e-5)  # MuJoCo's tolerance: 1e-6
+        else:
+            assert found.distance < 1e-5
+    assert seen > 5
+
+
+def pair_of(model: mujoco.MjModel, one: int, two: int) -> frozenset[int]:
+    return frozenset((int(model.geom_bodyid[one]), int(model.geom_bodyid[two])))
+
+
+def neighbouring(robot: pa.Robot) -> set[frozenset[int]]:
+    """Pairs of bodies that are one, parent and child, or overlap at home."""
+    model, data = robot.mj_model, mujoco_at(robot, robot.home)
+    found = set()
+    for one, two in itertools.combinations(touching(model), 2):
+        pair = pair_of(model, one, two)
+        parents = {int(model.body_parentid[body]) for body in pair}
+        near = mujoco.mj_geomDistance(model, data, one, two, FAR, None) <= 0
+        if len(pair) == 1 or pair & parents or near:
+            found.add(pair)
+    return found
+
+
+def test_a_demanded_clearance_is_kept_and_its_limit_is_mujocos(robot: pa.Robot) -> None:
+    """Without the meshes any clearance was as good as another: none was looked at."""
+    with pytest.raises(pa.StanceUnreachableError, match=r"_calf is .* above the ground") as caught:
+        pa.solve_stand(robot, pa.StandTask(ground_clearance=0.5))
+    limit = caught.value.limits["ground_clearance"]["ground_clearance"]
+    typed = pa.solve_stand(robot, pa.StandTask(ground_clearance=limit))
+    assert limit <= above_ground(robot, typed.qpos) + 1e-9 < limit * 1.01
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, pa.StandTask(ground_clearance=1.01 * limit), explain=False)
+
+
+def test_links_that_are_meshes_are_kept_apart(robot: pa.Robot) -> None:
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, pa.StandTask(self_clearance=0.5))
+    limit = caught.value.limits["self_clearance"]["self_clearance"]
+    near = pa.solve_stand(robot, pa.StandTask(self_clearance=limit)).self_clearance
+    assert near is not None
+    assert limit - 1e-6 <= near.distance < 0.3
+
+
+def test_no_stand_has_a_mesh_in_the_ground(robot: pa.Robot) -> None:
+    """On slopes and turned: what is solved is clear in MuJoCo, what is refused for it is not."""
+    refused = solved = 0
+    for uphill, pitch in itertools.product((0.0, 1.6, 3.1), (-0.25, 0.0, 0.25)):
+        ground = pa.Ground(0.3, uphill)
+        task = pa.StandTask(height=0.22, pitch=pitch, ground=ground)
+        try:
+            stand = pa.solve_stand(robot, task, explain=False)
+        except pa.StanceUnreachableError as error:
+            refused += any(one.code.endswith("-ground") for one in error.blocked)
+            continue
+        solved += 1
+        there = on_ground(robot, ground, stand.foot_targets)
+        assert above_ground(there, stand.qpos) > -1e-6
+    assert refused
+    assert solved
+
+
+@pytest.mark.slow
+def test_the_workspace_ends_where_a_mesh_meets_the_ground(robot: pa.Robot) -> None:
+    """Typed back it stands, and a hundredth of a radian on the keel is in MuJoCo's ground."""
+    start = pa.StandTask(height=0.22)
+    most = pa.base_workspace(robot, start).intervals["pitch"].high
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.22, pitch=most))
+    assert 0 <= above_ground(robot, stand.qpos) + 1e-6 < 1e-3
+    qpos = stand.qpos.copy()
+    turn = most + 0.01
+    qpos[3:7] = math.cos(turn / 2), 0.0, math.sin(turn / 2), 0.0
+    assert above_ground(robot, qpos) < 0
+
+
+@pytest.mark.slow
+def test_what_touches_nothing_does_not_count(tmp_path: Path) -> None:
+    """Nor what the MJCF lets touch other robots alone: MuJoCo lets it sink in."""
+    pair = meshed(tmp_path)
+    text = pair.mjcf.read_text()
+    for bits, seen in (('contype="0" conaffinity="0"', False), ('contype="1"', True)):
+        pair.mjcf.write_text(text.replace('mesh="shell" pos', f'mesh="shell" {bits} pos'))
+        robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+        assert any(shape.link == "trunk" for shape in robot.shapes) == seen
+
+
+@pytest.mark.slow
+def test_excluded_links_are_not_kept_apart(tmp_path: Path) -> None:
+    pair = meshed(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
+    assert near is not None
+    one, two = near.links
+    pair = meshed(tmp_path, f'<contact><exclude body1="{one}" body2="{two}"/></contact>')
+    other = pa.solve_stand(
+        pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf), pa.StandTask(self_clearance=0.0)
+    ).self_clearance
+    assert other is not None
+    assert set(other.links) != set(near.links)
+    assert other.distance > near.distance - 1e-9
+
+
+@pytest.mark.slow
+def test_what_cannot_be_judged_is_refused(tmp_path: Path) -> None:
+    """Nothing but feet: no clearance can be told, and none is asked for by default."""
+    pair = quadruped(tmp_path, floor=True)
+    text = pair.mjcf.read_text()
+    pair.mjcf.write_text(text.replace(TRUNK, ""))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert pa.solve_stand(robot).ground_clearance is None
+    with pytest.raises(pa.ConfigurationError, match=r"^ground_clearance: .* no shapes but"):
+        pa.solve_stand(robot, pa.StandTask(ground_clearance=0.001))
+    pa.solve_stand(robot, pa.StandTask(self_clearance=0.01))  # of the feet
+
+
+def test_distances_that_no_one_can_tell_are_refused(robot: pa.Robot) -> None:
+    def as_field(model: mujoco.MjModel) -> None:
+        model.geom_type[next(touching(model))] = mujoco.mjtGeom.mjGEOM_SDF
+
+    with pytest.raises(pa.ModelError, match="is a sdf, of which no distance can be told"):
+        pa.solve_stand(changed(robot, as_field))

@@ -1,0 +1,160 @@
+"""With an offset of the base the com is a result, and has the margin that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+
+import pupper_analysis as pa
+from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.nearest import nearest
+from pupper_analysis.stance.optimize.space import StanceSpace
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.search import search
+from pupper_analysis.stance.sunk import loaded_stand
+from pupper_analysis.stance.workspace import base_workspace, stand_at
+from tests.support.engines import mujoco_at
+from tests.support.variants import NAMES, load
+
+
+def margin_of(robot: pa.Robot, stand: pa.Stand) -> float:
+    """By MuJoCo's com of the MJCF and SciPy's convex hull: sides are (a, b, c), negative inside."""
+    com = mujoco_at(robot, stand.qpos).body(robot.mj_base).subtree_com
+    sides = ConvexHull([point[:2] for point in stand.contact_points.values()]).equations
+    return -float((sides @ [*com[:2], 1.0]).max())
+
+
+def refused(robot: pa.Robot, task: pa.StandTask) -> pa.StanceUnreachableError:
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, task)
+    return caught.value
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_margin_is_heeded_up_to_what_there_is(name: str) -> None:
+    robot = load(name)
+    task = pa.StandTask(offset=(0.03, -0.01), yaw=0.1)
+    free = pa.solve_stand(robot, task)
+    margin = margin_of(robot, free)
+    assert free.com_margin == pytest.approx(margin, abs=1e-9)
+    held = pa.solve_stand(robot, replace(task, com_margin=margin - 1e-8))
+    np.testing.assert_allclose(held.qpos, free.qpos, atol=1e-9)
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, replace(task, com_margin=margin + 1e-8), explain=False)
+
+
+def test_a_refusal_names_the_margin_with_its_limit() -> None:
+    robot = load("v3")
+    task = pa.StandTask(offset=(0.05, 0.0), com_margin=0.04)
+    error = refused(robot, task)
+    assert error.shortfall == {}
+    assert [str(one) for one in error.blocked] == ["the com is 31.3 mm inside the support polygon"]
+    assert "com inside by 40 mm" in str(error)
+    assert set(error.limits) == {"offset", "com_margin"}
+    for name, limit in error.limits.items():
+        assert pa.solve_stand(robot, replace(task, **limit)).solved, name
+    least = error.limits["com_margin"]["com_margin"]
+    assert "com_margin 31.2 mm" in str(error)
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, replace(task, com_margin=1.02 * least), explain=False)
+    x, y = error.limits["offset"]["offset"]
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stand(robot, replace(task, offset=(1.02 * x, y)), explain=False)
+    assert margin_of(robot, error.nearest) >= error.nearest.task.com_margin - 1e-9
+
+
+def test_no_margin_does_not_let_the_com_outside() -> None:
+    """Beyond the polygon's edge less of the margin does not help, only less of the offset."""
+    error = refused(load("v3"), pa.StandTask(offset=(0.11, 0.0), com_margin=0.01, height=0.12))
+    assert [str(one) for one in error.blocked] == ["the com is 25.9 mm outside the support polygon"]
+    assert set(error.limits) == {"offset"}
+
+
+def test_without_a_margin_the_com_may_be_outside() -> None:
+    """It is reached; that it cannot be held is another matter."""
+    robot = load("v3")
+    stand = pa.solve_stand(robot, pa.StandTask(offset=(0.11, 0.0), height=0.12))
+    assert stand.com_margin < 0
+    with pytest.raises(pa.StaticsInfeasibleError):
+        pa.stand_statics(robot, stand)
+
+
+def test_another_way_to_bend_the_legs_may_have_the_margin() -> None:
+    """A fore leg of v3's bent another way moves the com by millimetres."""
+    robot = load("v3")
+    task = pa.StandTask(height=0.15, yaw=-0.48, offset=(-0.017, 0.0))
+    usual = pa.solve_stand(robot, task)
+    asked = replace(task, com_margin=usual.com_margin + 2e-3)
+    other = pa.solve_stand(robot, asked)
+    assert margin_of(robot, other) >= asked.com_margin - 1e-9
+    assert np.abs(other.qpos[7:] - usual.qpos[7:]).max() > 0.5
+
+
+def test_on_soft_ground_and_under_a_load() -> None:
+    """Sunk feet shift the com by a little; a load takes it where it will."""
+    robot = load("original")
+    task = pa.StandTask(offset=(0.03, 0.0), com_margin=0.03)
+    sunk = pa.sunk_stand(robot, task)
+    assert sunk.task.com_margin == 0.03
+    assert margin_of(robot, sunk) >= 0.03 - 1e-9
+    edge = replace(task, com_margin=pa.solve_stand(robot, task).com_margin)
+    loaded = loaded_stand(
+        pa.with_payload(robot, 1.0, (0.05, 0.0, 0.0)), pa.solve_stand(robot, edge)
+    )
+    assert loaded.com_margin < edge.com_margin
+
+
+def test_paths_keep_it() -> None:
+    robot = load("original")
+    stances = [
+        pa.StandTask(offset=(x, 0.0), com_margin=margin) for x, margin in ((0.0, 0.0), (0.03, 0.05))
+    ]
+    path = pa.stance_path(robot, stances, 2.0, rate=10.0)
+    assert path.com_margin[-1] >= 0.05 - 1e-9
+    # The margin moves along the same law as all else: half of it half way.
+    with pytest.raises(pa.StanceUnreachableError, match="the com is"):
+        pa.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
+
+
+@pytest.mark.slow
+def test_workspaces_keep_it() -> None:
+    robot = load("original")
+    task = pa.StandTask(offset=(0.0, 0.0), com_margin=0.065)
+    bound, free = (
+        base_workspace(robot, t).intervals for t in (task, replace(task, com_margin=0.0))
+    )
+    start = pa.solve_stand(robot, task)
+    assert free["x"].low < bound["x"].low < bound["x"].high < free["x"].high
+    for direction in ("pitch", "x"):
+        for value in (bound[direction].low, bound[direction].high):
+            assert margin_of(robot, stand_at(robot, start, direction, value)) >= 0.065 - 1e-9
+
+
+@pytest.mark.slow
+def test_a_search_sees_stances_without_it() -> None:
+    """A search that goes by how much is missing needs the stances that miss it."""
+    robot = load("original")
+    space = StanceSpace(robot, pa.StandTask(com_margin=0.06))
+    there = space.start.copy()
+    there[space.names.index("x")] += 0.04
+    stand = space.stand(there)
+    assert stand.task.com_margin == 0.06
+    assert space.room(stand).edges.min() == pytest.approx(margin_of(robot, stand) - 0.06, abs=1e-9)
+    assert space.room(stand).edges.min() < 0
+
+
+def test_the_least_miss_of_the_feet_is_with_the_margin() -> None:
+    """On three legs too high, more of a margin leaves the feet further from where they shall be."""
+    robot, missed = load("v3"), []
+    for margin in (0.0, 0.02, 0.025):
+        task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
+        goal, shapes = goal_of(robot, task, {}), shapes_of(robot)
+        found = nearest(shapes, goal, search(shapes, goal).qpos)
+        com = mujoco_at(robot, found.qpos).body(robot.mj_base).subtree_com
+        sides = ConvexHull(goal.contacts[:, :2]).equations
+        assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7
+        missed.append(found.foot_error)
+    assert missed[0] <= missed[1] < missed[2]

@@ -1,0 +1,102 @@
+"""What a stand must fulfil: the derivatives of its constraints, and which of them would give."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.constraints import constraints_of
+from pupper_analysis.stance.elastic import Elastic
+from pupper_analysis.stance.problem import goal_of
+from tests.support.variants import load
+
+TASK = pa.StandTask(
+    height=0.14,
+    roll=0.2,
+    pitch=-0.1,
+    yaw=0.3,
+    foot_offsets={"FR": (0.02, 0.01)},
+    swing={"RL": 0.03},
+    ground=pa.Ground(0.1, 0.5),
+    com="inside",
+    com_margin=0.01,
+    joint_margin=0.05,
+    ground_clearance=0.01,
+    self_clearance=0.001,
+)
+
+
+def moved(robot: pa.Robot, qpos: np.ndarray, velocity: np.ndarray, time: float) -> np.ndarray:
+    """Where a motion leads to: the base turns about its own axes."""
+    x, y, z, w = (
+        pin.Quaternion(qpos[[4, 5, 6, 3]]) * pin.Quaternion(pin.exp3(time * velocity[3:6]))
+    ).coeffs()
+    after = qpos.copy()
+    after[:3] += time * velocity[:3]
+    after[3:7] = w, x, y, z
+    after[7:] += time * velocity[6:]
+    return after
+
+
+@pytest.mark.parametrize("com", ["inside", (0.01, 0.0)])
+def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> None:
+    robot, random = load("v3"), np.random.default_rng(3)
+    shapes, goal = Shapes(robot), goal_of(robot, replace(TASK, com=com), {})
+    stand = pa.solve_stand(robot)
+    qpos = stand.qpos + 0.0
+    qpos[7:] += random.uniform(-0.2, 0.2, 12)
+    velocity = random.normal(size=robot.nv)
+    seen = set()
+    for one in constraints_of(shapes, goal):
+        ends = [
+            one.residual(goal, pa.Configuration(robot, moved(robot, qpos, velocity, time)))
+            for time in (1e-6, -1e-6)
+        ]
+        rates = one.rates(goal, pa.Configuration(robot, qpos)) @ velocity
+        np.testing.assert_allclose(rates, (ends[0] - ends[1]) / 2e-6, atol=2e-3, err_msg=one.name)
+        seen.add(one.name)
+    assert len(seen) == (5 if com == "inside" else 6)
+
+
+def test_the_elastic_problems_derivative_is_that_of_its_residuals() -> None:
+    robot = load("v3")
+    demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
+    elastic = Elastic(Shapes(robot), goal_of(robot, TASK, {}), demands)
+    random = np.random.default_rng(1)
+    x = elastic._start(pa.solve_stand(robot).qpos, None)
+    x += random.uniform(0.01, 0.05, len(x))
+    way = random.normal(size=len(x))
+    ends = [elastic._residuals(x + step * way) for step in (1e-6, -1e-6)]
+    np.testing.assert_allclose(elastic._jacobian(x) @ way, (ends[0] - ends[1]) / 2e-6, atol=2e-3)
+
+
+@pytest.mark.longest
+def test_of_nine_demands_few_must_give() -> None:
+    """As little as it takes, to either side of the nominal stand; and it is so as it is told."""
+    robot = load("v3")
+    task = pa.StandTask(
+        height=0.24,
+        roll=0.7,
+        pitch=0.6,
+        yaw=0.9,
+        foot_offsets={"FR": (0.06, 0.05)},
+        swing={"RL": 0.06},
+        com="inside",
+        com_margin=0.03,
+        joint_margin=0.3,
+    )
+    with pytest.raises(pa.StanceUnreachableError) as refusal:
+        pa.solve_stand(robot, task)
+    (limits,) = refusal.value.limits.values()
+    assert len(limits) <= 4
+    assert {"pitch", "foot_offsets", "swing", "com_margin"}.isdisjoint(limits)
+    assert pa.solve_stand(robot, replace(task, **limits), explain=False).solved
+    assert refusal.value.nearest.task.pitch == task.pitch
+    (told,) = refusal.value.possible.values()
+    assert told.code == "demands-can-go"
+    assert len(told.values["demands"]) == len(limits)

@@ -1,0 +1,235 @@
+"""The table of what can be asked of a stand: each field is in all that asks for it."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+from dataclasses import fields
+from typing import Any
+
+import click
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.cli.stance_fields import TYPED, task_of
+from pupper_analysis.live import export
+from pupper_analysis.live.sliders import CONTROLS, ranges_of
+from pupper_analysis.live.state import State, halfway, parse
+from pupper_analysis.pupper.live import Variants
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.results import to_json
+from pupper_analysis.stance.fields import FIELDS, Field
+from pupper_analysis.study.design import STANCE, check_range
+from pupper_analysis.study.design import task_of as task_of_numbers
+from pupper_analysis.study.measures import MEASURES
+from tests.support.variants import load
+
+NUMBERS = {"length": 0.0123, "angle": math.radians(7.5)}
+
+
+def asked(field: Field) -> Any:
+    """A value of a field that is not the usual one."""
+    one = (0.0123, -0.0345) if field.axes or field.choices else NUMBERS[field.kind]
+    return {"FL": one} if field.per_foot else one
+
+
+def numbers_of(value: Any) -> Any:
+    """A value as what ``approx`` compares: of feet, that of the one there is."""
+    if isinstance(value, dict):
+        ((foot, one),) = value.items()
+        assert foot == "FL"
+        return pytest.approx(one, rel=1e-12)
+    return pytest.approx(value, rel=1e-12)
+
+
+def near(found: Any, expected: Any) -> bool:
+    one = found["FL"] if isinstance(found, dict) else found
+    return bool(one == numbers_of(expected))
+
+
+def task_with(field: Field) -> pa.StandTask:
+    others = {"offset": (0.0, 0.0)} if field.name == "com_margin" else {}
+    return pa.StandTask().having({**others, field.name: asked(field)})
+
+
+def said_of(field: Field) -> str:
+    """How one types it."""
+    if field.axes or field.choices:
+        text = "12.3mm,-3.45cm"
+    else:
+        text = {"length": "12.3mm", "angle": "7.5deg"}[field.kind]
+    return f"FL={text}" if field.per_foot else text
+
+
+def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
+    of = {"task": pa.StandTask, "ground": pa.Ground}
+    for part, kind in of.items():
+        own = {one.name for one in fields(kind)} - {"ground", "ik_seed"}  # a part, and a start
+        assert own == {field.name for field in FIELDS.values() if field.part == part}
+    usual = pa.StandTask().values()
+    assert usual == {name: field.usual for name, field in FIELDS.items()}
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_each_is_in_the_task_its_json_and_its_words(field: Field) -> None:
+    task = task_with(field)
+    assert task.values()[field.name] == asked(field)
+    content = json.loads(to_json(task))
+    found = (content if field.part == "task" else content[field.part])[field.name]
+    assert found == json.loads(json.dumps(asked(field)))
+    if field.name == "uphill":  # it is said of a slope
+        task = task.having({"slope": 0.1})
+    said, plain = task_text(task), task_text(pa.StandTask())
+    assert said.en != plain.en
+    assert re.search("[\u4e00-\u9fff]", said.zh)
+    number = re.compile(r"-?\d+\.?\d*")
+    assert number.findall(said.zh) == number.findall(said.en)
+    assert str(task) == said.en
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_each_comes_back_from_json_and_alone(field: Field) -> None:
+    task = task_with(field)
+    assert pa.StandTask.of(json.loads(to_json(task))) == task
+    alone = {name: value for name, value in task.values().items() if value != FIELDS[name].usual}
+    assert pa.StandTask.of(alone) == task
+    with pytest.raises(pa.ConfigurationError, match="a stance has height, "):
+        pa.StandTask.of({f"{field.name}s_": asked(field)})
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_each_refuses_what_makes_no_sense(field: Field) -> None:
+    wrong: list[Any] = [math.nan, "much", True, (1.0,), (0.0, math.inf)]
+    if not (field.axes or field.choices):
+        wrong += [field.low - 1e-3] * math.isfinite(field.low)
+        wrong += [field.high + 0.01] * math.isfinite(field.high) + [field.low] * field.open
+    for value in wrong:
+        with pytest.raises(pa.ConfigurationError) as refused:
+            pa.StandTask().having({field.name: {"FL": value} if field.per_foot else value})
+        assert refused.value.field.startswith(field.name)
+    if field.per_foot:
+        with pytest.raises(pa.ConfigurationError, match=field.name):
+            pa.StandTask().having({field.name: 0.1})
+
+
+@pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
+def test_each_is_an_option_of_the_same_value(field: Field) -> None:
+    command = cli.group.commands["stand"]
+    context = command.make_context("stand", [f"--{field.option}", said_of(field)])
+    typed = {name: context.params[name] for name in TYPED}
+    assert near(task_of(typed).values()[field.name], asked(field))
+    unasked = command.make_context("stand", [])
+    assert task_of({name: unasked.params[name] for name in TYPED}) == pa.StandTask()
+
+
+ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5)}
+SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
+
+
+def state_with(field: Field) -> State:
+    one = ON_PAGE[field.kind]
+    place = "offset" if field.name == "offset" else "centre"
+    return State(place, **{field.name: {"FL": one} if field.per_foot else one})
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_is_in_a_pages_state_and_its_address(field: Field) -> None:
+    state = state_with(field)
+    assert near(state.task().values()[field.name], asked(field))
+    assert state != State()
+    assert parse(str(state)) == state
+    assert state.with_task(state.task()) == state
+    half = halfway(State(place=state.place), state)
+    if not field.open:  # who is not lifted is not half lifted, and no height is the robot's own
+        assert half is not None
+        assert half.having(**{field.name: getattr(state, field.name)}) == state
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_has_sliders_with_words_and_a_range(field: Field) -> None:
+    own = {name: control for name, control in CONTROLS.items() if control.field is field}
+    assert len(own) == max(1, len(field.axes))
+    ranges = ranges_of(load("v3"), {})
+    for name, control in own.items():
+        span = ranges[name]
+        assert span.low <= span.value <= span.high
+        assert span.low < span.high
+        for language in ("en", "zh"):
+            assert control.label(language).endswith(("(mm)", "(°)"))
+            assert control.hint(language)
+        assert re.search("[\u4e00-\u9fff]", control.label("zh") + control.hint("zh"))
+
+
+@pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
+def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
+    state = state_with(field)
+    source = Variants(pa.VARIANTS["v3"])
+    task = next(line for line in export.python(source, state).splitlines() if "StandTask" in line)
+    made = eval(task.removeprefix("task = "), {"pa": pa, "math": math})
+    assert near(made.values()[field.name], asked(field))
+    words = shlex.split(export.command(source, state))[2:]
+    context = cli.group.commands["stand"].make_context("stand", words)
+    typed = task_of({name: context.params[name] for name in TYPED})
+    assert near(typed.values()[field.name], asked(field))
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_each_number_of_a_stand_is_one_of_a_study(field: Field) -> None:
+    own = {name: axis for name, (known, axis) in STANCE.items() if known is field}
+    if field.per_foot or field.choices or field.name in MEASURES:
+        assert not own  # a measure's column has the name
+        return
+    assert len(own) == max(1, len(field.axes))
+    value = asked(field)
+    numbers = {name: value[axis] if field.axes else value for name, axis in own.items()}
+    assert task_of_numbers(pa.StandTask(), numbers).values()[field.name] == value
+    for name in own:
+        check_range(name, *sorted((field.low + 1e-6, 0.1)) if math.isfinite(field.low) else (0, 1))
+        if math.isfinite(field.low):
+            with pytest.raises(pa.ConfigurationError, match="must be"):
+                check_range(name, field.low - 1e-3, 0.1)
+    if field.axes:  # one of a point leaves the other where it is
+        second = list(own)[1]
+        moved = task_of_numbers(task_with(field), {second: 0.5})
+        assert moved.values()[field.name] == (value[0], 0.5)
+
+
+def test_options_say_units_and_what_they_are() -> None:
+    command = cli.group.commands["stand"]
+    for option in command.params:
+        if option.name in TYPED:
+            assert isinstance(option, click.Option)
+            assert f"({FIELDS[option.name].unit})" in (option.help or "") or option.name == "com"
+
+
+def test_a_task_is_said_in_order_and_with_units() -> None:
+    task = pa.StandTask(
+        height=0.12,
+        roll=math.radians(1.5),
+        offset=(0.01, -0.02),
+        foot_offsets={"FL": (0.003, 0.004)},
+        feet={"FR": (0.1, -0.2)},
+        swing={"RL": 0.05},
+        ground=pa.Ground(slope=math.radians(6), uphill=math.radians(77), heights={"RR": 0.008}),
+        com_margin=0.009,
+        joint_margin=math.radians(11),
+        ground_clearance=0.013,
+        self_clearance=0.014,
+    )
+    assert str(task) == (
+        "height 0.1200 m, roll 1.5 deg, pitch 0.0 deg, yaw 0.0 deg, base (10, -20) mm from the "
+        "centre, FR at (100, -200) mm, FL moved by (3, 4) mm, RL lifted 50 mm, slope 6.0 deg, "
+        "rising towards 77 deg, RR on 8 mm, com inside by 9 mm, 11.0 deg off the joint limits, "
+        "13 mm off the ground, links 14 mm apart"
+    )
+    assert task.said("zh").startswith("高度 0.1200 m，横滚 1.5°，")
+
+
+def test_a_com_is_said_where_it_is_asked_for() -> None:
+    assert "com" not in str(pa.StandTask(com="centre", com_margin=0.01))
+    assert "com inside by 10 mm" in str(pa.StandTask(com="inside", com_margin=0.01))
+    assert "com inside by 0 mm" in str(pa.StandTask(com="inside"))
+    assert "com at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))

@@ -1,0 +1,127 @@
+"""What a stand is judged by, read where Pinocchio writes it; and steps that nobody looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.kinematics import Kinematics
+from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.judge import measure
+from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.solver import Solver
+from tests.support.variants import NAMES, load, stand_of
+
+
+def random_states(robot: pa.Robot, count: int) -> Iterator[np.ndarray]:
+    rng = np.random.default_rng(3)
+    for _ in range(count):
+        qpos = rng.uniform(-1.0, 1.0, robot.nq)
+        if robot.floating:
+            qpos[3:7] /= np.linalg.norm(qpos[3:7])
+        yield qpos
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
+def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
+    robot = load(name, fixed_base=fixed)
+    there = Kinematics(robot.structure)
+    for qpos in random_states(robot, 5):
+        config = pa.Configuration(robot, qpos)
+        there.move(config.qpos)
+        np.testing.assert_array_equal(there.com(), config.center_of_mass())
+        for foot, place in config.foot_positions().items():
+            np.testing.assert_array_equal(there.feet()[foot], place)
+        for link in robot.structure.links:
+            turn, origin = there.link(link)
+            np.testing.assert_array_equal(turn, config.frame_rotation(link))
+            np.testing.assert_array_equal(origin, config.frame_position(link))
+
+
+def test_copies_of_pinocchios_memory_are_not_taken_for_it() -> None:
+    """Who has Pinocchio hand out copies gets what is true now, not what was."""
+    robot = load("v3")
+    goals = [goal_of(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
+    expected = [measure(Shapes(robot), goal, stand_of("v3").qpos, 0) for goal in goals]
+    pin.sharedMemory(False)
+    try:
+        shapes = Shapes(robot)
+        found = [measure(shapes, goal, stand_of("v3").qpos, 0) for goal in goals]
+        moved = stand_of("v3").qpos.copy()
+        moved[2] += 0.01
+        higher = measure(shapes, goals[0], moved, 0)
+    finally:
+        pin.sharedMemory(True)
+    for one, other in zip(found, expected, strict=True):
+        assert one.to_dict() == other.to_dict()
+    assert higher.ground_clearance is not None
+    assert expected[0].ground_clearance is not None
+    lifted = higher.ground_clearance.distance - expected[0].ground_clearance.distance
+    assert lifted == pytest.approx(0.01, abs=1e-12)
+    assert higher.foot_error == pytest.approx(expected[0].foot_error + 0.01, abs=1e-12)
+
+
+def test_nothing_that_is_not_finite_is_judged() -> None:
+    robot = load("v3")
+    spoilt = stand_of("v3").qpos.copy()
+    spoilt[9] = np.nan  # one leg's: the other feet are in place
+    with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
+        measure(shapes_of(robot), goal_of(robot, None, {}), spoilt, 0)
+
+
+def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
+    rng = np.random.default_rng(5)
+    for _ in range(count):
+        roll, pitch, yaw = rng.uniform(-0.25, 0.25, 3)
+        yield pa.StandTask(
+            height=robot.stand_height * rng.uniform(0.7, 1.15), roll=roll, pitch=pitch, yaw=yaw
+        )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
+    """Where they come to a stand; otherwise each of them is looked at after all, to the bit."""
+    robot, straight = load(name), 0
+    home = robot.home[robot.nq - robot.nu :]
+    for task in some_tasks(robot, 40):
+        solver = Solver(shapes_of(robot), goal_of(robot, task, {}))
+        point = solver.run(home)
+        watched = solver._watched(solver.begin(home, solver.goal.place), [])
+        assert point.iterations == watched.iterations
+        if solver._straight([]) is None:  # it stands where it ended: there is nothing to do
+            assert watched.miss > 1e-9
+        again: list[tuple[np.ndarray, float]] = []
+        solver.begin(home, solver.goal.place)
+        if solver._straight(again) is None:
+            np.testing.assert_array_equal(point.qpos, watched.qpos)
+        else:
+            straight += 1
+            np.testing.assert_allclose(point.qpos, watched.qpos, atol=1e-13)
+    assert 0 < straight < 40, "one of the two ways has not been looked at"
+
+
+def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
+    robot = load("v3")
+    shapes, home = shapes_of(robot), robot.home[7:]
+    tasks = [
+        pa.StandTask(),
+        pa.StandTask(height=0.11),
+        pa.StandTask(roll=0.1),
+        pa.StandTask(joint_margin=0.3),
+        pa.StandTask(offset=(0.01, 0.0)),
+        pa.StandTask(com=(0.01, 0.002)),
+    ]
+    for index in np.random.default_rng(0).integers(0, len(tasks), 30):
+        goal = goal_of(robot, tasks[index], {})
+        for joints in (home, home + 0.1):
+            found = Solver(shapes, goal).begin(joints, goal.place)
+            expected = Solver(Shapes(robot), goal).begin(joints, goal.place)
+            np.testing.assert_array_equal(found, expected)
+            if not goal.by_base:
+                com = shapes.wrapper.com_world()[:2]
+                np.testing.assert_allclose(com, goal.place, atol=1e-15)

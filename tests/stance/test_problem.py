@@ -1,0 +1,50 @@
+"""A task in numbers: where feet, base and com shall be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.stance.problem import goal_of
+from tests.support.variants import NAMES, load
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_spheres_touch_plane_and_steps(name: str) -> None:
+    robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.02})
+    goal = goal_of(robot, pa.StandTask(ground=ground, swing={"RR": 0.03}), {"FR": 0.002})
+    normal = np.array([-np.sin(0.2) * np.cos(0.7), -np.sin(0.2) * np.sin(0.7), np.cos(0.2)])
+    above = {foot: float(normal @ centre) for foot, centre in goal.targets.items()}
+    radius = robot.foot_radius
+    assert above["FR"] == pytest.approx(radius["FR"] - 0.002)  # sunk along the normal
+    assert above["FL"] == pytest.approx(radius["FL"] + 0.02 * np.cos(0.2))
+    assert above["RR"] == pytest.approx(radius["RR"] + 0.03 * np.cos(0.2))
+    assert above["RL"] == pytest.approx(radius["RL"])
+    assert set(goal.stance_feet) == {"FR", "FL", "RL"}
+    heights = dict(zip(goal.stance_feet, goal.contacts @ normal, strict=True))
+    assert heights["FR"] == pytest.approx(0, abs=1e-12)  # the ground itself does not sink
+    assert goal.height == pytest.approx(goal.contacts[:, 2].mean() + robot.stand_height)
+    np.testing.assert_allclose(goal.place, goal.contacts[:, :2].mean(axis=0))
+
+
+def test_place_is_the_coms_or_the_bases() -> None:
+    robot = load("v3")
+    centre = goal_of(robot, pa.StandTask(), {}).place
+    com = goal_of(robot, pa.StandTask(com=(0.01, 0.02)), {})
+    assert not com.by_base
+    np.testing.assert_array_equal(com.place, (0.01, 0.02))
+    base = goal_of(robot, pa.StandTask(offset=(0.01, 0.02)), {})
+    assert base.by_base
+    np.testing.assert_allclose(base.place - centre, (0.01, 0.02))
+
+
+def test_margins_narrow_the_limits() -> None:
+    robot = load("v3")
+    goal = goal_of(robot, pa.StandTask(joint_margin=0.1), {})
+    np.testing.assert_allclose(goal.lower, robot.lower_limits + 0.1)
+    np.testing.assert_allclose(goal.upper, robot.upper_limits - 0.1)
+    with pytest.raises(pa.ConfigurationError, match="leaves nothing of the range of leg_"):
+        goal_of(robot, pa.StandTask(joint_margin=2.0), {})
+    with pytest.raises(pa.ConfigurationError, match="com_margin"):
+        goal_of(robot, pa.StandTask(com_margin=0.2), {})

@@ -1,0 +1,317 @@
+"""Solved stands: they are where they shall be in both engines, or truly out of reach."""
+
+import itertools
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+import pupper_analysis as pa
+from tests.support.engines import mujoco_at
+from tests.support.variants import NAMES, V3_NAMES, load, stand_of
+
+HEIGHTS = {
+    "original": 0.158,
+    "long-leg": 0.228,
+    "heavy": 0.158,
+    "v3": 0.13151,
+    "v3-long-leg": 0.18729,
+    "v3-heavy": 0.13151,
+}
+
+
+def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
+    """By MuJoCo's kinematics of the MJCF, and by Pinocchio's of the URDF."""
+    rotation = Rotation.from_euler("ZYX", [task.yaw, task.pitch, task.roll]).as_matrix()
+    mj, config = mujoco_at(robot, stand.qpos), pa.Configuration(robot, stand.qpos)
+    start = mujoco_at(robot, robot.neutral())
+    base = mj.body(robot.mj_base)
+    np.testing.assert_allclose(base.xmat.reshape(3, 3), rotation, atol=1e-9)
+    assert base.xpos[2] == pytest.approx(task.height, abs=1e-9)
+    for foot, frame in robot.foot_frames.items():
+        target = [*start.site(frame).xpos[:2], robot.foot_radius[foot]]
+        np.testing.assert_allclose(stand.foot_targets[foot], target, atol=1e-12)
+        np.testing.assert_allclose(mj.site(frame).xpos, target, atol=1e-9)
+        np.testing.assert_allclose(config.foot_positions()[foot], target, atol=1e-9)
+    centre = np.mean([target[:2] for target in stand.foot_targets.values()], axis=0)
+    np.testing.assert_allclose(base.subtree_com[:2], centre, atol=1e-9)
+    np.testing.assert_allclose(config.center_of_mass()[:2], centre, atol=1e-9)
+    joints = stand.joint_positions(robot)
+    assert (joints >= robot.lower_limits - 1e-9).all()
+    assert (joints <= robot.upper_limits + 1e-9).all()
+    for error in ("foot_error", "orientation_error", "height_error", "com_error"):
+        assert 0 <= getattr(stand, error) < 1e-9
+
+
+def test_default_stand(variant: str, robot: pa.Robot, stand: pa.Stand) -> None:
+    assert stand.task.height == pytest.approx(HEIGHTS[variant], abs=1e-12)
+    assert robot.stand_height == pytest.approx(HEIGHTS[variant], abs=1e-12)
+    check(robot, stand, pa.StandTask(height=HEIGHTS[variant]))
+    assert stand.iterations < 20
+
+
+def test_default_stand_is_symmetric(robot: pa.Robot, stand: pa.Stand) -> None:
+    assert stand.qpos[1] == pytest.approx(0, abs=1e-9)
+    by_name = dict(zip(robot.joint_names, stand.joint_positions(robot), strict=True))
+    for name, angle in by_name.items():
+        if "_r_" in name:  # v3: the left leg's angle is the right one's, mirrored
+            assert by_name[name.replace("_r_", "_l_")] == pytest.approx(-angle, abs=1e-8)
+        elif re.match("[FR]R_[HK]FE", name):
+            assert by_name[name.replace("R_", "L_", 1) if name[0] == "F" else "RL" + name[2:]] == (
+                pytest.approx(angle, abs=1e-8)
+            )
+
+
+def test_skeletons_stand_by_hand() -> None:
+    """Its com is over the feet's centre; hips 0.14 m above the feet: the law of cosines."""
+    robot, stand = load("original"), stand_of("original")
+    angles = stand.joint_positions(robot).reshape(4, 3)
+    forward = stand.qpos[0]  # of the base against the feet: so far is each hip ahead of its foot
+    leg = math.hypot(0.14, forward)
+    knee = math.acos((0.08**2 + 0.11**2 - leg**2) / (2 * 0.08 * 0.11))
+    np.testing.assert_allclose(angles[:, 2], knee - math.pi, atol=1e-9)
+    at_hip = math.acos((0.08**2 + leg**2 - 0.11**2) / (2 * 0.08 * leg))
+    np.testing.assert_allclose(angles[:, 1], at_hip + math.atan2(forward, 0.14), atol=1e-9)
+    np.testing.assert_allclose(angles[:, 0], 0, atol=1e-9)
+
+
+tasks = st.builds(
+    pa.StandTask,
+    height=st.floats(0.06, 0.34),
+    roll=st.floats(-0.35, 0.35),
+    pitch=st.floats(-0.35, 0.35),
+    yaw=st.floats(-0.4, 0.4),
+)
+
+
+def nearest(
+    robot: pa.Robot, task: pa.StandTask, targets: dict[str, np.ndarray], tries: int
+) -> float:
+    """How near all feet come to their targets [m] with the base's pose and the com's place asked.
+
+    An independent search: bounded least squares on the joints and the base's place, from random
+    starts, on MuJoCo's kinematics.
+    """
+    random = np.random.default_rng(0)
+    lower, upper = robot.lower_limits, robot.upper_limits
+    centre = np.mean([target[:2] for target in targets.values()], axis=0)
+    turn = Rotation.from_euler("ZYX", [task.yaw, task.pitch, task.roll])
+    quat = turn.as_quat(scalar_first=True)
+
+    def misses(x: np.ndarray) -> np.ndarray:
+        config = pa.Configuration(robot, [*x[:2], task.height, *quat, *x[2:]])
+        feet = config.foot_positions()
+        gaps = [feet[foot] - target for foot, target in targets.items()]
+        return np.concatenate([*gaps, config.center_of_mass()[:2] - centre])
+
+    def slopes(x: np.ndarray) -> np.ndarray:
+        config = pa.Configuration(robot, [*x[:2], task.height, *quat, *x[2:]])
+        columns = [0, 1, *range(6, 18)]
+        rows = [*config.foot_jacobians().values(), config.com_jacobian()[:2]]
+        return np.vstack([row[:, columns] for row in rows])
+
+    best = math.inf
+    for _ in range(tries):
+        start = np.concatenate([centre, random.uniform(lower, upper)])
+        bounds = (np.r_[centre - 0.5, lower], np.r_[centre + 0.5, upper])
+        found = least_squares(misses, start, slopes, bounds=bounds, xtol=1e-12, max_nfev=150)
+        best = min(best, float(np.abs(found.fun).max()))
+        if best < 1e-7:
+            break
+    return best
+
+
+@pytest.mark.slow
+@settings(max_examples=50)
+@given(name=st.sampled_from(NAMES), task=tasks)
+def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> None:
+    robot = load(name)
+    try:
+        stand = pa.solve_stand(robot, task, explain=False)
+    except pa.StanceUnreachableError as error:
+        refusal = error
+    else:
+        check(robot, stand, task)
+        return
+    if refusal.blocked:  # the feet are in place, but another part is in the ground
+        assert not refusal.shortfall
+        assert all(one.code == "part-in-ground" for one in refusal.blocked)
+        return
+    assert refusal.shortfall
+    assert all(1e-9 <= gap < 1 for gap in refusal.shortfall.values())
+    assert set(refusal.shortfall) <= set(robot.feet)
+    assert set(refusal.at_limit) <= set(robot.joint_names)
+    assert nearest(robot, task, stand_of(name).foot_targets, tries=6) > 1e-7
+
+
+@pytest.mark.parametrize(
+    ("name", "scale"), [("original", 1.05), *itertools.product(V3_NAMES, (0.75, 1.1))]
+)
+@pytest.mark.parametrize(
+    ("roll", "pitch", "yaw"), [(0, 0, 0), (0.1, -0.08, 0.15), (-0.1, 0.08, -0.2)]
+)
+def test_moderate_stands_are_reached(
+    name: str, scale: float, roll: float, pitch: float, yaw: float
+) -> None:
+    task = pa.StandTask(scale * HEIGHTS[name], roll, pitch, yaw)
+    check(load(name), pa.solve_stand(load(name), task), task)
+
+
+@pytest.mark.parametrize("height", [0.22, 0.25, 0.5, 1.0, 3.0])
+def test_above_the_legs_length_it_is_out_of_reach_by_the_difference(height: float) -> None:
+    """The skeleton's foot is at most 0.19 m from its hip, and the sphere adds 0.018 m."""
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(load("original"), pa.StandTask(height))
+    missing = height - 0.018 - 0.19
+    assert min(caught.value.shortfall.values()) >= missing - 1e-9
+    # The com is off the hips by 5 mm, so the legs are not quite upright.
+    assert max(caught.value.shortfall.values()) < missing + 0.0004
+    assert set(caught.value.shortfall) == {"FL", "FR", "RL", "RR"}
+    assert "mm" in str(caught.value)
+    assert f"{height:.3f}" in str(caught.value)
+
+
+def test_the_longest_stand_is_found() -> None:
+    """Nearly straight legs, just under their length (the com is off the hips by 5 mm)."""
+    robot = load("original")
+    low, high = 0.158, 0.21
+    while high - low > 1e-6:
+        middle = (low + high) / 2
+        try:
+            stand = pa.solve_stand(robot, pa.StandTask(middle))
+            low = middle
+        except pa.StanceUnreachableError:
+            high = middle
+    stand = pa.solve_stand(robot, pa.StandTask(low))
+    hip_to_foot = math.hypot(low - 0.018, stand.qpos[0])
+    assert hip_to_foot == pytest.approx(0.19, abs=1e-4)
+
+
+def test_limits_are_named_when_they_are_in_the_way() -> None:
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(load("original"), pa.StandTask(roll=1.2))
+    robot, error = load("original"), caught.value
+    assert error.at_limit
+    for name, limit in error.at_limit.items():
+        index = robot.joint_names.index(name)
+        assert limit in (robot.lower_limits[index], robot.upper_limits[index])
+        assert name in str(error)
+
+
+@pytest.mark.parametrize("field", ["height", "roll", "pitch", "yaw"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.1", True, [0.1], 1j])
+def test_bad_task_is_refused(field: str, value: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field) as caught:
+        pa.StandTask(**{field: value})  # type: ignore[arg-type]
+    assert caught.value.field == field
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("height", 0), ("height", -0.1), ("roll", None), ("roll", 3.2), ("pitch", -4), ("yaw", 90)],
+)
+def test_task_out_of_range_is_refused(field: str, value: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match=field):
+        pa.StandTask(**{field: value})  # type: ignore[arg-type]
+
+
+def test_numpy_numbers_are_numbers() -> None:
+    task = pa.StandTask(height=np.float32(0.15), yaw=np.float64(0.1))
+    check(load("original"), pa.solve_stand(load("original"), task), task)
+
+
+def test_fixed_base_cannot_stand() -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        pa.solve_stand(load("v3", fixed_base=True))
+
+
+def test_rotation_is_yaw_pitch_roll() -> None:
+    task = pa.StandTask(roll=0.3, pitch=-0.2, yaw=0.7)
+    expected = Rotation.from_euler("ZYX", [0.7, -0.2, 0.3]).as_matrix()
+    np.testing.assert_allclose(task.rotation(), expected, atol=1e-15)
+
+
+def test_solving_is_deterministic() -> None:
+    task = pa.StandTask(0.14, 0.1, -0.1, 0.2)
+    one, two = (pa.solve_stand(load("v3-long-leg"), task) for _ in range(2))
+    np.testing.assert_array_equal(one.qpos, two.qpos)
+    assert one.iterations == two.iterations
+
+
+def test_what_was_solved_before_does_not_matter() -> None:
+    """The solver's robot is kept; its state must not leak from one stand into the next."""
+    robot = load("v3")
+    tasks = [
+        pa.StandTask(),
+        pa.StandTask(joint_margin=0.1, roll=0.1),
+        pa.StandTask(self_clearance=0.005, swing={"RL": 0.01}, com="inside"),
+        pa.StandTask(height=0.1, ground=pa.Ground(0.1)),
+    ]
+    first = [pa.solve_stand(robot, task).qpos for task in tasks]
+    again = [pa.solve_stand(robot, task).qpos for task in reversed(tasks)]
+    for one, two in zip(first, reversed(again), strict=True):
+        np.testing.assert_array_equal(one, two)
+    fresh = pa.load_variant("v3")
+    for one, task in zip(first, tasks, strict=True):
+        np.testing.assert_array_equal(one, pa.solve_stand(fresh, task).qpos)
+
+
+def test_refusals_carry_their_limits_as_numbers() -> None:
+    robot = load("v3")
+    task = pa.StandTask(height=0.16, roll=0.4)
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, task)
+    limits = caught.value.limits
+    assert set(limits) == set(caught.value.possible) == {"height", "roll"}
+    for demand, limit in limits.items():
+        pa.solve_stand(robot, replace(task, **limit))
+        value = limit[demand]
+        beyond = value + 2e-3 * (getattr(task, demand) - value) / abs(value)
+        with pytest.raises(pa.StanceUnreachableError):
+            pa.solve_stand(robot, replace(task, **{demand: beyond}), explain=False)
+
+
+@pytest.mark.slow
+def test_two_demands_that_are_each_too_much() -> None:
+    """To give up one of them does not help; the smallest set that does is named."""
+    robot = load("v3")
+    task = pa.StandTask(roll=1.2, pitch=-1.2, height=0.14)
+    for one in (replace(task, roll=0.0), replace(task, pitch=0.0)):
+        with pytest.raises(pa.StanceUnreachableError):
+            pa.solve_stand(robot, one, explain=False)
+    with pytest.raises(
+        pa.StanceUnreachableError, match=r"Possible .*: roll .* and pitch"
+    ) as caught:
+        pa.solve_stand(robot, task)
+    assert list(caught.value.possible) == ["roll and pitch"]
+    assert set(caught.value.limits["roll and pitch"]) == {"roll", "pitch"}
+    assert pa.solve_stand(robot, replace(task, **caught.value.limits["roll and pitch"])).solved
+
+
+@pytest.mark.parametrize("other", ["original", "v3-heavy"])
+def test_a_stand_knows_whose_it_is(other: str) -> None:
+    """Also where the other robot has as many joints, or even the same legs."""
+    stand, robot = stand_of("v3"), load(other)
+    for use in (
+        pa.stand_statics,
+        pa.payload_limit,
+        pa.verify_stand,
+        pa.sweep_gains,
+        pa.steady_state,
+        pa.minimum_stiffness,
+        pa.push_recovery,
+    ):
+        with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):
+            use(robot, stand)
+
+
+def test_the_same_robot_loaded_again_takes_its_stands() -> None:
+    robot = pa.load_variant("v3")
+    assert robot.fingerprint == load("v3").fingerprint
+    assert pa.stand_statics(robot, stand_of("v3")).joint_torques.shape == (12,)

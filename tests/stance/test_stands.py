@@ -1,0 +1,165 @@
+"""Sequences of stands are those of single calls, refusals and all."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from tests.support.legged import BIPED_FEET, biped
+from tests.support.variants import NAMES, load
+
+ROUNDING = 1e-12
+
+
+def wave(robot: pa.Robot, count: int, size: float = 1.0) -> list[pa.StandTask]:
+    """Tasks that change smoothly, with height, turn, a foot and the slope in play."""
+    phases = 2 * np.pi * np.linspace(0, 1, count)
+    return [
+        pa.StandTask(
+            height=robot.stand_height * (0.96 + 0.02 * size * np.cos(phase)),
+            roll=0.05 * size * np.sin(phase),
+            pitch=0.03 * size * np.sin(2 * phase),
+            yaw=0.04 * size * np.cos(phase),
+            foot_offsets={robot.feet[0]: (0.004 * size * np.sin(phase), 0.0)},
+            ground=pa.Ground(slope=0.03 * size * (1 - np.cos(phase))),
+        )
+        for phase in phases
+    ]
+
+
+def assert_same(found: pa.Stand, expected: pa.Stand) -> None:
+    assert found.task == expected.task
+    np.testing.assert_allclose(found.qpos, expected.qpos, rtol=0, atol=ROUNDING)
+    for foot, target in expected.foot_targets.items():
+        np.testing.assert_array_equal(found.foot_targets[foot], target)
+    assert found.stance_feet == expected.stance_feet
+    assert found.com_margin == pytest.approx(expected.com_margin, abs=ROUNDING)
+    near, wanted = found.ground_clearance, expected.ground_clearance
+    assert near is not None
+    assert wanted is not None
+    assert near.distance == pytest.approx(wanted.distance, abs=ROUNDING)
+    assert found.solved
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_sequence_is_what_single_calls_find(name: str) -> None:
+    robot = load(name)
+    tasks = wave(robot, 60)
+    found = pa.solve_stands(robot, tasks)
+    assert len(found) == len(tasks)
+    singles = [pa.solve_stand(robot, task) for task in tasks]
+    for one, other in zip(found, singles, strict=True):
+        assert_same(one, other)
+    # It began where the one before ended: that takes fewer steps.
+    assert sum(s.iterations for s in found) < 0.8 * sum(s.iterations for s in singles)
+
+
+def test_tasks_in_any_order() -> None:
+    """Far from the stand before it, a stand is still the single call's."""
+    robot = load("v3")
+    tasks = wave(robot, 12, 1.5)
+    tasks += [replace(tasks[2], swing={robot.feet[1]: 0.02}, com="inside", com_margin=0.004)]
+    tasks += [replace(tasks[5], offset=(0.004, -0.006), foot_offsets={})]
+    tasks += [replace(tasks[7], self_clearance=0.001)]
+    shuffled = [tasks[number] for number in np.random.default_rng(0).permutation(len(tasks))]
+    for task, one in zip(shuffled, pa.solve_stands(robot, shuffled), strict=True):
+        assert_same(one, pa.solve_stand(robot, task))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"ik_seed": (0.1, 0.8, -0.9, -0.1, -0.8, 0.9) * 2},
+        {"com": "inside", "com_margin": 0.004},
+        {"self_clearance": 0.001},
+    ],
+)
+def test_what_depends_on_its_start_has_its_own(change: dict[str, Any]) -> None:
+    """To the last bit the single call's, step by step: it did not begin where another ended."""
+    robot = load("v3")
+    tasks = [replace(task, **change) for task in wave(robot, 4)]
+    for task, one in zip(tasks, pa.solve_stands(robot, tasks), strict=True):
+        expected = pa.solve_stand(robot, task)
+        np.testing.assert_array_equal(one.qpos, expected.qpos)
+        assert one.iterations == expected.iterations
+
+
+LINE = '<geom type="capsule" size="0.01" fromto="-0.06 0 -0.05 0.12 0 -0.05"/>'
+
+
+@pytest.mark.parametrize("foot", [BIPED_FEET["box"], LINE], ids=["box", "line"])
+def test_flat_feet_fix_a_leg_of_six_joints_and_a_line_does_not(foot: str, tmp_path: Path) -> None:
+    """Where a leg may still turn, its stand depends on the start: the single call's."""
+    urdf, mjcf = biped(tmp_path, foot)
+    robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+    height = 0.95 * robot.stand_height
+    tasks = [pa.StandTask(height=height, pitch=pitch) for pitch in (0.0, 0.02, 0.04)]
+    stands = pa.solve_stands(robot, tasks)
+    for task, one in zip(tasks, stands, strict=True):
+        single = pa.solve_stand(robot, task)
+        np.testing.assert_allclose(one.qpos, single.qpos, atol=1e-9)
+        if foot is LINE:
+            assert one.iterations == single.iterations
+
+
+def test_what_is_out_of_reach_stops_the_sequence_and_is_named() -> None:
+    robot = load("v3")
+    tasks = [*wave(robot, 3), pa.StandTask(height=0.5), *wave(robot, 2)]
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stands(robot, tasks)
+    assert caught.value.where == "tasks[3]"
+    assert str(caught.value).startswith("tasks[3]: stance out of reach (height 0.5000 m")
+
+
+def test_what_is_out_of_reach_can_be_left_out() -> None:
+    """The others are as they would be without it, and the error tells as much as a single one."""
+    robot = load("v3")
+    tasks = wave(robot, 6)
+    tasks.insert(4, pa.StandTask(height=0.5))
+    found = pa.solve_stands(robot, tasks, keep_going=True)
+    error = found[4]
+    assert isinstance(error, pa.StanceUnreachableError)
+    with pytest.raises(pa.StanceUnreachableError) as caught:
+        pa.solve_stand(robot, tasks[4], explain=False)
+    assert error.shortfall == pytest.approx(caught.value.shortfall)
+    assert pickle.loads(pickle.dumps(error)).where == "tasks[4]"
+    for number in (0, 1, 2, 3, 5, 6):
+        one = found[number]
+        assert isinstance(one, pa.Stand)
+        assert_same(one, pa.solve_stand(robot, tasks[number]))
+
+
+def test_a_wrong_task_is_refused_before_any_is_solved() -> None:
+    robot = load("v3")
+    wrong = pa.StandTask(swing={"XX": 0.02})
+    with pytest.raises(pa.UnknownNameError, match=r"tasks\[1\].*'XX'"):
+        pa.solve_stands(robot, [pa.StandTask(height=0.5), wrong], keep_going=True)
+    with pytest.raises(pa.ConfigurationError, match=r"tasks\[2\]: joint_margin"):
+        pa.solve_stands(robot, [pa.StandTask(), pa.StandTask(), pa.StandTask(joint_margin=3.0)])
+    with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
+        pa.solve_stands(robot, pa.StandTask())  # type: ignore[call-overload]
+    with pytest.raises(pa.ConfigurationError, match=r"tasks: .* is not a sequence"):
+        pa.solve_stands(robot, np.array([0.12]))  # type: ignore[call-overload]
+    assert pa.solve_stands(robot, []) == ()
+
+
+def test_limits_that_change_between_calls_are_heeded() -> None:
+    """What PlaCo was told of the joint limits last is not kept beyond its time."""
+    robot = pa.load_variant("v3")
+    stand = pa.solve_stand(robot)
+    tight = robot.upper_limits.copy()
+    at = int(np.argmax(stand.joint_positions(robot)))
+    index = robot.pin_convention.q_index[at]
+    robot.pin_model.upperPositionLimit[index] = stand.joint_positions(robot)[at] - 0.1
+    with pytest.raises(pa.StanceUnreachableError):
+        pa.solve_stands(robot, [pa.StandTask(), pa.StandTask()])
+    robot.pin_model.upperPositionLimit[index] = tight[at]
+    np.testing.assert_allclose(
+        pa.solve_stands(robot, [pa.StandTask()])[0].qpos, stand.qpos, atol=ROUNDING
+    )

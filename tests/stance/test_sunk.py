@@ -1,0 +1,118 @@
+"""Stands on soft ground: what is commanded is what MuJoCo holds, to a part in a thousand."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+import pupper_analysis as pa
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.simulation.verify import FORCE_TOLERANCE
+from pupper_analysis.stance.path.sinking import depths_of
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.stance.sunk import sunk_stand
+from tests.support.variants import NAMES, load
+
+TASKS = {
+    "nominal": pa.StandTask(),
+    "off the centre": pa.StandTask(offset=(-0.02, 0.025), yaw=0.1),
+    "slope": pa.StandTask(pitch=-0.25, ground=pa.Ground(0.3, 0.2), com="inside"),
+    "steps": pa.StandTask(com=(0.015, 0.01), ground=pa.Ground(heights={"FR": 0.015, "RL": 0.005})),
+    "low step": pa.StandTask(ground=pa.Ground(heights={"RR": 0.0004}), com=(0.01, -0.02)),
+    "three legs": pa.StandTask(swing={"FL": 0.025}, com="inside", com_margin=0.01),
+}
+
+
+@pytest.mark.parametrize("what", TASKS)
+@pytest.mark.parametrize("name", NAMES)
+def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
+    robot = load(name)
+    stand = sunk_stand(robot, TASKS[what])
+    assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
+    run = pa.verify_stand(robot, stand)
+    # The tallest of the soft ones buckles on three legs, and falls 40 s after a nudge.
+    buckles = (name, what) == ("v3-long-leg", "three legs")
+    assert run.stability.lasts() is not buckles
+    assert run.passed is not buckles, run.failures
+    assert run.torque_error < 0.3 * FORCE_TOLERANCE
+    assert run.force_error < 0.3 * FORCE_TOLERANCE
+    if not stand.task.ground.slope:  # where it slides down as a whole
+        assert abs(run.height_loss) < 5e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "what"), [("long-leg", "off the centre"), ("v3", "off the centre"), ("v3", "slope")]
+)
+def test_rigid_stand_is_another(name: str, what: str) -> None:
+    """Without its feet sunk, the same stance does not hold its loads on soft ground."""
+    run = pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what]))
+    assert not run.passed
+    assert "sunk_stand allows for that" in str(run.failures[-1])
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
+    robot, task = load(name), TASKS["slope"]
+    rigid, stand = pa.solve_stand(robot, task), sunk_stand(robot, task)
+    assert stand.task == rigid.task
+    np.testing.assert_allclose(stand.qpos[:7], rigid.qpos[:7], atol=1e-3)  # the com is, exactly
+    forces = stand_statics(
+        robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).contact_forces
+    feet = pa.Configuration(robot, stand.qpos).foot_positions()
+    for foot, depth in stand.depths.items():
+        law, normal = GroundLaw.of(robot, foot), stand.normals[foot]
+        assert law.force(depth) == pytest.approx(float(forces[foot] @ normal), rel=1e-5)
+        sunk = rigid.foot_targets[foot] - feet[foot]
+        np.testing.assert_allclose(sunk, depth * normal, atol=1e-9)
+        assert 1e-4 < depth < 8e-3
+
+
+@pytest.mark.parametrize("what", ["steps", "off the centre", "three legs"])
+@pytest.mark.parametrize("name", ["heavy", "v3"])
+def test_it_is_the_equilibrium_that_feedforward_holds(name: str, what: str) -> None:
+    """By Newton's iteration on the soft ground, from the stand's torques."""
+    robot = load(name)
+    stand = sunk_stand(robot, TASKS[what])
+    pose = pa.steady_state(robot, stand, feedforward=True)
+    np.testing.assert_allclose(pose.qpos, stand.qpos, atol=1e-6)
+    forces = stand_statics(
+        robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    ).contact_forces
+    for foot, force in forces.items():
+        np.testing.assert_allclose(pose.contact_forces[foot], force, atol=1e-4)
+
+
+def test_depths_are_checked() -> None:
+    for depths, named in (({"FL": -1e-3}, "depths"), ({"FL": np.nan}, "depths"), ({"XX": 0}, "XX")):
+        with pytest.raises(pa.PupperAnalysisError, match=named):
+            pa.solve_stand(load("v3"), depths=depths)
+
+
+def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
+    robot = load("v3")
+    highest = pa.reachable_heights(robot).high
+    task = pa.StandTask(height=highest - 1e-4)
+    pa.solve_stand(robot, task)
+    with pytest.raises(pa.StanceUnreachableError):
+        sunk_stand(robot, task)
+
+
+@pytest.mark.parametrize("name", ["original", "v3"])
+def test_depth_follows_the_force_as_in_mujoco(name: str) -> None:
+    """Of a body alone on the ground's law: R f = k d r + b dr/dt + d2r/dt2, by a spline of r."""
+    law, time = GroundLaw.of(load(name), "FL"), np.linspace(0, 0.4, 401)
+    force = 8.0 * (1 - 0.8 * np.sin(2 * np.pi * time / 0.4) ** 2)
+    depths = depths_of(law, time, force)
+    assert depths[0] == pytest.approx(law.depth(force[0]))
+    spline = make_interp_spline(time, depths, k=5)
+    for moment, pressed in list(zip(time, force, strict=True))[10:-10:20]:
+        depth, rate, acceleration = (float(spline(moment, order)) for order in range(3))
+        d = law.impedance(depth)
+        softness = (1 - d) / d * law.normal
+        found = law.stiffness * d * depth + law.damping * rate + acceleration
+        assert found / softness == pytest.approx(pressed, rel=5e-3)
+    quasi_static = np.array([law.depth(f) for f in force])
+    late = np.abs(depths - quasi_static).max() / np.ptp(quasi_static)
+    assert late > 0.05  # it lags
+    slow = depths_of(law, 100 * time, force)
+    np.testing.assert_allclose(slow, quasi_static, rtol=2e-2)

@@ -1,0 +1,134 @@
+"""PlaCo's robots are used again for others of their structure: the same answers, no memory lost."""
+
+from __future__ import annotations
+
+import gc
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.stance import wrappers
+from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.wrappers import Wrapper
+from tests.support.legged import quadruped
+from tests.support.variants import load
+
+TASKS = (
+    pa.StandTask(),
+    pa.StandTask(pitch=0.1, com="inside"),
+    pa.StandTask(self_clearance=0.002),
+    pa.StandTask(joint_margin=0.05),
+)
+
+
+def designs() -> list[pa.Robot]:
+    heavy = pa.with_payload(load("v3"), 1.0, (0.03, 0.0, 0.05))
+    return [load("v3"), pa.load_variant(pa.VariantSpec("v3", 1.1)), heavy, load("v3-long-leg")]
+
+
+def stands(robot: pa.Robot) -> list[list[float]]:
+    return [pa.solve_stand(robot, task).qpos.tolist() for task in TASKS]
+
+
+@pytest.mark.slow
+def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the last bit, whoever had it before: no mass, length or limit is left behind."""
+    monkeypatch.setattr(wrappers, "_spare", {})
+    expected = []
+    for robot in designs():
+        wrappers._spare.clear()
+        expected.append(stands(robot))
+    assert len(wrappers._spare) == 1  # of one structure, the payload's too
+    found = [stands(robot) for robot in reversed(designs())]
+    assert found[::-1] == expected
+
+
+def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+    load_once = wrappers._load
+
+    def counted(robot: pa.Robot) -> object:
+        read.append(robot.name)
+        return load_once(robot)
+
+    monkeypatch.setattr(wrappers, "_spare", {})
+    monkeypatch.setattr(wrappers, "_load", counted)
+    for scale in np.linspace(0.9, 1.1, 8):
+        robot = pa.load_variant(pa.VariantSpec("v3", float(scale)))
+        Shapes(robot)
+        pa.solve_stand(robot, pa.StandTask(self_clearance=0.0))
+    assert len(read) == 1
+
+
+def test_limits_of_one_robot_are_not_anothers(tmp_path: Path) -> None:
+    """A joint that turns round and round takes no limit from a robot whose joint has one."""
+    pair = quadruped(tmp_path, floor=True)
+    bound = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    pa.solve_stand(bound, pa.StandTask(joint_margin=0.1))
+    model = bound.pin_model.copy()
+    low, high = model.lowerPositionLimit.copy(), model.upperPositionLimit.copy()
+    low[7:], high[7:] = -np.inf, np.inf
+    model.lowerPositionLimit, model.upperPositionLimit = low, high
+    lent = Wrapper(bound).placo.model
+    assert np.isfinite(lent.lowerPositionLimit[7:]).all()
+    free = Wrapper(replace(bound, pin_model=model)).placo.model
+    assert np.isinf(free.lowerPositionLimit[7:]).all()
+
+
+def test_nobody_has_what_another_holds() -> None:
+    robot = load("v3")
+    held = [Wrapper(robot) for _ in range(3)]
+    assert len({id(one.placo) for one in held}) == 3
+    shapes = Shapes(robot)
+    assert all(shapes.wrapper is not one.placo for one in held)
+    first = held[0].placo
+    del held[0]
+    assert Wrapper(robot).placo is first
+
+
+def test_threads_have_their_own() -> None:
+    robots = [pa.load_variant(pa.VariantSpec("v3", scale)) for scale in (0.95, 1.0, 1.05)]
+    expected = [stands(robot) for robot in robots]
+    found: dict[int, list[list[float]]] = {}
+
+    def work(number: int) -> None:
+        for _ in range(3):
+            found[number] = stands(robots[number % 3])
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [found[number] for number in range(6)] == [*expected, *expected]
+
+
+def resident() -> int:
+    """Bytes of this process that are in memory."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * 4096
+
+
+@pytest.mark.longest
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="not Linux")
+def test_robots_that_are_solved_leave_no_memory_behind() -> None:
+    """PlaCo alone would keep 375 kB of each, and as much again where links are kept apart.
+
+    In a process that has filled its caches; the allocator keeps some pages now and then.
+    """
+
+    def solved(count: int, at: int) -> None:
+        for number in range(count):
+            robot = pa.load_variant(pa.VariantSpec("v3", 1 + 1e-4 * (at + number)))
+            pa.solve_stand(robot)
+            pa.solve_stand(robot, pa.StandTask(self_clearance=0.001))
+        gc.collect()
+
+    solved(60, 0)
+    before = resident()
+    solved(30, 60)
+    assert (resident() - before) / 30 < 200e3

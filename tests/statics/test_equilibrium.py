@@ -1,0 +1,796 @@
+"""What the motors hold, checked by hand, by Newton and Euler, and by MuJoCo's inverse dynamics."""
+
+import itertools
+import math
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg, optimize
+
+import pupper_analysis as pa
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.statics.cone_program import Balance
+from pupper_analysis.statics.support_polygon import com_margin
+from tests.support.engines import addresses, mujoco_at, with_efforts
+from tests.support.states import numbers
+from tests.support.variants import NAMES, load, stand_of
+
+GRAVITY = 9.81  # [m/s^2]
+UP = np.array([0.0, 0.0, 1.0])
+DISTRIBUTIONS = tuple(pa.ForceDistribution)
+
+
+def at_stand(name: str) -> pa.Configuration:
+    return pa.Configuration(load(name), stand_of(name).qpos)
+
+
+def near_stand(name: str, share: np.ndarray) -> pa.Configuration:
+    """The stand with its base turned and its joints bent a little."""
+    qpos = stand_of(name).qpos.copy()
+    qpos[4:7] += 0.1 * share[:3]
+    qpos[7:] += 0.15 * share[3:]
+    return pa.Configuration(load(name), qpos)
+
+
+near_stands = st.builds(near_stand, st.sampled_from(NAMES), numbers(15, 1.0))
+
+
+def weight(config: pa.Configuration) -> float:
+    return config.robot.total_mass * GRAVITY
+
+
+def check_newton_euler(config: pa.Configuration, result: pa.GravityCompensation) -> None:
+    """The contact forces carry the weight, and have no moment about the com."""
+    total = sum(result.contact_forces.values(), np.zeros(3))
+    moment = sum(
+        (
+            np.cross(result.contact_points[foot] - config.center_of_mass(), force)
+            for foot, force in result.contact_forces.items()
+        ),
+        np.zeros(3),
+    )
+    np.testing.assert_allclose(total, weight(config) * UP, atol=1e-9)
+    np.testing.assert_allclose(moment, 0, atol=1e-9)
+
+
+def check_cones(
+    result: pa.GravityCompensation, friction: float, normals: dict[str, np.ndarray] | None = None
+) -> None:
+    """No foot pulls or slides; and the utilisations are right."""
+    for foot, force in result.contact_forces.items():
+        normal = UP if normals is None else normals[foot]
+        push = float(force @ normal)
+        slide = float(np.linalg.norm(force - push * normal))
+        assert push >= -1e-9
+        assert slide <= friction * push + 1e-9
+        if push > 1e-6:
+            expected = pytest.approx(slide / (friction * push), abs=1e-6)
+            assert result.friction_utilisation[foot] == expected
+
+
+def mujoco_joint_torques(config: pa.Configuration, result: pa.GravityCompensation) -> np.ndarray:
+    """Inverse dynamics of the MJCF at rest under the given forces on its feet: (nv,)."""
+    robot = config.robot
+    model = robot.description.mjcf.copy().compile()
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco_at(robot, config.qpos, model=model)
+    data.qacc[:] = 0.0
+    mujoco.mj_inverse(model, data)
+    needed = data.qfrc_inverse.copy()
+    for foot, force in result.contact_forces.items():
+        given_by_ground = np.zeros(model.nv)
+        body = int(model.site(robot.foot_frames[foot]).bodyid[0])
+        point = result.contact_points[foot]
+        mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, given_by_ground)
+        needed -= given_by_ground
+    return needed[addresses(robot)[1]]
+
+
+# ------------------------------------------------------------------------------------- balance
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+@settings(max_examples=60)
+@given(config=near_stands)
+def test_balance(distribution: pa.ForceDistribution, config: pa.Configuration) -> None:
+    try:
+        result = pa.gravity_compensation(config, distribution=distribution)
+    except pa.StaticsInfeasibleError:
+        return  # see below
+    friction = config.robot.contacts[config.robot.feet[0]].sliding_friction
+    check_newton_euler(config, result)
+    check_cones(result, friction)
+    needed = mujoco_joint_torques(config, result)
+    np.testing.assert_allclose(needed[:6], 0, atol=1e-9)
+    np.testing.assert_allclose(needed[6:], result.joint_torques, atol=1e-9)
+    assert result.residual_force < 1e-9 * weight(config)
+    assert result.residual_torque < 1e-9 * weight(config)
+    np.testing.assert_array_equal(result.base_wrench, 0)
+    np.testing.assert_allclose(
+        result.motor_utilisation, np.abs(result.joint_torques) / config.robot.effort_limits
+    )
+    assert result.joint_names == config.robot.joint_names
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_stands_balance(variant: str, distribution: pa.ForceDistribution) -> None:
+    config = at_stand(variant)
+    result = pa.gravity_compensation(config, distribution=distribution)
+    check_newton_euler(config, result)
+    check_cones(result, {"v3": 1.0}.get(variant.split("-")[0], 1.2))
+    assert result.residual_force < 1e-9
+    assert result.residual_torque < 1e-9
+
+
+def test_velocity_does_not_matter() -> None:
+    still = at_stand("v3")
+    moving = pa.Configuration(still.robot, still.qpos, np.ones(18))
+    one, two = (pa.gravity_compensation(config) for config in (still, moving))
+    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+
+
+# ------------------------------------------------------------------------------------- the best
+
+
+def null_space(result: pa.GravityCompensation) -> np.ndarray:
+    """Contact forces (3 n, m) without resultant force or moment, from the contact points."""
+    columns = []
+    for point in result.contact_points.values():
+        x, y, z = point
+        columns.append(np.vstack([np.eye(3), [[0, -z, y], [z, 0, -x], [-y, x, 0]]]))
+    return np.asarray(linalg.null_space(np.hstack(columns)))
+
+
+def joint_torques(
+    config: pa.Configuration, result: pa.GravityCompensation, forces: np.ndarray
+) -> np.ndarray:
+    """The joint torques that go with contact forces (3 n,)."""
+    torques = config.gravity()
+    for jacobian, force in zip(
+        config.contact_jacobians(result.contact_forces).values(), forces.reshape(-1, 3), strict=True
+    ):
+        torques -= jacobian.T @ force
+    return torques[6:]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("friction", [0.15, 0.8])
+@settings(max_examples=30)
+@given(config=near_stands, seed=st.integers(0, 1000))
+def test_nothing_feasible_nearby_is_better(
+    friction: float, config: pa.Configuration, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    for distribution in DISTRIBUTIONS:
+        try:
+            best = pa.gravity_compensation(config, friction=friction, distribution=distribution)
+        except pa.StaticsInfeasibleError:
+            return
+        check_cones(best, friction)
+        forces = np.concatenate(list(best.contact_forces.values()))
+
+        def cost(
+            forces: np.ndarray,
+            best: pa.GravityCompensation = best,
+            distribution: pa.ForceDistribution = distribution,
+        ) -> float:
+            if distribution is not pa.ForceDistribution.MIN_TANGENTIAL:
+                torques = joint_torques(config, best, forces)
+                if distribution is pa.ForceDistribution.MIN_TORQUE:
+                    return float(torques @ torques)
+                return float(np.abs(torques / config.robot.effort_limits).max())
+            return float(np.sum(forces.reshape(-1, 3)[:, :2] ** 2))
+
+        free = null_space(best)
+        assert free.shape[1] == 6
+        # Of equal tangential forces, the least normal ones; but a foot that bears nothing may be
+        # where more of one direction would make it pull.
+        bears = forces[2::3].min() > 1e-3 * forces.max()
+        if distribution is pa.ForceDistribution.MIN_TANGENTIAL and bears:
+            sideways = linalg.null_space(np.delete(np.eye(12), np.s_[2::3], axis=0) @ free)
+            assert np.abs(forces[2::3] @ (free @ sideways)[2::3]).max() < 1e-4 * forces.max()
+        for size in (1e-3, 1e-2, 1e-1, 1.0):
+            for direction in random.standard_normal((40, 6)):
+                other = forces + size * free @ (direction / np.linalg.norm(direction))
+                push = other[2::3]
+                slide = np.hypot(other[0::3], other[1::3])
+                if (slide <= friction * push * (1 - 1e-5)).all():
+                    least = 1e-9 * float(forces @ forces)
+                    if (
+                        distribution is pa.ForceDistribution.MIN_PEAK
+                    ):  # its peak is within 1e-7 of the least
+                        least = 0.0
+                    assert cost(other) >= cost(forces) * (1 - 1e-6) - least
+
+
+def test_least_torque_is_less_than_even(variant: str) -> None:
+    best, even = (
+        np.linalg.norm(
+            pa.gravity_compensation(at_stand(variant), distribution=distribution).joint_torques
+        )
+        for distribution in (pa.ForceDistribution.MIN_TORQUE, pa.ForceDistribution.MIN_TANGENTIAL)
+    )
+    if variant.startswith("v3"):
+        assert best < 0.999 * even
+    else:  # its legs are all alike, and the feet right below the hips: nothing is to be gained
+        assert best == pytest.approx(even, rel=1e-9)
+
+
+def test_more_friction_never_costs_torque() -> None:
+    config, least = at_stand("v3"), pa.ForceDistribution.MIN_TORQUE
+    costs = [
+        np.linalg.norm(
+            pa.gravity_compensation(config, friction=mu, distribution=least).joint_torques
+        )
+        for mu in (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
+    ]
+    assert all(after <= before + 1e-6 for before, after in itertools.pairwise(costs))
+    assert costs[0] > 1.02 * costs[-1]
+
+
+def linear_programme(
+    config: pa.Configuration, result: pa.GravityCompensation, share: np.ndarray, friction: float
+) -> float:
+    """The least peak of share * |torque|, with cones of 64 sides, by scipy's simplex."""
+    sides = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    count = len(result.contact_forces)
+    jacobian = np.concatenate(list(config.contact_jacobians(result.contact_forces).values()))
+    faces = np.column_stack([np.cos(sides), np.sin(sides), np.full(64, -friction)])
+    cones = np.column_stack([np.kron(np.eye(count), faces), np.zeros(64 * count)])
+    torque = -share[:, None] * jacobian.T[6:]
+    column = -np.ones((len(share), 1))
+    hanging = share * config.gravity()[6:]
+    outcome = optimize.linprog(
+        [*np.zeros(3 * count), 1.0],
+        A_ub=np.vstack([cones, np.hstack([torque, column]), np.hstack([-torque, column])]),
+        b_ub=np.concatenate([np.zeros(64 * count), -hanging, hanging]),
+        A_eq=np.column_stack([jacobian.T[:6], np.zeros(6)]),
+        b_eq=config.gravity()[:6],
+        bounds=(None, None),
+    )
+    assert outcome.status == 0
+    return float(outcome.fun)
+
+
+@pytest.mark.parametrize("friction", [0.1, 0.8])
+def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> None:
+    """The polyhedral cones inside and around the true one differ by cos(pi / 64)."""
+    robot = load(variant)
+    stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, com=(0.01, 0.01)))
+    config = pa.Configuration(robot, stand.qpos)
+    strength = robot.effort_limits * np.linspace(1.0, 2.0, robot.nu)  # unequal motors
+    weaker = pa.Configuration(with_efforts(robot, strength), stand.qpos)
+    result = pa.gravity_compensation(weaker, friction=friction, distribution="minimum peak")
+    peak = result.motor_utilisation.max()
+    around, inside = (
+        linear_programme(config, result, 1 / strength, friction * factor)
+        for factor in (1.0, np.cos(np.pi / 64))
+    )
+    assert around * (1 - 1e-6) <= peak <= inside * (1 + 1e-6)
+    even = pa.gravity_compensation(weaker, friction=friction)
+    assert peak < 0.95 * even.motor_utilisation.max()
+
+
+def test_least_peak_without_limits_is_of_the_torque() -> None:
+    config = at_stand("v3")
+    free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
+    one, two = (pa.gravity_compensation(c, distribution="minimum peak") for c in (config, free))
+    np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-6)
+
+
+def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
+    config = at_stand("v3")
+    efforts = np.full(12, 3.0)
+    efforts[0] = 0.0
+    result = pa.gravity_compensation(
+        pa.Configuration(with_efforts(config.robot, efforts), config.qpos),
+        distribution="minimum peak",
+    )
+    assert np.isinf(result.motor_utilisation[0])
+    least = pa.gravity_compensation(config, distribution="minimum peak").motor_utilisation.max()
+    assert result.motor_utilisation[1:].max() <= least * (1 + 1e-6)
+
+
+def test_the_forces_that_last_are_the_default(variant: str) -> None:
+    config = at_stand(variant)
+    default, even = (
+        pa.gravity_compensation(config, **arguments)
+        for arguments in ({}, {"distribution": pa.ForceDistribution.MIN_TANGENTIAL})
+    )
+    np.testing.assert_array_equal(default.joint_torques, even.joint_torques)
+
+
+@pytest.mark.parametrize("distribution", DISTRIBUTIONS)
+def test_a_sharing_by_its_value(distribution: pa.ForceDistribution) -> None:
+    config = at_stand("v3")
+    one, two = (
+        pa.gravity_compensation(config, distribution=s) for s in (distribution, distribution.value)
+    )
+    np.testing.assert_array_equal(one.joint_torques, two.joint_torques)
+
+
+@pytest.mark.parametrize("distribution", ["x", None, 3, "MIN_TANGENTIAL"])
+def test_an_unknown_sharing_is_refused(distribution: object) -> None:
+    with pytest.raises(
+        pa.ConfigurationError, match=r"distribution.*'minimum tangential', 'minimum torque'"
+    ):
+        pa.gravity_compensation(at_stand("v3"), distribution=distribution)  # type: ignore[arg-type]
+
+
+def test_without_friction_forces_are_vertical() -> None:
+    result = pa.gravity_compensation(at_stand("v3"), friction=0.0)
+    for force in result.contact_forces.values():
+        np.testing.assert_allclose(force[:2], 0, atol=1e-9)
+    check_newton_euler(at_stand("v3"), result)
+
+
+# ------------------------------------------------------------------------------------- by hand
+
+# v3 at zero angles: feet at x = 0.06881 and -0.08119 m, com at x = -0.00272409 m.
+FRONT_SHARE = (0.08119 - 0.00272409) / 0.15
+
+
+def v3_at_zero() -> pa.Configuration:
+    return pa.Configuration(load("v3"), load("v3").neutral())
+
+
+def test_even_shares_are_those_of_the_lever_arms() -> None:
+    result = pa.gravity_compensation(v3_at_zero(), distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    load_ = 3.170 * GRAVITY
+    for foot, share in (("FR", FRONT_SHARE), ("RR", 1 - FRONT_SHARE)):
+        for side in (foot, foot[0] + "L"):
+            np.testing.assert_allclose(
+                result.contact_forces[side], [0, 0, share * load_ / 2], atol=1e-5
+            )
+
+
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_even_forces_are_vertical_on_level_steps(name: str) -> None:
+    robot = load(name)
+    ground = pa.Ground(heights={"FR": 0.02, "RL": 0.01})
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=(0.02, -0.015)))
+    result = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    scale = float(np.linalg.norm(weight(at_stand(name))))
+    for force in result.contact_forces.values():
+        np.testing.assert_allclose(force[:2], 0, atol=1e-6 * scale)
+    best = pa.stand_statics(
+        robot, stand, distribution=pa.ForceDistribution.MIN_TORQUE
+    ).contact_forces
+    assert max(np.linalg.norm(force[:2]) for force in best.values()) > 5e-3 * scale
+
+
+@pytest.mark.parametrize("name", ["long-leg", "v3"])
+def test_even_forces_make_all_feet_creep_as_one_body(name: str) -> None:
+    """On a slope f_t = c (v + omega x r): the feet's velocities are those of a rigid motion."""
+    robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
+    task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
+    stand = pa.solve_stand(robot, task)
+    result = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    assert max(result.friction_utilisation.values()) < 0.9
+    normal = ground.normal()
+    along = np.linalg.qr(np.column_stack([normal, np.eye(3)[:, :2]]))[0][:, 1:]  # (3, 2)
+    rows, velocities = [], []
+    for foot, force in result.contact_forces.items():
+        law = GroundLaw.of(robot, foot)
+        viscosity = law.viscosity(law.depth(float(force @ normal)))
+        velocities.append(along.T @ force / viscosity)
+        turn = along.T @ np.cross(normal, result.contact_points[foot])
+        rows.append(np.column_stack([np.eye(2), turn]))
+    rigid = np.concatenate(rows)
+    velocity = np.concatenate(velocities)
+    motion = np.linalg.lstsq(rigid, velocity)[0]
+    np.testing.assert_allclose(rigid @ motion, velocity, atol=1e-3 * np.abs(velocity).max())
+
+
+def test_a_sunk_foots_force_acts_half_way() -> None:
+    """On a slope the arm of the tangential forces is shorter by half the depth."""
+    robot = load("v3")
+    task = pa.StandTask(ground=pa.Ground(0.2), pitch=-0.2)
+    stand = pa.solve_stand(robot, task)
+    config = pa.Configuration(robot, stand.qpos)
+    depths = dict.fromkeys(robot.feet, 0.004)
+    result = pa.gravity_compensation(config, normals=stand.normals, depths=depths)
+    for foot, point in result.contact_points.items():
+        centre = config.foot_positions()[foot]
+        reach = robot.foot_radius[foot] - 0.002
+        np.testing.assert_allclose(centre - point, reach * stand.normals[foot], atol=1e-12)
+    torque = np.zeros(3)
+    for foot, force in result.contact_forces.items():
+        torque += np.cross(result.contact_points[foot] - config.center_of_mass(), force)
+    np.testing.assert_allclose(torque, 0, atol=1e-9)
+
+
+def test_three_feet_share_by_the_triangles_coordinates() -> None:
+    """With FR, FL and RL on the ground there is one way to share the weight."""
+    corners = np.array([[0.06881, -0.1015, 1], [0.06881, 0.1015, 1], [-0.08119, 0.0905, 1]]).T
+    shares = np.linalg.solve(corners, [-0.00272409, 0, 1])
+    assert (shares > 0).all()
+    for distribution in DISTRIBUTIONS:
+        result = pa.gravity_compensation(
+            v3_at_zero(), ["FR", "FL", "RL"], distribution=distribution
+        )
+        pushes = [result.contact_forces[foot][2] for foot in ("FR", "FL", "RL")]
+        np.testing.assert_allclose(pushes, shares * 3.170 * GRAVITY, atol=1e-5)
+        assert set(result.contact_forces) == {"FR", "FL", "RL"}
+
+
+def test_stand_shares_the_weight_in_quarters(variant: str) -> None:
+    config = at_stand(variant)
+    result = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    for force in result.contact_forces.values():
+        np.testing.assert_allclose(force, weight(config) / 4 * UP, atol=1e-7)
+
+
+def test_knee_torque_by_hand() -> None:
+    """Standing, the skeleton's knee holds the foot's force less calf and foot, at their arms."""
+    config = at_stand("original")
+    result = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    for leg in ("FL", "FR", "RL", "RR"):
+        knee = config.frame_position(f"{leg}_calf")
+        foot = config.frame_position(f"{leg}_foot")
+        arm = foot[0] - knee[0]  # of the foot; the calf's centre is half-way
+        vertical = result.contact_forces[leg][2] - 0.02 * GRAVITY
+        torque = (
+            vertical - 0.05 * GRAVITY / 2
+        ) * arm  # about y, an upward force in front: negative
+        index = result.joint_names.index(f"{leg}_KFE")
+        roll = config.qpos[7 + result.joint_names.index(f"{leg}_HAA")]
+        assert roll == pytest.approx(0, abs=1e-9)
+        assert result.joint_torques[index] == pytest.approx(torque, abs=1e-9)
+
+
+# ------------------------------------------------------------------------------------- hanging
+
+
+def test_hanging_is_the_joint_part_of_gravity(variant: str) -> None:
+    config = near_stand(variant, np.linspace(-1, 1, 15))
+    result = pa.gravity_compensation(config, [])
+    np.testing.assert_allclose(result.joint_torques, config.gravity()[6:], atol=1e-15)
+    np.testing.assert_allclose(result.base_wrench[:3], weight(config) * UP, atol=1e-9)
+    arm = config.center_of_mass() - config.qpos[:3]
+    moment = config.base_rotation().T @ np.cross(arm, weight(config) * UP)
+    np.testing.assert_allclose(result.base_wrench[3:], moment, atol=1e-12)
+    assert result.contact_forces == {}
+    assert result.com_margin is None
+    assert result.residual_force == pytest.approx(0, abs=1e-12)
+
+
+def test_fixed_base_hangs() -> None:
+    free, fixed = load("v3"), load("v3", fixed_base=True)
+    qpos = free.neutral()
+    qpos[7:] = np.linspace(-0.3, 0.4, 12)
+    one = pa.gravity_compensation(pa.Configuration(free, qpos), [])
+    two = pa.gravity_compensation(pa.Configuration(fixed, qpos[7:]))
+    np.testing.assert_allclose(two.joint_torques, one.joint_torques, atol=1e-12)
+    assert two.contact_forces == {}
+
+
+def test_standing_is_not_hanging() -> None:
+    """The knees of the standing v3 hold much; hanging in the same pose, next to nothing."""
+    config = at_stand("v3")
+    standing, hanging = (pa.gravity_compensation(config, feet) for feet in (None, []))
+    knees = [index for index, name in enumerate(standing.joint_names) if name.endswith("_3")]
+    assert (
+        np.abs(standing.joint_torques[knees]).min() > 5 * np.abs(hanging.joint_torques[knees]).max()
+    )
+
+
+# ------------------------------------------------------------------------------------- slopes
+
+
+def tilted(angle: float, heading: float = 0.0) -> np.ndarray:
+    """A unit vector at an angle to the vertical."""
+    across = np.array([math.cos(heading), math.sin(heading), 0])
+    return np.asarray(math.cos(angle) * UP + math.sin(angle) * across)
+
+
+@settings(max_examples=10)
+@given(angle=st.floats(0.05, 0.6), heading=st.floats(-3.0, 3.0))
+def test_a_slope_needs_the_tangent_of_its_angle(angle: float, heading: float) -> None:
+    """However the feet share, the weight must be in the cone about the common normal."""
+    config = at_stand("v3")
+    normals = dict.fromkeys(config.robot.feet, tilted(angle, heading))
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(config, friction=0.9 * math.tan(angle), normals=normals)
+    error = caught.value
+    assert error.reason is pa.Infeasibility.FRICTION
+    assert error.friction_needed == pytest.approx(math.tan(angle), rel=1e-4)
+    assert error.margin > 0
+    assert error.feet == config.robot.feet
+    enough = 1.01 * math.tan(angle)
+    result = pa.gravity_compensation(config, friction=enough, normals=normals)
+    check_newton_euler(config, result)
+    check_cones(result, enough, normals)
+    radius = config.robot.foot_radius["FR"]
+    for foot, point in result.contact_points.items():
+        down = config.foot_positions()[foot] - radius * normals[foot]
+        np.testing.assert_allclose(point, down, atol=1e-12)
+
+
+def test_friction_may_differ_from_foot_to_foot() -> None:
+    config = at_stand("original")
+    coefficients = {"FL": 0.0, "FR": 0.3, "RL": 1.0, "RR": 0.0}
+    result = pa.gravity_compensation(config, friction=coefficients)
+    check_newton_euler(config, result)
+    for foot, force in result.contact_forces.items():
+        assert np.hypot(*force[:2]) <= coefficients[foot] * force[2] + 1e-9
+
+
+def test_a_normals_length_does_not_matter() -> None:
+    config = at_stand("original")
+    one, two = (
+        pa.gravity_compensation(config, normals={"FL": scale * tilted(0.2)}) for scale in (1, 7)
+    )
+    np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-9)
+
+
+def test_a_chimney_is_climbed_by_pressing_outward() -> None:
+    """Between two walls, friction carries the weight."""
+    config = at_stand("original")
+    normals = {
+        foot: np.array([0, -1.0 if foot.endswith("L") else 1.0, 0]) for foot in config.robot.feet
+    }
+    result = pa.gravity_compensation(config, friction=0.8, normals=normals)
+    check_newton_euler(config, result)
+    check_cones(result, 0.8, normals)
+    assert all(result.contact_forces[foot] @ normals[foot] > 1 for foot in config.robot.feet)
+
+
+# ------------------------------------------------------------------------------------- infeasible
+
+
+def test_two_feet_do_not_carry_a_com_beside_their_line() -> None:
+    """Both right feet: the com is to the left of the line through them."""
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(v3_at_zero(), ["FR", "RR"])
+    error = caught.value
+    assert error.reason is pa.Infeasibility.COM_OUTSIDE
+    one, two = np.array([0.06881, -0.1015]), np.array([-0.08119, -0.0905])
+    along = (two - one) / np.linalg.norm(two - one)
+    arm = np.array([-0.00272409, 0]) - one
+    distance = abs(along[0] * arm[1] - along[1] * arm[0])
+    assert error.margin == pytest.approx(-distance, abs=1e-7)
+    assert error.friction_needed is None
+    assert f"{1e3 * distance:.1f} mm" in str(error)
+
+
+def test_three_feet_do_not_carry_a_com_beyond_their_diagonal() -> None:
+    with pytest.raises(pa.StaticsInfeasibleError, match="com outside") as caught:
+        pa.gravity_compensation(v3_at_zero(), ["FR", "RR", "RL"])
+    assert caught.value.margin < 0
+    assert "RR" in caught.value.feet  # the foot that would have to pull
+
+
+@pytest.mark.parametrize("foot", ["FR", "FL", "RR", "RL"])
+def test_one_foot_does_not_carry_it(foot: str) -> None:
+    with pytest.raises(pa.StaticsInfeasibleError, match="com outside"):
+        pa.gravity_compensation(v3_at_zero(), [foot])
+
+
+def test_a_com_out_of_the_stance_is_refused() -> None:
+    """All feet far behind the com."""
+    robot = load("original")
+    qpos = robot.neutral()
+    qpos[8::3] = 1.2
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(pa.Configuration(robot, qpos))
+    assert caught.value.reason is pa.Infeasibility.COM_OUTSIDE
+    feet = pa.Configuration(robot, qpos).foot_positions()
+    ahead = pa.Configuration(robot, qpos).center_of_mass()[0] - feet["FL"][0]
+    assert caught.value.margin == pytest.approx(-ahead, abs=1e-9)
+
+
+def forces_exist(
+    points: dict[str, np.ndarray],
+    com: np.ndarray,
+    friction: float,
+    normals: dict[str, np.ndarray],
+) -> bool:
+    """Whether forces in pyramids inside the friction cones balance a unit weight, by HiGHS."""
+    wrenches = []
+    for foot, point in points.items():
+        normal = normals[foot]
+        across = linalg.null_space(normal[None, :])
+        for angle in np.linspace(0, 2 * math.pi, 24, endpoint=False):
+            side = across @ [math.cos(angle), math.sin(angle)]
+            force = normal + friction * side
+            wrenches.append(np.concatenate([force, np.cross(point - com, force)]))
+    columns = np.array(wrenches).T
+    asked = np.array([0, 0, 1.0, 0, 0, 0])
+    found = optimize.linprog(np.zeros(columns.shape[1]), A_eq=columns, b_eq=asked, method="highs")
+    return bool(found.status == 0)
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(
+    name=st.sampled_from(["original", "v3"]),
+    share=numbers(15, 1.0),
+    feet=st.sets(st.sampled_from(["FR", "FL", "RR", "RL"]), min_size=1),
+    friction=st.floats(0.05, 1.2),
+    tilts=st.lists(
+        st.tuples(st.floats(0, 1.2), st.floats(-math.pi, math.pi)), min_size=4, max_size=4
+    ),
+)
+def test_no_balance_is_missed(
+    name: str,
+    share: np.ndarray,
+    feet: set[str],
+    friction: float,
+    tilts: list[tuple[float, float]],
+) -> None:
+    """On any four slopes: refused only where a linear programme finds no forces either."""
+    config = near_stand(name, share)
+    contacts = sorted(feet)
+    normals = {foot: tilted(*tilt) for foot, tilt in zip(config.robot.feet, tilts, strict=True)}
+    normals = {foot: normals[foot] for foot in contacts}
+    try:
+        result = pa.gravity_compensation(config, contacts, friction=friction, normals=normals)
+    except pa.StaticsInfeasibleError as error:
+        refusal = error
+    else:
+        check_newton_euler(config, result)
+        check_cones(result, friction, normals)
+        return
+    points = {
+        foot: config.foot_positions()[foot] - config.robot.foot_radius[foot] * normals[foot]
+        for foot in contacts
+    }
+    com = config.center_of_mass()
+    assert not forces_exist(points, com, 0.999 * friction, normals)
+    if refusal.reason is pa.Infeasibility.FRICTION:
+        assert refusal.friction_needed is not None
+        assert refusal.friction_needed > 0.999 * friction
+        needed = refusal.friction_needed
+        if needed < 5:  # a pyramid of 24 sides is 1 % inside its cone
+            assert forces_exist(points, com, 1.02 * needed, normals)
+            assert not forces_exist(points, com, 0.99 * needed, normals)
+    else:
+        assert not forces_exist(points, com, 1e3, normals)
+
+
+@pytest.mark.parametrize(
+    "tilts",
+    [
+        {"FR": (0.6, -2.5), "FL": (0.9, 0.7), "RL": (0.4, -2.3)},
+        {"FR": (0.8, -2.4), "FL": (0.5, -0.3), "RR": (0.8, -0.5), "RL": (0.5, -2.9)},
+        {"FR": (0.7, 2.6), "FL": (0.8, 2.1), "RL": (0.5, 2.8)},
+        {"FR": (0.4, 2.2), "FL": (0.5, 2.1), "RL": (0.4, -2.7)},
+    ],
+)
+def test_a_refusal_comes_without_numerical_warnings(tilts: dict[str, tuple[float, float]]) -> None:
+    """Warnings are errors here; of an infeasible programme the solver's answer may be huge."""
+    normals = {foot: tilted(*tilt) for foot, tilt in tilts.items()}
+    with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
+        pa.gravity_compensation(at_stand("v3"), list(tilts), friction=0.3, normals=normals)
+
+
+def test_feet_on_a_ceiling_would_have_to_pull() -> None:
+    config = at_stand("v3")
+    normals = dict.fromkeys(config.robot.feet, -UP)
+    with pytest.raises(pa.StaticsInfeasibleError, match="pull") as caught:
+        pa.gravity_compensation(config, normals=normals)
+    assert caught.value.reason is pa.Infeasibility.PULL
+    assert set(caught.value.feet) == set(config.robot.feet)
+    assert caught.value.friction_needed is None
+
+
+def test_feet_on_one_wall_would_have_to_pull() -> None:
+    config = at_stand("v3")
+    normals = dict.fromkeys(config.robot.feet, np.array([1.0, 0, 0]))
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(config, normals=normals)
+    assert caught.value.reason is pa.Infeasibility.PULL
+
+
+# ------------------------------------------------------------------------------------- margins
+
+
+@pytest.mark.parametrize(
+    ("com", "margin"),
+    [
+        ((0, 0, 5), 1.0),  # at the middle, whatever its height
+        ((1.5, 0, 0), 0.5),
+        ((1.5, 0.8, 0), 0.2),
+        ((2, 0, 0), 0.0),
+        ((2.5, 0, 0), -0.5),
+        ((5, 5, 0), -5.0),
+    ],
+)
+def test_margin_of_a_rectangle(com: tuple[float, ...], margin: float) -> None:
+    points = {f"{x}{y}": np.array([x, y, 0.1 * x]) for x in (-2, 2) for y in (-1, 1)}
+    assert com_margin(np.array(com, dtype=float), points) == pytest.approx(margin, abs=1e-12)
+
+
+@given(com=numbers(2, 3.0))
+def test_margin_of_a_triangle_with_a_foot_inside(com: np.ndarray) -> None:
+    """By the three edges' half-planes; a contact inside the hull does not count."""
+    corners = np.array([[0.0, 0], [2, 0], [0, 1]])
+    points = {str(i): np.array([*corner, 0]) for i, corner in enumerate([*corners, (0.4, 0.3)])}
+    inward = [(0, 1), (1, 0), (-1 / math.sqrt(5), -2 / math.sqrt(5))]
+    edges = [
+        np.dot(n, com - c)
+        for n, c in zip(inward, [corners[0], corners[0], corners[1]], strict=True)
+    ]
+    margin = com_margin(np.array([*com, 1.0]), points)
+    if min(edges) > 0:
+        assert margin == pytest.approx(min(edges), abs=1e-12)
+    else:
+        assert margin <= min(edges) + 1e-12  # the corner may be nearest
+        assert margin >= -np.linalg.norm(corners - com, axis=1).min() - 1e-12
+
+
+def test_stands_margin(variant: str) -> None:
+    """The com is over the middle of the feet: to the front edge and the rear one it is 0.075 m."""
+    result = pa.gravity_compensation(at_stand(variant))
+    assert result.com_margin == pytest.approx(0.075, abs=1e-9)
+    np.testing.assert_allclose(result.center_of_mass, at_stand(variant).center_of_mass())
+
+
+# ------------------------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"contacts": ["FR", "FL", "FR"]}, "named twice"),
+        ({"friction": -0.1}, "friction"),
+        ({"friction": math.nan}, "friction"),
+        ({"friction": math.inf}, "friction"),
+        ({"friction": {"FR": 1.0}}, "friction"),
+        ({"friction": "much"}, "friction"),
+        ({"normals": {"FR": (0, 0, 0)}}, "normals"),
+        ({"normals": {"FR": (0, 1)}}, "normals"),
+        ({"normals": {"FR": (0, math.nan, 1)}}, "normals"),
+        ({"normals": {"FR": "up"}}, "normals"),
+        ({"normals": {"FR": None}}, "normals"),
+    ],
+)
+def test_bad_requests_are_refused(arguments: dict[str, object], message: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=message):
+        pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"contacts": ["FR", "tail"]},
+        {"normals": {"tail": UP}},
+        {"friction": {"tail": 1.0, "FR": 1, "FL": 1, "RR": 1, "RL": 1}},
+    ],
+)
+def test_unknown_feet_are_refused(arguments: dict[str, object]) -> None:
+    with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
+        pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
+
+
+def test_a_fixed_base_has_no_contacts() -> None:
+    robot = load("v3", fixed_base=True)
+    with pytest.raises(pa.ConfigurationError, match="fixed base"):
+        pa.gravity_compensation(pa.Configuration(robot, robot.neutral()), ["FR"])
+
+
+def test_a_foot_given_as_a_string_is_not_taken_for_its_letters() -> None:
+    with pytest.raises(pa.PupperAnalysisError):
+        pa.gravity_compensation(at_stand("v3"), "FR")
+
+
+@pytest.mark.parametrize("torqueless", [0, 1, 2])
+@pytest.mark.parametrize("feet", [3, 4, 8])
+def test_least_torques_are_found_in_the_null_space(feet: int, torqueless: int) -> None:
+    """Also where some forces cost no torque: then they are the shortest that are found there."""
+    random = np.random.default_rng(feet)
+    base, joints = random.normal(size=(6, 3 * feet)), random.normal(size=(12, 3 * feet))
+    free = linalg.null_space(base)
+    idle = free[:, :torqueless]
+    joints -= joints @ idle @ idle.T
+    weight, torques = random.normal(size=6), random.normal(size=12)
+    problem = Balance(base, weight, joints, torques, np.tile(UP, (feet, 1)))
+    found = problem.solve(None, problem.joints, problem.torques)
+    particular = np.linalg.pinv(base) @ weight
+    best = np.linalg.pinv(joints @ free, rcond=1e-10) @ (torques - joints @ particular)
+    np.testing.assert_allclose(found, particular + free @ best, rtol=0, atol=1e-11)

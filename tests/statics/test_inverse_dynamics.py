@@ -1,0 +1,230 @@
+"""Inverse dynamics on feet: against MuJoCo's, against momentum, and at rest against statics."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.configuration import UP
+from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.statics.inverse_dynamics import (
+    inverse_dynamics,
+    joint_resistance,
+    rolling_levers,
+)
+from tests.support.variants import NAMES, load, stand_of
+
+Array = np.ndarray
+
+
+def motion(name: str, seed: int = 0) -> tuple[Array, Array]:
+    """A qvel and a qacc (nv,) that four feet can hold."""
+    generator, robot = np.random.default_rng(seed), load(name)
+    return 0.3 * generator.normal(size=robot.nv), 0.3 * generator.normal(size=robot.nv)
+
+
+def mujoco_inverse(robot: pa.Robot, qpos: Array, qvel: Array, qacc: Array) -> Array:
+    """MuJoCo's M qacc + h - passive - friction loss (nv,), out of reach of the ground."""
+    data, public = mujoco.MjData(robot.mj_model), robot.mj_convention
+    public.set_state(data, qpos + np.array([0, 0, 1.0, *np.zeros(robot.nq - 3)]), qvel)
+    data.qacc[public.qvel_index] = qacc
+    mujoco.mj_inverse(robot.mj_model, data)
+    assert data.ncon == 0
+    return data.qfrc_inverse[public.qvel_index]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_balance_in_mujocos_terms(name: str) -> None:
+    """Its M, bias, dampers and dry friction, and its Jacobians at the points of contact."""
+    robot, stand = load(name), stand_of(name)
+    for seed in range(5):
+        qvel, qacc = motion(name, seed)
+        found = inverse_dynamics(pa.Configuration(robot, stand.qpos, qvel), qacc)
+        remainder = mujoco_inverse(robot, stand.qpos, qvel, qacc)
+        scale = np.abs(remainder).max()
+        data, public = mujoco.MjData(robot.mj_model), robot.mj_convention
+        public.set_state(data, stand.qpos)
+        mujoco.mj_forward(robot.mj_model, data)
+        for foot, force in found.contact_forces.items():
+            linear, angular = np.zeros((2, 3, robot.mj_model.nv))
+            body, place = robot.foot_places[foot]
+            centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+            point = centre - robot.foot_radius[foot] * UP
+            mujoco.mj_jac(robot.mj_model, data, linear, angular, point, body)
+            generalised = linear.T @ force + angular.T @ found.contact_moments[foot]
+            remainder -= generalised[public.qvel_index]
+        remainder[6:] -= found.joint_torques
+        assert np.abs(remainder).max() < 1e-9 * scale
+        assert found.residual_force < 1e-9 * scale
+        assert found.residual_torque < 1e-9 * scale
+
+
+@pytest.mark.parametrize("name", ["v3", "long-leg"])
+@pytest.mark.parametrize("speed", [0.0, 1e-4, 3.0])
+def test_dampers_and_dry_friction_are_mujocos(name: str, speed: float) -> None:
+    """Creeping, where dry friction is regularised, and turning, where it is the friction loss."""
+    robot, stand = load(name), stand_of(name)
+    qvel, qacc = motion(name)
+    qvel, qacc = speed * qvel, (speed + 1e-3) * qacc
+    config = pa.Configuration(robot, stand.qpos, qvel)
+    bare = config.mass_matrix() @ qacc + config.bias_forces()
+    taken = joint_resistance(robot, qvel, qacc)
+    wanted = mujoco_inverse(robot, stand.qpos, qvel, qacc) - bare
+    np.testing.assert_allclose(taken, wanted, atol=1e-12)
+    if speed > 1:
+        assert (taken[6:] * qvel[6:] > 0).all()  # against the motion
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_at_rest_it_is_gravity_compensation(name: str) -> None:
+    robot, stand = load(name), stand_of(name)
+    config = pa.Configuration(robot, stand.qpos)
+    found = inverse_dynamics(config, np.zeros(robot.nv))
+    still = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    np.testing.assert_allclose(found.joint_torques, still.joint_torques, atol=1e-12)
+    assert found.zmp_margin == pytest.approx(still.com_margin, abs=1e-12)
+    np.testing.assert_allclose(found.zero_moment_point[:2], still.center_of_mass[:2], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["original", "heavy", "v3"])
+def test_zero_moment_point_two_ways(name: str) -> None:
+    """From the rate of momentum, and as the centre of the contact forces' pressure."""
+    robot, stand = load(name), stand_of(name)
+    qvel, qacc = motion(name, 1)
+    config = pa.Configuration(robot, stand.qpos, qvel)
+    found = inverse_dynamics(config, qacc, resistance=False)
+    normal = np.array([force[2] for force in found.contact_forces.values()])
+    points = np.array(list(found.contact_points.values()))
+    pressure = normal @ points[:, :2] / normal.sum()
+    np.testing.assert_allclose(found.zero_moment_point[:2], pressure, atol=1e-12)
+
+    public = robot.pin_convention
+    data = robot.pin_model.createData()
+    drift = public.velocity_map_rate(config.qpos, qvel)
+    turn = public.velocity_map(config.qpos)
+    state = (public.q(config.qpos), turn @ qvel, turn @ qacc + drift)
+    rate = pin.computeCentroidalMomentumTimeVariation(robot.pin_model, data, *state)
+    force = rate.linear - robot.total_mass * robot.gravity
+    moment = rate.angular + np.cross(config.center_of_mass(), force)
+    closed = np.array([-moment[1], moment[0]]) / force[2]
+    np.testing.assert_allclose(found.zero_moment_point[:2], closed, atol=1e-9)
+    assert np.abs(closed - config.center_of_mass()[:2]).max() > 1e-3  # it is not the com
+
+
+def test_ground_resists_rolling_as_mujocos_does() -> None:
+    """v3's feet roll as it rises: moments of MuJoCo's contacts in its own inverse dynamics."""
+    robot = load("v3")
+    stand = sunk_stand(robot)
+    config = pa.Configuration(robot, stand.qpos)
+    stacked = np.concatenate([np.eye(robot.nv)[2:6], config.com_jacobian()[:2]])
+    depth = max(stand.depths.values()) / 2  # MuJoCo has the contact half way
+    for foot in robot.feet:
+        offset = (depth - robot.foot_radius[foot]) * UP
+        rows = config.frame_jacobian(robot.foot_frames[foot], offset)[:3]
+        stacked = np.concatenate([stacked, rows])
+    rising = np.linalg.lstsq(stacked, np.eye(len(stacked))[0])[0]
+    data, public = mujoco.MjData(robot.mj_model), robot.mj_convention
+    for speed in (1e-3, 0.1):
+        moving = pa.Configuration(robot, stand.qpos, speed * rising)
+        levers = rolling_levers(moving, np.zeros(robot.nv), dict.fromkeys(robot.feet, UP))
+        public.set_state(data, stand.qpos, speed * rising)
+        data.qacc[:] = 0
+        mujoco.mj_inverse(robot.mj_model, data)
+        wrench = np.zeros(6)
+        assert data.ncon == 4
+        for number, pair in enumerate(data.contact.geom):
+            mujoco.mj_contactForce(robot.mj_model, data, number, wrench)
+            axes = data.contact.frame[number].reshape(3, 3)
+            sign = 1 if pair[0] == 0 else -1
+            moment = sign * axes.T @ wrench[3:]
+            foot = robot.foot_geoms[int(pair.max())]
+            # Its contact gives way vertically here, so the share is not quite even.
+            np.testing.assert_allclose(
+                levers[foot][:2], moment[:2] / wrench[0], atol=0.03 * np.abs(moment).max()
+            )
+        if speed == 0.1:
+            assert np.linalg.norm(levers["FL"][:2]) == pytest.approx(0.01, rel=0.05)
+
+
+def test_on_a_slope_what_rolls_is_at_the_edge_of_the_grounds_cone() -> None:
+    """Feet that roll at 1 rad/s: (f_t / mu)^2 + (m / mu_r)^2 = f_n^2, in the ground's axes."""
+    robot, ground = load("v3"), pa.Ground(0.4)
+    stand = pa.solve_stand(robot, pa.StandTask(ground=ground, pitch=-0.4))
+    up = ground.normal()
+    qvel = np.zeros(robot.nv)
+    qvel[4] = 1.0  # the base pitches, and its feet with it
+    found = pa.inverse_dynamics(
+        pa.Configuration(robot, stand.qpos, qvel),
+        np.zeros(robot.nv),
+        normals=dict.fromkeys(robot.feet, up),
+        held=True,
+    )
+    for foot, force in found.contact_forces.items():
+        pressing, moment = float(force @ up), found.contact_moments[foot]
+        friction = robot.contacts[foot].friction
+        tangential = np.linalg.norm(force - pressing * up) / friction[0]
+        rolling = np.linalg.norm(moment - (moment @ up) * up) / friction[3]
+        spinning = (moment @ up) / friction[2]
+        assert pressing > 0
+        assert np.linalg.norm((tangential, rolling, spinning)) == pytest.approx(pressing, rel=0.02)
+
+
+def test_what_no_feet_can_do_is_said() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    config, qacc = pa.Configuration(robot, stand.qpos), np.zeros(robot.nv)
+    for index, acceleration, reason in (
+        (2, -15.0, pa.Infeasibility.PULL),
+        (1, 12.0, pa.Infeasibility.ZMP_OUTSIDE),
+    ):
+        qacc[:] = 0
+        qacc[index] = acceleration
+        with pytest.raises(pa.StaticsInfeasibleError) as caught:
+            inverse_dynamics(config, qacc)
+        assert caught.value.reason is reason
+        held = inverse_dynamics(config, qacc, held=True)
+        assert min(force[2] for force in held.contact_forces.values()) < 0
+        assert held.residual_force < 1e-9
+    with pytest.raises(pa.StaticsInfeasibleError, match="friction") as caught:
+        inverse_dynamics(config, np.array([0, 3.0, *np.zeros(16)]), friction=0.2)
+    assert caught.value.friction_needed == pytest.approx(3 / 9.81, rel=0.3)
+    with pytest.raises(pa.ConfigurationError, match="qacc"):
+        inverse_dynamics(config, np.zeros(3))
+    with pytest.raises(pa.UnknownNameError):
+        inverse_dynamics(config, np.zeros(robot.nv), ["XX"])
+
+
+def test_a_fixed_base_carries_all() -> None:
+    robot = load("v3", fixed_base=True)
+    generator = np.random.default_rng(0)
+    qpos, qvel, qacc = generator.normal(size=(3, robot.nu))
+    found = inverse_dynamics(pa.Configuration(robot, qpos, qvel), qacc, resistance=False)
+    config = pa.Configuration(robot, qpos, qvel)
+    wanted = config.mass_matrix() @ qacc + config.bias_forces()
+    np.testing.assert_allclose(found.joint_torques, wanted, atol=1e-12)
+    assert found.zmp_margin is None
+
+
+def test_accelerations_are_derivatives_of_velocities() -> None:
+    robot, stand, step = load("v3"), stand_of("v3"), 1e-5
+    qvel, qacc = motion("v3", 3)
+    data, public = mujoco.MjData(robot.mj_model), robot.mj_convention
+
+    def at(time: float) -> pa.Configuration:
+        public.set_state(data, stand.qpos)
+        moved, velocity = data.qpos.copy(), np.zeros(robot.mj_model.nv)
+        velocity[public.qvel_index] = qvel + time / 2 * qacc
+        mujoco.mj_integratePos(robot.mj_model, moved, velocity, time)
+        return pa.Configuration(robot, moved[public.qpos_index], qvel + time * qacc)
+
+    now, before, after = at(0.0), at(-step), at(step)
+    for foot, found in now.foot_accelerations(qacc).items():
+        frame = robot.foot_frames[foot]
+        rates = [c.frame_jacobian(frame) @ c.qvel for c in (before, after)]
+        np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)
+    rates = [c.com_jacobian() @ c.qvel for c in (before, after)]
+    np.testing.assert_allclose(
+        now.com_acceleration(qacc), (rates[1] - rates[0]) / (2 * step), atol=1e-8
+    )

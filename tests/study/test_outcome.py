@@ -1,0 +1,561 @@
+"""What is made of a study's table: fronts, figures, sensitivities, tolerances, searches."""
+
+from __future__ import annotations
+
+import ast
+import math
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.image import imread
+from scipy import stats
+
+import pupper_analysis as pa
+from pupper_analysis.report.figures import study as figures
+from pupper_analysis.study.cells import mean_map, panels
+from pupper_analysis.study.design import Maker
+from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
+from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.pareto import pareto_front
+from pupper_analysis.study.randomisation import write_randomisation
+from pupper_analysis.study.search import optimise
+from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
+from pupper_analysis.study.tolerance import (
+    certainty,
+    chance,
+    narrowed,
+    tightest_tolerance,
+)
+from tests.support import study_measures
+
+
+@pytest.fixture(scope="module")
+def thread() -> Iterator[Executor]:
+    with ThreadPoolExecutor(1) as executor:
+        yield executor
+
+
+# ----------------------------------------------------------------------------- fronts
+
+
+def test_nobody_beats_the_front_and_the_front_beats_all_others() -> None:
+    random = np.random.default_rng(0)
+    table = pd.DataFrame(random.integers(0, 12, (300, 3)).astype(float), columns=["a", "b", "c"])
+    table.loc[5, "b"] = np.nan
+    senses = {"a": "min", "b": "max", "c": "min"}
+    front = pareto_front(table, senses)
+    signs = np.array([1.0, -1.0, 1.0])
+
+    def beats(one: np.ndarray, other: np.ndarray) -> bool:
+        return bool((signs * one <= signs * other).all() and (one != other).any())
+
+    whole = table.dropna().to_numpy()
+    expected = [row for row in whole if not any(beats(other, row) for other in whole)]
+    assert sorted(map(tuple, front.to_numpy())) == sorted(map(tuple, expected))
+    assert list(front["a"]) == sorted(front["a"])
+    assert 3 < len(front) < 100
+    with pytest.raises(pa.ConfigurationError, match="'d': 'min' is not a column"):
+        pareto_front(table, {"d": "min"})
+    with pytest.raises(pa.ConfigurationError, match="'least'"):
+        pareto_front(table, {"a": "least"})
+    for odd in (["x", "y", "z"], [object()] * 3, [10**400] * 3):
+        with pytest.raises(pa.ConfigurationError, match="column 'o'"):
+            pareto_front(pd.DataFrame({"o": odd}), {"o": "min"})
+
+
+# ----------------------------------------------------------------------------- figures
+
+
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    """y fails above 2, measure grows with x."""
+    places = [(x, y) for x in (1.0, 2.0, 3.0, 4.0) for y in (1.0, 2.0, 3.0)]
+    frame = pd.DataFrame(places, columns=["x", "y"])
+    frame["m"] = np.where(frame["y"] > 2, np.nan, frame["x"])
+    frame["failure"] = np.where(frame["y"] > 2, "unreachable", None)
+    return frame.assign(reason=None)
+
+
+def colours(path: Path, share: tuple[float, float]) -> tuple[float, float, float]:
+    """The colour at a place of a picture, in shares of its width and height from below."""
+    image = imread(path)
+    height, width, _ = image.shape
+    red, green, blue = image[int((1 - share[1]) * height), int(share[0] * width), :3]
+    return float(red), float(green), float(blue)
+
+
+def test_a_heat_map_has_the_measure_where_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Viridis: dark blue is little, yellow is much; grey is not known."""
+    figures.heat_map(table, "x", "y", "m", tmp_path / "map.png")
+    little, much = (colours(tmp_path / "map.png", (at, 0.3)) for at in (0.15, 0.75))
+    assert little[2] > little[0] + 0.05
+    assert much[0] > much[2] + 0.3
+    unknown = colours(tmp_path / "map.png", (0.3, 0.8))
+    assert unknown == pytest.approx((0.93, 0.93, 0.93), abs=0.01)
+
+
+def test_a_panel_for_each_value_of_another_variable_and_hatched_means_of_more(
+    table: pd.DataFrame, tmp_path: Path
+) -> None:
+    """Where z = 2 all of y > 1 fail: beside the panel of z = 1; or in a mean, which is hatched."""
+    other = table.assign(z=2.0, m=np.where(table["y"] > 1, np.nan, table["m"]))
+    both = pd.concat([table.assign(z=1.0), other], ignore_index=True)
+    shown = panels(both, ["x", "y", "z"], "x", "y")
+    assert [panel.fixed for panel in shown] == [{"z": 1.0}, {"z": 2.0}]
+    assert not any(mean_map(one.table, "x", "y", "m").partial.any() for one in shown)
+    many = both.assign(z=np.arange(len(both), dtype=float))
+    (whole,) = panels(many, ["x", "y", "z"], "x", "y")
+    assert whole.averaged == ("z",)
+    found = mean_map(whole.table, "x", "y", "m")
+    assert found.partial.tolist() == [[False] * 4, [True] * 4, [False] * 4]
+    assert (found.counts[1] / found.designs[1]).tolist() == [0.5] * 4
+    for name, given in (("panels", both), ("mean", many)):
+        path = tmp_path / f"{name}.png"
+        figures.heat_map(given, "x", "y", "m", path, others=["x", "y", "z"])
+    plain = tmp_path / "plain.png"
+    figures.heat_map(table, "x", "y", "m", plain)
+    assert imread(tmp_path / "panels.png").shape[1] > imread(plain).shape[1]
+    rows = [imread(path)[150:250, 80:480, :3] for path in (tmp_path / "mean.png", plain)]
+    white = [int((row.min(axis=2) > 0.99).sum()) for row in rows]
+    assert white[0] > white[1] + 100  # hatches
+
+
+def test_a_failure_map_has_the_reason_where_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
+    figures.failure_map(table, "x", "y", tmp_path / "map.png")
+    good, bad = (colours(tmp_path / "map.png", (0.4, at)) for at in (0.35, 0.8))
+    assert good[1] > good[0] + 0.3  # green
+    assert bad[0] > bad[1] + 0.3  # red
+
+
+@pytest.mark.slow
+def test_the_other_figures_are_drawn(table: pd.DataFrame, tmp_path: Path) -> None:
+    figures.parallel_coordinates(table, ["x", "y", "m"], "m", tmp_path / "parallel.png")
+    figures.pareto_figure(table, {"x": "max", "m": "min"}, tmp_path / "front.png")
+    drawn = figures.draw_study(table, ("x", "y"), tmp_path)
+    assert [path.name for path in drawn] == ["failures.png", "map_m.png", "parallel.png"]
+    for path in (tmp_path / "parallel.png", tmp_path / "front.png", *drawn):
+        assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
+    with pytest.raises(pa.ConfigurationError, match="no 'z'; there are x, y, m"):
+        figures.heat_map(table, "x", "z", "m", tmp_path / "no.png")
+    with pytest.raises(pa.ConfigurationError, match="it is empty"):
+        figures.failure_map(table.iloc[:0], "x", "y", tmp_path / "no.png")
+
+
+# ----------------------------------------------------------------------------- derivatives
+
+NUMBERS = {
+    "mass:leg_front_l_3": 1.0,
+    "mass:base_link": 1.2,
+    "mass:leg_*_2": 0.9,
+    "com_y:leg_front_l_3": 0.004,
+    "com_x:base_link": 0.01,
+    "payload": 0.3,
+    "kp": 6.0,
+    "kp:leg_front_l_3": 1.1,
+}
+POINT = (0.05, 0.02, 0.03)
+TASKS = [pa.StandTask(), pa.StandTask(roll=0.1, pitch=0.08, height=0.12)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS, ids=["nominal", "tilted"])
+def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
+    """Central differences of whole designs, stand and equilibrium solved anew."""
+    source = pa.Study("v3", {name: [1.0] for name in NUMBERS}, ["sag"]).source
+    maker = Maker(source, task, POINT)
+    design = maker.design(NUMBERS)
+    heavy = [name for name in NUMBERS if not name.startswith("kp")]
+    torques = torque_derivatives(design.robot, design.stand, NUMBERS, heavy, POINT)
+    rest = sag_derivatives(maker, NUMBERS, list(NUMBERS))
+    for name, value in NUMBERS.items():
+        step = 1e-5 if name.startswith("com") else 1e-4  # m; of a factor, a tenth of a per mille
+        more, less = (maker.design({**NUMBERS, name: value + way}) for way in (step, -step))
+        if name in torques:
+            held = [pa.stand_statics(one.robot, one.stand).joint_torques for one in (more, less)]
+            difference = (held[0] - held[1]) / (2 * step)
+            assert torques[name] == pytest.approx(difference, abs=1e-8)
+            assert np.abs(difference).max() > 1e-2
+        for measure in ("base_height", "sag", "servo_sag", "contact_sag"):
+            function = MEASURES[measure].function
+            difference = (float(function(more)) - float(function(less))) / (2 * step)  # type: ignore[arg-type]
+            assert getattr(rest[name], measure) == pytest.approx(difference, rel=1e-5, abs=1e-9)
+
+
+def test_derivatives_that_are_not_there_are_refused() -> None:
+    with pytest.raises(pa.ConfigurationError, match="'leg_scale' has no derivative of torques"):
+        linear_shares(
+            pa.Study("v3", {"leg_scale": pa.normal(1, 0.01)}, ["torque"], samples=4),
+            ["torque.leg_front_l_3"],
+        )
+    study = pa.Study("v3", {"mass:*_3": pa.normal(1, 0.01)}, ["torque"], samples=4)
+    with pytest.raises(pa.ConfigurationError, match="'com_margin' is none of base_height"):
+        linear_shares(study, ["com_margin"])
+    sloped = pa.Study(
+        "v3",
+        {"mass:*_3": pa.normal(1, 0.01)},
+        ["torque"],
+        samples=4,
+        stand=pa.StandTask(ground=pa.Ground(slope=0.1)),
+    )
+    with pytest.raises(pa.ConfigurationError, match="level ground"):
+        linear_shares(sloped, ["torque.leg_front_l_3"])
+
+
+# ----------------------------------------------------------------------------- Sobol's indices
+
+
+@pytest.mark.slow
+def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
+    """Of a product of independent factors, in closed form; together they make a share of it."""
+    vary = {"kp": pa.uniform(2.0, 8.0), "kd": pa.uniform(0.1, 0.9)}
+    study = pa.Study("v3", vary, [study_measures.product_of_gains], samples=4)
+    (found,) = sobol_indices(
+        study, tmp_path, ["product_of_gains"], samples=256, executor=thread
+    ).values()
+    mean, var = {"kp": 5.0, "kd": 0.5}, {"kp": 6.0**2 / 12, "kd": 0.8**2 / 12}
+    alone = {"kp": var["kp"] * mean["kd"] ** 2, "kd": var["kd"] * mean["kp"] ** 2}
+    both = var["kp"] * var["kd"]
+    whole = sum(alone.values()) + both
+    for name in vary:
+        assert found.first[name] == pytest.approx(alone[name] / whole, abs=0.02)
+        assert found.total[name] == pytest.approx((alone[name] + both) / whole, abs=0.02)
+    assert both / whole > 0.06
+    assert found.designs == 256 * 4
+    again = sobol_indices(study, tmp_path, ["product_of_gains"], samples=256, executor=thread)
+    assert again == {"product_of_gains": found}
+
+
+@pytest.mark.longest
+def test_for_small_spreads_derivatives_say_the_same(tmp_path: Path, thread: Executor) -> None:
+    """Within 5 % of the variance, and the deviation of the samples within 5 %."""
+    vary = {
+        "mass:base_link": pa.normal(1.0, 0.02),
+        "mass:leg_*_2": pa.normal(1.0, 0.03),
+        "mass:leg_front_l_3": pa.normal(1.0, 0.05),
+        "kp": pa.normal(5.0, 0.1),
+    }
+    study = pa.Study("v3", vary, ["servo_sag", "base_height", "torque"], samples=4)
+    measures = ["servo_sag", "base_height", "torque.leg_front_l_2", "torque.leg_back_r_3"]
+    linear = linear_shares(study, measures)
+    sampled = sobol_indices(study, tmp_path, measures, samples=256, executor=thread)
+    table = study.varying(vary).run(tmp_path, executor=thread)
+    assert len(table) == 4
+    everything = pa.read_study(tmp_path, everything=True)
+    for measure in measures:
+        shares, indices = linear[measure].shares, sampled[measure]
+        assert sum(shares.values()) == pytest.approx(1.0)
+        for name in vary:
+            assert indices.total[name] == pytest.approx(shares[name], abs=0.05)
+        spread = float(everything[measure].std())
+        assert linear[measure].deviation == pytest.approx(spread, rel=0.05)
+
+
+def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:
+    study = pa.Study("v3", {"height": pa.uniform(0.1, 0.4)}, ["peak_torque"], samples=4)
+    with pytest.raises(pa.ConfigurationError, match=r"designs have no peak_torque \(unreachable\)"):
+        sobol_indices(study, tmp_path, ["peak_torque"], samples=4, executor=thread)
+    with pytest.raises(pa.ConfigurationError, match="no power of 2"):
+        sobol_indices(study, tmp_path, ["peak_torque"], samples=5)
+
+
+# ----------------------------------------------------------------------------- tolerances
+
+
+@pytest.mark.parametrize(("there", "designs"), [(0, 20), (19, 20), (20, 20), (990, 1000)])
+def test_confidence_is_wilsons(there: int, designs: int) -> None:
+    found = chance(there, designs)
+    known = stats.binomtest(there, designs).proportion_ci(0.95, "wilson")
+    assert (found.low, found.high) == pytest.approx((known.low, known.high), abs=1e-12)
+    assert found.probability == there / designs
+
+
+def test_certainty_counts_what_fails() -> None:
+    table = pd.DataFrame(
+        {
+            "stands": [1.0, 1.0, 0.0, np.nan],
+            "utilisation.a": [0.5, 1.2, 0.5, np.nan],
+            "utilisation.b": [0.5, 0.5, 0.9, np.nan],
+        }
+    )
+    found = certainty(table)
+    assert found.stands.probability == 0.5
+    assert {name: one.probability for name, one in found.motors.items()} == {"a": 0.5, "b": 0.75}
+    assert found.all_motors.probability == 0.5
+    assert found.both.probability == 0.25
+    with pytest.raises(pa.ConfigurationError, match="lacks some of stands, utilisation"):
+        certainty(table[["stands"]])
+
+
+def test_spreads_are_narrowed_about_their_means() -> None:
+    vary = {
+        "kp": pa.normal(5, 0.5),
+        "payload": pa.uniform(0.2, 0.6),
+        "kd": pa.log_uniform(0.1, 10),
+        "slope": [0.0, 0.1],
+    }
+    study = narrowed(pa.Study("v3", vary, ["sag"], samples=4), 0.5)
+    assert study.variables["kp"] == pa.normal(5, 0.25)
+    assert study.variables["payload"].range == pytest.approx((0.3, 0.5))
+    assert study.variables["kd"].range == pytest.approx((math.sqrt(0.1), math.sqrt(10)))
+    assert study.variables["slope"] == pa.values([0.0, 0.1])
+
+
+@pytest.mark.longest
+def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor) -> None:
+    """Motors of a normal strength, and stiff servos: it stands above the least strength, k.
+
+    With a mean m and a share p the deviation s must satisfy m - z_p s = k.
+    """
+    robot = pa.load_variant("v3")
+    least = float(pa.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation.max())
+    mean, wide = 1.3 * least, 0.5 * least
+    vary = {"effort:*": pa.normal(mean, wide), "kp": [500.0]}
+    base = pa.Study("v3", vary, ["stands", "utilisation"], samples=64)
+    found = tightest_tolerance(base, tmp_path, wanted=0.9, resolution=0.05, executor=thread)
+    spread = (mean - least) / stats.norm.ppf(0.9)
+    assert 0.4 < spread / wide < 0.5
+    assert found.scale == pytest.approx(spread / wide, abs=0.08)
+    assert found.chance.probability >= 0.9
+    assert found.spreads["effort:*"]["normal"] == pytest.approx([mean, wide * found.scale])
+    with pytest.raises(pa.ConfigurationError, match="take 100 or more"):
+        tightest_tolerance(base, tmp_path, wanted=0.99)
+
+
+def test_randomisation_as_yaml(tmp_path: Path) -> None:
+    yaml = pytest.importorskip("yaml")
+    vary = {
+        "mass:leg_*_3": pa.normal(1.0, 0.05),
+        "effort:each": pa.uniform(0.9, 1.1),
+        "kp": pa.uniform(4, 6),
+        "leg_scale": [0.9, 1.1],
+        "payload": pa.linspace(0, 1, 3),
+    }
+    study = pa.Study("v3", vary, ["sag"], samples=4)
+    write_randomisation(study.spreads, tmp_path / "random.yaml")
+    read = yaml.safe_load((tmp_path / "random.yaml").read_text())
+    assert read == [
+        {"name": "mass:leg_*_3", "operation": "scale", "drawn": "once", "distribution": "normal",
+         "mean": 1.0, "std": 0.05},
+        {"name": "effort:each", "operation": "scale", "drawn": "for each",
+         "distribution": "uniform", "low": 0.9, "high": 1.1},
+        {"name": "kp", "operation": "absolute", "distribution": "uniform", "low": 4.0, "high": 6.0},
+        {"name": "leg_scale", "operation": "scale", "distribution": "values", "values": [0.9, 1.1]},
+        {"name": "payload", "operation": "absolute", "distribution": "linspace", "low": 0.0,
+         "high": 1.0, "count": 3.0},
+    ]  # fmt: skip
+
+
+SPREADS = {
+    "mass:leg_*_3": {"normal": [1.0, 0.05]},
+    "mass:each:leg_*_1": {"uniform": [0.9, 1.1]},
+    "kp:*": {"uniform": [0.7, 0.39999999999999997 + 0.9]},
+    "kd:leg_front_l_1": {"log_uniform": [0.5, 2.0]},
+    "com_y:base_link": {"uniform": [-0.01, 0.02]},
+    "effort:*": {"normal": [0.9, 0.1]},
+    "armature:*": {"uniform": [0.8, 1.2]},
+    "frictionloss:*": {"uniform": [0.5, 2.0]},
+    "friction": {"uniform": [0.4, 1.0]},
+    "payload": {"uniform": [0.0, 0.5]},
+    "leg_scale": {"uniform": [0.9, 1.1]},
+}
+
+
+def terms(path: Path) -> dict[str, dict[str, Any]]:
+    """The event terms of a file: what its EVENTS would be, with the calls as they are written."""
+    tree = ast.parse(path.read_text())
+    (events,) = [node.value for node in tree.body if isinstance(node, ast.Assign)]
+    assert isinstance(events, ast.Dict)
+    found = {}
+    for key, call in zip(events.keys, events.values, strict=True):
+        assert isinstance(call, ast.Call)
+        given = {one.arg: one.value for one in call.keywords}
+        params = ast.parse(ast.unparse(given["params"]), mode="eval").body
+        assert isinstance(params, ast.Dict)
+        said = {ast.literal_eval(k): v for k, v in zip(params.keys, params.values, strict=True)}
+        plain = {k: ast.unparse(v) if isinstance(v, ast.Call) else ast.literal_eval(v)
+                 for k, v in said.items()}  # fmt: skip
+        found[ast.literal_eval(key)] = {"func": ast.unparse(given["func"]), **plain}
+    return found
+
+
+def test_randomisation_as_terms_of_mjlab(tmp_path: Path) -> None:
+    left = write_randomisation(SPREADS, tmp_path / "dr.py", "mjlab")
+    assert left == ("leg_scale",)
+    assert "leg_scale" in (tmp_path / "dr.py").read_text()  # it is named
+    found = terms(tmp_path / "dr.py")
+    assert found["mass:leg_*_3"] == {
+        "func": "dr.body_mass",
+        "asset_cfg": "SceneEntityCfg('robot', body_names=('leg_.*_3',))",
+        "ranges": (1.0, 0.05), "operation": "scale", "distribution": "gaussian",
+        "shared_random": True,
+    }  # fmt: skip
+    kp = found["kp:*"]
+    assert (kp["func"], kp["kp_range"], kp["kd_range"]) == ("dr.pd_gains", (0.7, 1.3), (1.0, 1.0))
+    effort = found["effort:*"]  # which takes no normal distribution: the same deviation
+    low, high = effort["effort_limit_range"]
+    assert (high - low) / math.sqrt(12) == pytest.approx(0.1)
+    assert effort["distribution"] == "uniform"
+    assert found["frictionloss:*"]["func"] == "dr.joint_friction"
+    each = found["mass:each:leg_*_1"]  # which is drawn for each link
+    assert each["asset_cfg"] == "SceneEntityCfg('robot', body_names=('leg_.*_1',))"
+    assert (each["ranges"], each["shared_random"]) == ((0.9, 1.1), False)
+    com = found["com_y:base_link"]
+    assert (com["func"], com["ranges"], com["axes"], com["operation"]) == (
+        "dr.body_com_offset", (-0.01, 0.02), [1], "add",
+    )  # fmt: skip
+    text = (tmp_path / "dr.py").read_text()
+    assert text.count("one for all") == 2  # kp:*, effort:*, of which mjlab draws each
+    assert (found["payload"]["func"], found["payload"]["operation"]) == ("dr.body_mass", "add")
+
+
+def test_the_terms_are_mjlabs_own(tmp_path: Path) -> None:
+    """Names and arguments, against its source where it is installed."""
+    folder = Path(os.environ.get("PUPPER_ROBOTS", "-")) / "mjlab" / "envs" / "mdp" / "dr"
+    if not folder.is_dir():
+        pytest.skip("mjlab is not there")
+    known = {}
+    for file in folder.glob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.FunctionDef):
+                known[f"dr.{node.name}"] = {one.arg for one in node.args.args}
+    write_randomisation(SPREADS, tmp_path / "dr.py", "mjlab")
+    for term in terms(tmp_path / "dr.py").values():
+        assert set(term) - {"func"} <= known[term["func"]], term
+
+
+def test_randomisation_as_terms_of_isaac_lab(tmp_path: Path) -> None:
+    left = write_randomisation(SPREADS, tmp_path / "events.py", "isaaclab")
+    assert left == ("effort:*", "leg_scale")
+    found = terms(tmp_path / "events.py")
+    assert found["kd:leg_front_l_1"] == {
+        "func": "mdp.randomize_actuator_gains",
+        "asset_cfg": "SceneEntityCfg('robot', joint_names=['leg_front_l_1'])",
+        "damping_distribution_params": (0.5, 2.0), "operation": "scale",
+        "distribution": "log_uniform",
+    }  # fmt: skip
+    assert found["armature:*"]["func"] == "mdp.randomize_joint_parameters"
+    assert found["com_y:base_link"] == {
+        "func": "mdp.randomize_rigid_body_com", "com_range": {"y": (-0.01, 0.02)},
+        "asset_cfg": "SceneEntityCfg('robot', body_names=['base_link'])",
+    }  # fmt: skip
+    assert found["friction"]["static_friction_range"] == (0.4, 1.0)
+    with pytest.raises(pa.ConfigurationError, match="none of yaml, mjlab, isaaclab"):
+        write_randomisation(SPREADS, tmp_path / "no", "gym")  # type: ignore[arg-type]
+
+
+@pytest.mark.longest
+def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -> None:
+    """Legs of a length between bounds: uniform about 1, kept to where it is within +-0.1."""
+    study = pa.Study("v3", {"leg_scale": pa.uniform(0.95, 1.05)}, ["base_height"], samples=32)
+    table = study.run(tmp_path, executor=thread)
+    middle = float(table["base_height"].median())
+    asked = {"base_height": (0.9 * middle, 1.1 * middle)}
+    found = tightest_tolerance(
+        study, tmp_path, wanted=0.95, criteria=asked, widest=6.0, resolution=0.2, executor=thread
+    )
+    assert 1.5 < found.scale < 3.5  # heights are in proportion to legs, nearly
+    wide = {"base_height": (0.0, None)}
+    assert (
+        tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wide, executor=thread).scale == 1
+    )
+    with pytest.raises(pa.ConfigurationError, match="measures no 'height'"):
+        tightest_tolerance(
+            study, tmp_path, wanted=0.9, criteria={"height": (0, 1)}, executor=thread
+        )
+
+
+@pytest.mark.slow
+def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor) -> None:
+    """Masses enter the mass; of motors' strengths only that of the one that is used most."""
+    robot = pa.load_variant("v3")
+    used = pa.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation
+    most = robot.joint_names[int(np.argmax(used))]
+    leg = most.rpartition("_")[0]
+    vary = {
+        "mass:each:leg_front_?_3": pa.uniform(0.9, 1.1),
+        "armature:*": pa.uniform(0.9, 1.1),
+        f"effort:each:{leg}_*": pa.uniform(0.999, 1.001),
+        "kp": [6.0],
+    }
+    study = pa.Study("v3", vary, ["total_mass", "peak_utilisation"], samples=16)
+    wanted = {"total_mass": (0.0, None), "peak_utilisation": (None, 1.0)}
+    found = tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wanted, executor=thread)
+    masses = tuple(name for name in study.variables if name.startswith("mass"))
+    assert len(masses) == 2
+    assert found.enters["total_mass"] == masses
+    assert set(found.enters["peak_utilisation"]) == {*masses, f"effort:{most}"}
+    assert set(found.spreads) == {"mass:each:leg_front_?_3", f"effort:{most}"}
+    others = {f"effort:{leg}_{n}" for n in (1, 2, 3)} - {f"effort:{most}"}
+    assert set(found.without) == {"armature:*", *others}
+
+
+# ----------------------------------------------------------------------------- searches
+
+
+def searched() -> pa.Study:
+    vary = {"leg_scale": pa.uniform(0.8, 1.8), "kp": [5.0, 10.0, 20.0]}
+    return pa.Study("v3", vary, ["servo_sag", "stands", study_measures.knee_bend], samples=1)
+
+
+@pytest.mark.longest
+def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> None:
+    """The longest legs that sag by 8 mm at most, with the stiffest servos: from a fine grid."""
+    options = {"maximise": ["leg_scale"], "subject_to": {"servo_sag": (None, 8e-3)}, "trials": 48}
+    found = searched().optimise(tmp_path / "search", executor=thread, **options)
+    grid = pa.Study("v3", {"leg_scale": pa.linspace(0.8, 1.8, 41), "kp": [20.0]}, ["servo_sag"])
+    table = grid.run(tmp_path / "grid", executor=thread)
+    best = float(table[table["servo_sag"] <= 8e-3]["leg_scale"].max())
+    assert len(found.best) == 1
+    assert found.best["servo_sag"][0] <= 8e-3
+    assert best - 0.06 <= found.best["leg_scale"][0] <= best + 0.025
+    assert len(found.table) == 48
+    again = searched().optimise(tmp_path / "search", executor=thread, **options)
+    pd.testing.assert_frame_equal(again.table, found.table)  # nothing new was asked for
+    assert len(pa.read_study(tmp_path / "search", everything=True)) == 48
+
+
+@pytest.mark.longest
+def test_a_search_of_two_measures_gives_a_front(tmp_path: Path, thread: Executor) -> None:
+    found = optimise(
+        searched(),
+        tmp_path,
+        minimise=["servo_sag"],
+        maximise=["leg_scale"],
+        subject_to={"stands": (1, None)},
+        trials=32,
+        executor=thread,
+    )
+    kept = found.table[found.table["stands"] == 1]
+    assert found.kept == len(kept)
+    front = pareto_front(kept, {"servo_sag": "min", "leg_scale": "max"})
+    pd.testing.assert_frame_equal(found.best, front)
+    assert len(front) > 2
+
+
+def test_searches_that_make_no_sense_are_refused(tmp_path: Path, thread: Executor) -> None:
+    study = searched()
+    for options, message in (
+        ({}, "say what is to be least"),
+        ({"minimise": ["sag"]}, "does not measure 'sag'"),
+        ({"minimise": ["kp"], "subject_to": {"servo_sag": 3}}, "is no pair"),
+        ({"minimise": ["kp"], "trials": 0}, "give at least 1"),
+    ):
+        with pytest.raises(pa.ConfigurationError, match=message):
+            study.optimise(tmp_path, **options)
+    normal = pa.Study("v3", {"kp": pa.normal(5, 1)}, ["servo_sag"], samples=1)
+    with pytest.raises(pa.ConfigurationError, match="no ends to search between"):
+        normal.optimise(tmp_path, minimise=["servo_sag"])
+    with pytest.raises(pa.ConfigurationError, match="none of 4 designs keeps to them"):
+        study.optimise(
+            tmp_path,
+            minimise=["kp"],
+            subject_to={"servo_sag": (1.0, None)},
+            trials=4,
+            executor=thread,
+        )

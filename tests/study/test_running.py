@@ -1,0 +1,636 @@
+"""Running a study: the same everywhere, and nothing lost: failures, crashes, kills, full disks."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.errors import OutputError
+from pupper_analysis.study import running, store
+from pupper_analysis.study.design import Maker
+from pupper_analysis.study.running import Progress
+from pupper_analysis.study.worker import Chunk
+from tests.support import legged, study_measures
+from tests.support.cases import some
+from tests.support.commands import run_command
+from tests.support.repository import ROOT
+from tests.support.variants import load
+
+FEW = {"leg_scale": [1.2, 1.3], "slope": [0.0, 0.1], "kp": [0.2, 5.0, 20.0]}
+MEASURES = ("peak_utilisation", "base_height", "servo_sag", "stands")
+
+
+def study(vary: Mapping[str, Any] = FEW, *measures: Any, **options: Any) -> pa.Study:
+    return pa.Study("v3", vary, measures or MEASURES, **options)
+
+
+@pytest.fixture
+def threads() -> Iterator[Executor]:
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    with ThreadPoolExecutor(1) as executor:
+        return study().run(tmp_path_factory.mktemp("undisturbed"), executor=executor)
+
+
+# ----------------------------------------------------------------------------- the table
+
+
+@pytest.mark.slow
+def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
+    assert len(undisturbed) == 12
+    assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
+    assert list(undisturbed.columns[-4:]) == ["failure", "failed_measure", "reason", "diagnostic"]
+    row = undisturbed.iloc[7]  # of the product: the last variable changes first
+    assert tuple(row[["leg_scale", "slope", "kp"]]) == (1.3, 0.0, 5.0)
+    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.3))
+    stand = pa.solve_stand(robot)
+    rest = pa.steady_state(robot, stand, kp=5.0)
+    assert row["servo_sag"] == pytest.approx(rest.servo_sag, rel=1e-9)
+    statics = pa.stand_statics(robot, stand)
+    assert row["peak_utilisation"] == pytest.approx(statics.motor_utilisation.max(), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
+    soft = undisturbed[undisturbed["kp"] == 0.2]
+    assert set(soft["failure"]) == {"no equilibrium"}
+    assert soft["reason"].str.startswith("no equilibrium: ").all()
+    assert set(soft["failed_measure"]) == {"base_height"}
+    assert soft["servo_sag"].isna().all()
+    assert soft["peak_utilisation"].notna().all()  # what can be told is told
+    others = undisturbed[undisturbed["kp"] > 0.2]
+    assert others["failure"].isna().all()
+    assert others["servo_sag"].notna().all()
+
+
+@pytest.mark.slow
+def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
+    threads: Executor, tmp_path: Path
+) -> None:
+    """Of v3 on legs of 1.4: it stands, has no equilibrium, or one that is not stable; or no place.
+
+    A fallen robot's sag would be one of an equilibrium that it never comes to.
+    """
+    measures = ("stands", "verified", "sag", "stiffness", "peak_utilisation")
+    vary = {"leg_scale": [1.4], "torso_mass_scale": [1.0, 1.75, 2.5], "height": [0.19, 0.9]}
+    table = study(vary, *measures).run(tmp_path, executor=threads).set_index(
+        ["torso_mass_scale", "height"]
+    )  # fmt: skip
+    assert table["stands"].to_list() == [1, 0, 0, 0, 0, 0]
+    assert table["sag"].notna().to_list() == [True, False, False, False, False, False]
+    assert table["failure"].isna().to_list() == [True, False, False, False, False, False]
+    heavy = table.loc[(2.5, 0.19)]
+    assert (heavy["failure"], heavy["failed_measure"]) == ("does not stay up", "stands")
+    pose = pa.steady_state(*standing(1.4, 2.5, 0.19))
+    assert heavy["reason"] == "; ".join(map(str, pose.failures))
+    assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # told as it is
+    assert heavy["peak_utilisation"] > 0
+    assert (table["verified"].xs(0.9, level="height") == 0).all()
+
+
+def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Stand]:
+    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=legs, torso_mass_scale=torso))
+    return robot, pa.solve_stand(robot, pa.StandTask(height=height))
+
+
+@pytest.mark.slow
+def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
+    vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.normal(1.0, 1e-3)}
+    table = study(vary, "peak_utilisation", study_measures.fails, samples=32).run(
+        tmp_path, executor=threads
+    )
+    high = table["height"] == 0.5
+    assert set(table[high]["failure"]) == {"unreachable"}
+    steep = ~high & (table["slope"] > 0)
+    assert set(table[steep]["failure"]) <= {"friction too low", "unreachable",
+                                            "com outside the support polygon"}  # fmt: skip
+    flat = table[~high & (table["slope"] == 0)]
+    assert set(flat["failure"]) == {"error"}
+    assert set(flat["reason"]) == {"RuntimeError: on purpose"}
+    assert set(flat["failed_measure"]) == {"fails"}
+    assert flat["peak_utilisation"].notna().all()
+
+
+def test_a_measure_of_several_values_and_a_wrong_one(threads: Executor, tmp_path: Path) -> None:
+    named = "tests.support.study_measures:places"
+    table = study({"kp": [5.0]}, named, study_measures.wrong, "torque").run(
+        tmp_path, executor=threads
+    )
+    places = pa.solve_stand(load("v3")).contact_points
+    for foot, place in places.items():
+        assert table[f"places.{foot}"][0] == pytest.approx(place[0])
+    assert table["failure"][0] == "invalid"
+    assert "'much' is neither a number" in table["reason"][0]
+    assert [f"torque.{name}" in table for name in load("v3").joint_names] == [True] * 12
+
+
+# ----------------------------------------------------------------------------- executors
+
+
+def same(one: pd.DataFrame, other: pd.DataFrame) -> None:
+    """To the last bit, in the same order."""
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+class Backwards(Executor):
+    """Does what it is given at once, in this thread; forgets where chunks were meant to end."""
+
+    def submit(self, function: Any, chunk: Chunk, /, *_: Any, **__: Any) -> Future[Any]:  # type: ignore[override]
+        future: Future[Any] = Future()
+        order = sorted(range(len(chunk.names)), reverse=True)
+        turned = Chunk(
+            chunk.work,
+            tuple(chunk.names[i] for i in order),
+            tuple(chunk.numbers[i] for i in order),
+        )
+        future.set_result(function(turned))
+        return future
+
+
+@pytest.mark.longest
+def test_threads_processes_and_any_order_give_the_same_bits(
+    undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
+) -> None:
+    same(study().run(tmp_path / "threads", executor=threads), undisturbed)
+    same(study().run(tmp_path / "processes", workers=2), undisturbed)
+    same(study().run(tmp_path / "backwards", executor=Backwards(), workers=3), undisturbed)
+    mixed = {name: FEW[name] for name in ("kp", "slope", "leg_scale")}  # the other way round
+    table = study(mixed).run(tmp_path / "mixed", executor=threads)
+    ordered = table.set_index("design").loc[undisturbed["design"]].reset_index()
+    same(ordered[undisturbed.columns], undisturbed)
+
+
+@pytest.mark.longest
+def test_dask_gives_the_same_bits(undisturbed: pd.DataFrame, tmp_path: Path) -> None:
+    from pupper_analysis.study.dask import cluster
+
+    with cluster(None, 2) as (executor, dashboard):
+        assert dashboard.startswith("http://127.0.0.1")
+        same(study().run(tmp_path, executor=executor), undisturbed)
+
+
+def test_of_other_versions_no_result_is_taken(
+    tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = study()
+    work = made.work()
+    monkeypatch.setattr("pupper_analysis.study.worker.versions", lambda: {"mujoco": "3.9"})
+    monkeypatch.setattr(made, "work", lambda: work)
+    with pytest.raises(pa.StudyError, match=r"other versions.*mujoco 3.9 \(here 4"):
+        made.run(tmp_path, executor=threads)
+
+
+# ----------------------------------------------------------------------------- going on
+
+
+def counted(seen: list[int]) -> Any:
+    return lambda progress: seen.append(progress.done)
+
+
+@pytest.mark.slow
+def test_what_is_there_is_not_done_again(
+    undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
+) -> None:
+    part = study({**FEW, "kp": [20.0, 5.0]})
+    assert part.execute(tmp_path, executor=threads).done == 8
+    progress = study().execute(tmp_path, executor=threads)
+    assert (progress.total, progress.there, progress.done) == (12, 8, 4)
+    same(study().table(tmp_path), undisturbed)
+    again = study().execute(tmp_path, executor=threads)
+    assert (again.there, again.done) == (12, 0)
+    assert len(pa.read_study(tmp_path)) == 12
+    same(pa.read_study(tmp_path), undisturbed)
+
+
+def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executor) -> None:
+    study({"kp": [5.0]}).execute(tmp_path, executor=threads)
+    other = study({"kp": [5.0, 6.0]}, "servo_sag")
+    assert other.execute(tmp_path, executor=threads).done == 2  # other measures: other designs
+    assert len(pa.read_study(tmp_path)) == 2
+    assert "peak_utilisation" not in pa.read_study(tmp_path)
+    everything = pa.read_study(tmp_path, everything=True)
+    assert len(everything) == 3
+    assert everything["peak_utilisation"].notna().sum() == 1
+
+
+def test_more_samples_are_added_to_fewer(tmp_path: Path, threads: Executor) -> None:
+    vary = {"kp": pa.uniform(5, 20)}
+    study(vary, "servo_sag", samples=4).execute(tmp_path, executor=threads)
+    assert study(vary, "servo_sag", samples=6).execute(tmp_path, executor=threads).done == 2
+
+
+def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> None:
+    """Of 16 samples of 2 x 1 lists and a constant distribution's ends only the lists differ."""
+    vary = {"kp": [5.0, 6.0], "payload": pa.uniform(0, 1e-300)}
+    done = study(vary, "total_mass", samples=16)
+    table = done.run(tmp_path, executor=threads)
+    assert len(table) == table["design"].nunique()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sole", some([True, False], 2), ids=["boxes", "spheres"])
+def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
+    """Joints of other names, torque motors, no floor: factors are in both of its models."""
+    foot = {"foot": legged.BOX.format(name="")} if sole else {}
+    files = legged.quadruped(tmp_path, prefix="x_", **foot)
+    (tmp_path / "study.toml").write_text(
+        f"""
+        measure = ["total_mass", "peak_torque", "peak_utilisation", "servo_sag"]
+        [robot]
+        urdf = "{files.urdf.name}"
+        mjcf = "{files.mjcf.name}"
+        [vary]
+        "mass:*calf" = [1.0, 1.5]
+        "effort:*" = [0.5, 1.0]
+        payload = [0.0, 2.0]
+        "kp:*" = [0.5, 1.0]
+        """
+    )
+    study = pa.Study.read(tmp_path / "study.toml")
+    table = study.run(tmp_path / "study", executor=threads)
+    assert table["failure"].isna().all()
+    masses = 8.4 + 4 * 0.2 * (table["mass:*calf"] - 1) + table["payload"]
+    assert list(table["total_mass"]) == pytest.approx(list(masses))
+    for _, group in table.groupby(["mass:*calf", "payload", "kp:*"]):
+        weak, strong = group["peak_utilisation"]
+        assert weak == pytest.approx(2 * strong)
+        assert group["peak_torque"].nunique() == 1
+    soft, stiff = (table[table["kp:*"] == kp]["servo_sag"].to_numpy() for kp in (0.5, 1.0))
+    assert (soft > 1.8 * stiff).all()  # linear would be 2
+    maker = Maker(study.source, study.task, study.point)
+    changed = maker.design({"mass:*calf": 1.5, "payload": 2.0}).robot
+    check = pa.cross_check(changed, configurations=3)
+    # Which the files, as they are published, state otherwise.
+    assert {one.name for one in check.quantities if not one.passed} == {"effort limits"}
+
+
+def test_other_files_are_other_designs(tmp_path: Path) -> None:
+    files = {}
+    for kind, name in (("urdf", "pupper_skeleton.urdf"), ("mjcf", "pupper_skeleton.xml")):
+        files[kind] = str(shutil.copy(ROOT / kind / name, tmp_path / name))
+    feet = [f"{leg}_foot" for leg in ("FL", "FR", "RL", "RR")]
+
+    def first(**changes: str) -> str:
+        made = pa.Study({**files, "feet": feet, **changes}, {"kp": [5.0]}, ["servo_sag"])
+        return next(made.designs())[0][0]
+
+    before = first()
+    moved = shutil.copy(files["urdf"], tmp_path / "moved.urdf")
+    assert first(urdf=str(moved)) == before  # what counts is what it says
+    text = Path(files["urdf"]).read_text()
+    assert '<mass value="' in text
+    (tmp_path / "moved.urdf").write_text(text.replace('<mass value="', '<mass value="1', 1))
+    assert first(urdf=str(moved)) != before
+
+
+# ----------------------------------------------------------------------------- crashes
+
+
+HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
+def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
+    measure = getattr(study_measures, guilty)
+    made = study(HEAVY, measure, time_limit=3.0)
+    table = made.run(tmp_path, workers=2)
+    assert list(table[guilty].fillna(-1)) == [1, 1, -1, 1, 1]
+    kind = {"crashes": "crashed", "hangs": "timed out"}[guilty]
+    assert list(table["failure"].fillna("")) == ["", "", kind, "", ""]
+    assert made.execute(tmp_path, workers=1).done == 0  # marked for good
+
+
+@pytest.mark.longest
+def test_a_worker_that_is_killed_once_costs_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STUDY_MARKER", str(tmp_path / "marker"))
+    table = study(HEAVY, study_measures.crashes_once).run(tmp_path / "study", workers=2)
+    assert (tmp_path / "marker").exists()
+    assert list(table["crashes_once"]) == [1.0] * 5
+
+
+@pytest.mark.longest
+def test_workers_are_begun_anew_before_engines_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "WORN", 2)
+    monkeypatch.setattr(running, "LARGEST", 1)
+    table = study(HEAVY, study_measures.process).run(tmp_path, workers=1)
+    assert not table["failure"].notna().any()
+    assert 2 <= table["process"].nunique() < 5
+
+
+@pytest.mark.longest
+def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
+    made = study(HEAVY, study_measures.crashes)
+    with (
+        ProcessPoolExecutor(1, get_context("spawn")) as executor,
+        pytest.raises(pa.StudyError, match="run it again to go on"),
+    ):
+        made.run(tmp_path, executor=executor)
+    assert made.run(tmp_path, workers=1)["failure"].notna().sum() == 1
+
+
+# ----------------------------------------------------------------------------- kills
+
+
+SCRIPT = """
+import sys
+sys.path.insert(0, {tests!r})
+from tests.support import study_measures
+import pupper_analysis as pa
+from pupper_analysis.study import running
+running.SHARD_SECONDS = 0.2
+
+if __name__ == "__main__":
+    vary = {{"torso_mass_scale": pa.linspace(1.0, 2.0, 24)}}
+    study = pa.Study("v3", vary, [study_measures.slow, "servo_sag"])
+    print("begins", flush=True)
+    study.execute(sys.argv[1], workers=2)
+    print("done", flush=True)
+"""
+
+
+def slow_study() -> pa.Study:
+    vary = {"torso_mass_scale": pa.linspace(1.0, 2.0, 24)}
+    return study(vary, study_measures.slow, "servo_sag")
+
+
+def start(script: Path, folder: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(folder)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "begins\n"
+    return process
+
+
+def rows_of(folder: Path) -> int:
+    import pyarrow.parquet as pq
+
+    shards = (folder / "shards").glob("*.parquet")
+    return sum(pq.read_metadata(path).num_rows for path in shards)
+
+
+def members(session: int) -> list[int]:
+    """The processes of a session that are alive."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(int(path.parent.name))
+    return found
+
+
+def left_over(session: int) -> list[int]:
+    """Those that are there for good: they may take a moment to see that the first has gone."""
+    deadline = time.monotonic() + 20
+    while members(session) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    return members(session)
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="it looks into /proc")
+@pytest.mark.longest
+def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
+    """The parent is killed after some rows, again and again; no row is lost, doubled or halved."""
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(tests=str(ROOT)))
+    folder, chance, kills = tmp_path / "study", random.Random(0), 0
+    while True:
+        before = rows_of(folder)
+        process = start(script, folder)
+        while process.poll() is None and (kills == 4 or rows_of(folder) <= before):
+            time.sleep(0.02)
+        time.sleep(chance.uniform(0.0, 0.3))
+        if process.poll() is not None:
+            break
+        os.kill(process.pid, signal.SIGKILL)
+        process.communicate()
+        kills += 1
+        assert left_over(process.pid) == []  # its workers have gone with it
+        assert rows_of(folder) >= before
+    process.communicate()
+    assert kills >= 2
+    assert process.returncode == 0
+    assert rows_of(folder) == 24  # each once
+    with ThreadPoolExecutor(2) as executor:
+        same(pa.read_study(folder), slow_study().run(tmp_path / "other", executor=executor))
+
+
+@pytest.mark.slow
+def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
+    """The second is refused, in this process and in another; a dead run does not hold it."""
+    refusals = []
+
+    def again(_: Progress) -> None:
+        if not refusals:
+            try:
+                study({"kp": [5.0]}).execute(tmp_path, executor=threads)
+            except pa.StudyError as error:
+                refusals.append(str(error))
+            script = (
+                "import sys; from pathlib import Path; "
+                "from pupper_analysis.study.store import Store"
+                "\nwith Store(Path(sys.argv[1])).locked(): print('held')"
+            )
+            found = subprocess.run(
+                [sys.executable, "-c", script, str(tmp_path)],
+                capture_output=True,
+                text=True,
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                check=False,
+            )
+            refusals.append(found.stderr)
+
+    study({"kp": [5.0, 6.0]}).execute(tmp_path, executor=threads, progress=again)
+    assert len(refusals) == 2
+    assert all("another run is writing to it" in text for text in refusals)
+    killed = (
+        "import os, signal, sys; from pathlib import Path; from pupper_analysis.study.store "
+        "import Store\nwith Store(Path(sys.argv[1])).locked(): os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    subprocess.run(
+        [sys.executable, "-c", killed, str(tmp_path)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        check=False,
+    )
+    assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).there == 1
+
+
+@pytest.mark.slow
+def test_a_full_disk_leaves_whole_shards(
+    tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(running, "SHARD_ROWS", 1)
+    written, write = [], store.Store.write
+
+    def full(self: store.Store, rows: Any) -> None:
+        if len(written) >= 2 and rows:
+            raise OutputError(self.folder, "No space left on device")
+        written.extend(rows)
+        write(self, rows)
+
+    monkeypatch.setattr(store.Store, "write", full)
+    with pytest.raises(OutputError, match="No space left"):
+        study().run(tmp_path, executor=threads)
+    monkeypatch.undo()
+    assert rows_of(tmp_path) == len(written) > 0
+    assert study().execute(tmp_path, executor=threads).done == 12 - len(written)
+
+
+def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads: Executor) -> None:
+    with pytest.raises(pa.StudyError, match="no study's folder"):
+        pa.read_study(tmp_path)
+    study({"kp": [5.0]}).execute(tmp_path, executor=threads)
+    (shard,) = (tmp_path / "shards").glob("*.parquet")
+    shard.write_bytes(shard.read_bytes()[:-5])
+    with pytest.raises(pa.StudyError, match=rf"{shard.name} is damaged .*delete it"):
+        pa.read_study(tmp_path)
+    for told in ({}, {"study": 5}, {"study": {"vary": {}}}, {"digest": "a", "study": []}):
+        (tmp_path / "study.json").write_text(json.dumps({"format": 1} | told))
+        with pytest.raises(pa.StudyError, match="does not say what was asked"):
+            pa.read_study(tmp_path)
+    asked = {"vary": {"kp": [5, 6]}, "measure": ["total_mass"], "robot": "v3"}
+    for seed in ({}, {"seed": "x"}, {"seed": None}):
+        told = {"digest": "a", "study": asked | seed}
+        (tmp_path / "study.json").write_text(json.dumps({"format": 1} | told))
+        with pytest.raises(pa.StudyError, match="seed"):
+            pa.read_study(tmp_path)
+    (tmp_path / "study.json").write_text('{"format": 99}')
+    with pytest.raises(pa.StudyError, match="another version"):
+        pa.read_study(tmp_path)
+    with pytest.raises(pa.StudyError, match="another version"):
+        study({"kp": [5.0]}).execute(tmp_path, executor=threads)
+
+
+def test_left_overs_of_a_write_are_cleared(tmp_path: Path, threads: Executor) -> None:
+    (tmp_path / "shards").mkdir()
+    (tmp_path / "shards" / ".0123.tmp").write_bytes(b"half")
+    study({"kp": [5.0]}).execute(tmp_path, executor=threads)
+    assert not list((tmp_path / "shards").glob(".*"))
+
+
+# ----------------------------------------------------------------------------- commands
+
+
+LEGS = """
+robot = "v3"
+measure = ["peak_utilisation", "servo_sag"]
+[vary]
+leg_scale = { linspace = [1.2, 1.3, 2] }
+kp = [0.2, 10]
+"""
+
+
+@pytest.mark.slow
+def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file, folder = tmp_path / "legs.toml", tmp_path / "legs"
+    file.write_text(LEGS)
+    status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
+    assert status == 0
+    assert "4 designs, of which 0 are there" in out
+    assert "no equilibrium" in out
+    assert not folder.exists()
+    status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--workers", "1")
+    assert status == 0
+    assert "legs: 4 designs, of which 2 failed: " in out
+    assert "2 no equilibrium" in out
+    table = pa.read_study(folder)
+    _, unit, *line = next(row for row in out.splitlines() if row.startswith("servo_sag")).split()
+    assert unit == "(m)"
+    least, most = table["servo_sag"].min(), table["servo_sag"].max()
+    assert [float(line[0]), float(line[2])] == pytest.approx([least, most], rel=1e-4)
+    assert line[3] == "2"
+    status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
+    assert "4 designs, of which 4 are there" in out
+    written = tmp_path / "study.json"
+    arguments = ("study", str(file), "-o", str(folder), "--figures", "--json", str(written))
+    status, out, _ = run_command(capfd, *arguments)
+    assert status == 0
+    written_files = [line for line in out.splitlines() if line.startswith("written: ")]
+    drawn = {line.rpartition("/")[2] for line in written_files if line.endswith(".png")}
+    assert drawn == {path.name for path in folder.glob("*.png")}
+    assert {"failures.png", "parallel.png", "map_servo_sag.png"} <= drawn
+    columns = json.loads(written.read_text())
+    assert columns["kp"] == [0.2, 10.0, 0.2, 10.0]
+    assert columns["servo_sag"][0] is None
+    assert columns["servo_sag"][1] == table["servo_sag"][1]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (LEGS.replace("kp", "kq"), "no such number"),
+        (LEGS.replace("servo_sag", "sagging"), "no measure 'sagging'"),
+        ("robot =", "cannot be read"),
+    ],
+)
+def test_the_command_refuses_before_anything_runs(
+    text: str, message: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    arguments = ["study", str(tmp_path / "study.toml"), "-o", str(tmp_path / "out")]
+    status, _, err = run_command(capfd, *arguments)
+    assert status == 2
+    assert message in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.longest
+def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(
+        'robot = "v3"\nmeasure = ["tests.support.study_measures:slow"]\n[vary]\n'
+        "torso_mass_scale = { linspace = [1.0, 2.0, 400] }\n"
+    )
+    folder = tmp_path / "study"
+    command = [sys.executable, "-m", "pupper_analysis", "study", str(tmp_path / "study.toml"), "-o"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [*command, str(folder), "--workers", "2"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        start_new_session=True,
+    )
+    while not rows_of(folder):
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGINT)  # as the terminal does it, to all of them
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "the same command goes on there" in err
+    assert "interrupted" in err
+    assert "Traceback" not in err
+    assert 0 < rows_of(folder) < 400
+    assert left_over(process.pid) == []

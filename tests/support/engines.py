@@ -1,0 +1,93 @@
+"""MuJoCo's own view of a robot: its data at a public state, and models that are changed."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+import pupper_analysis as pa
+
+
+def with_efforts(robot: pa.Robot, efforts: float | Sequence[float] | np.ndarray) -> pa.Robot:
+    """The robot with these effort limits (nu,), or one for all, in both of its models (N m)."""
+    urdf, mjcf = robot.pin_model.copy(), copy.copy(robot.mj_model)
+    limits = np.array(urdf.effortLimit)
+    limits[robot.pin_convention.v_index] = efforts
+    urdf.effortLimit = limits
+    for name, limit in zip(robot.joint_names, limits[robot.pin_convention.v_index], strict=True):
+        drives = mjcf.actuator_trnid[:, 0] == mjcf.joint(name).id
+        mjcf.actuator_forcelimited[drives] = np.isfinite(limit)
+        mjcf.actuator_forcerange[drives] = (-limit, limit) if np.isfinite(limit) else 0.0
+    return replace(robot, pin_model=urdf, mj_model=mjcf)
+
+
+def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
+    """The robot with another MuJoCo model."""
+    model = copy.copy(robot.mj_model)
+    change(model)
+    return replace(robot, mj_model=model)
+
+
+def addresses(robot: pa.Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Where the public qpos and qvel are in MuJoCo's, found by the joints' names."""
+    model = robot.mj_model
+    base_q = list(range(7)) if robot.floating else []
+    base_v = list(range(6)) if robot.floating else []
+    joints = [model.joint(name) for name in robot.joint_names]
+    q = base_q + [int(joint.qposadr[0]) for joint in joints]
+    v = base_v + [int(joint.dofadr[0]) for joint in joints]
+    return np.array(q), np.array(v)
+
+
+def mujoco_at(
+    robot: pa.Robot,
+    qpos: np.ndarray,
+    qvel: np.ndarray | None = None,
+    model: mujoco.MjModel | None = None,
+) -> mujoco.MjData:
+    """MuJoCo's data of the MJCF at a public state, computed."""
+    model = model or robot.mj_model
+    data = mujoco.MjData(model)
+    q, v = addresses(robot)
+    data.qpos[q] = qpos
+    data.qvel[v] = 0.0 if qvel is None else qvel
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def integrate(robot: pa.Robot, qpos: np.ndarray, qvel: np.ndarray, dt: float) -> np.ndarray:
+    """The qpos after dt at constant qvel, by MuJoCo."""
+    q, v = addresses(robot)
+    moved, rate = np.empty(robot.mj_model.nq), np.empty(robot.mj_model.nv)
+    moved[q], rate[v] = qpos, qvel
+    mujoco.mj_integratePos(robot.mj_model, moved, rate, dt)
+    return moved[q]
+
+
+def rate_along(
+    robot: pa.Robot,
+    function: Callable[[np.ndarray], np.ndarray],
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    dt: float = 1e-5,
+) -> np.ndarray:
+    """The time derivative of function(qpos) at velocity qvel, by a central difference."""
+    ahead, behind = (integrate(robot, qpos, qvel, sign * dt) for sign in (1, -1))
+    return (np.asarray(function(ahead)) - np.asarray(function(behind))) / (2 * dt)
+
+
+def free_mechanism(robot: pa.Robot, timestep: float = 1e-3) -> mujoco.MjModel:
+    """The robot's MuJoCo model without contacts, limits, motors, damping and friction; RK4."""
+    model = robot.description.mjcf.copy().compile()
+    off = mujoco.mjtDisableBit
+    for bit in (off.mjDSBL_CONTACT, off.mjDSBL_LIMIT, off.mjDSBL_ACTUATION):
+        model.opt.disableflags |= bit.value
+    model.dof_damping[:] = 0.0
+    model.dof_frictionloss[:] = 0.0
+    model.opt.timestep = timestep
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4.value
+    return model

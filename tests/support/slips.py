@@ -1,0 +1,176 @@
+"""One plausible slip in an MJCF that stands: a sign, a factor of ten, a unit, a swapped pair ..."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.models.mjcf import quiet
+from tests.support import legged
+
+Slip = Callable[[str, np.random.Generator], str]
+
+FALLS = 0.3
+"""Share of its height that the base of what falls has lost."""
+
+LEANS = 0.5  # rad
+
+
+def standing(folder: Path, **options: object) -> legged.Pair:
+    """A quadruped of 8.4 kg that stands by itself: servos, floor, and a keyframe with its ctrl."""
+    pair = legged.quadruped(folder, actuators="position", floor=True, **options)  # type: ignore[arg-type]
+    text = pair.mjcf.read_text()
+    text = text.replace("<worldbody>", '<option integrator="implicitfast"/><worldbody>', 1)
+    text = text.replace('"/></keyframe>', f'" ctrl="{" ".join(["0 0.6 -1.2"] * 4)}"/></keyframe>')
+    text = text.replace("/><position", "/>\n<position").replace("<geom ", "\n<geom ")
+    pair.mjcf.write_text(text)
+    return pair
+
+
+@quiet()
+def by_itself(path: Path, seconds: float = 5.0) -> float:
+    """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
+
+    Infinite if it has fallen over, is farther away than it is high, or the simulation began anew.
+    """
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    start, base = float(data.qpos[2]), model.body("trunk").id
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+    upright = data.xmat[base][8] > math.cos(LEANS)
+    here = math.hypot(data.qpos[0], data.qpos[1]) <= start
+    if not (upright and here and data.time > seconds - 2 * model.opt.timestep):
+        return math.inf
+    return (start - float(data.qpos[2])) / start
+
+
+def _number(attribute: str, change: Callable[[float], float], *, one: bool) -> Slip:
+    """Changes an attribute of a single number, in one place or in all."""
+
+    def slip(text: str, random: np.random.Generator) -> str:
+        found = list(re.finditer(rf'(?<=\b{attribute}=")[-+.\de]+(?=")', text))
+        chosen = [found[int(random.integers(len(found)))]] if one and found else found
+        for match in reversed(chosen):
+            value = f"{change(float(match[0])):.9g}"
+            text = text[: match.start()] + value + text[match.end() :]
+        return text
+
+    return slip
+
+
+def _listed(attribute: str, change: Callable[[list[float], np.random.Generator], None]) -> Slip:
+    """Changes an attribute of several numbers, in one place."""
+
+    def slip(text: str, random: np.random.Generator) -> str:
+        found = list(re.finditer(rf'(?<=\b{attribute}=")[^"]+(?=")', text))
+        if not found:
+            return text
+        match = found[int(random.integers(len(found)))]
+        values = [float(word) for word in match[0].split()]
+        change(values, random)
+        return text[: match.start()] + " ".join(f"{v:.9g}" for v in values) + text[match.end() :]
+
+    return slip
+
+
+def _text(old: str, new: str, *, one: bool = False) -> Slip:
+    return lambda text, _: text.replace(old, new, 1 if one else -1)
+
+
+def _sign(values: list[float], random: np.random.Generator) -> None:
+    index = int(random.integers(len(values)))
+    values[index] = -values[index]
+
+
+def _swap(values: list[float], random: np.random.Generator) -> None:
+    one, two = random.choice(len(values), 2, replace=False)
+    values[one], values[two] = values[two], values[one]
+
+
+def _degrees(values: list[float], _: np.random.Generator) -> None:
+    values[:] = [math.degrees(value) for value in values]
+
+
+def _tenth(values: list[float], random: np.random.Generator) -> None:
+    values[int(random.integers(len(values)))] /= 10
+
+
+def _other_joint(text: str, random: np.random.Generator) -> str:
+    """Gives two actuators each other's joint."""
+    joints = re.findall(r'<position joint="(\w+)"', text)
+    one, two = (str(joint) for joint in random.choice(joints, 2, replace=False))
+    text = text.replace(f'<position joint="{one}"', "<position joint=\0")
+    text = text.replace(f'<position joint="{two}"', f'<position joint="{one}"')
+    return text.replace("<position joint=\0", f'<position joint="{two}"')
+
+
+SLIPS: dict[str, Slip] = {
+    "kp of one has the wrong sign": _number("kp", lambda v: -v, one=True),
+    "kp of all has the wrong sign": _number("kp", lambda v: -v, one=False),
+    "kp is 0": _number("kp", lambda _: 0.0, one=False),
+    "kp is a tenth": _number("kp", lambda v: v / 10, one=False),
+    "kp is a thousandth": _number("kp", lambda v: v / 1000, one=False),
+    "kp is ten times": _number("kp", lambda v: v * 10, one=False),
+    "kv has the wrong sign": _number("kv", lambda v: -v, one=False),
+    "kv of one has the wrong sign": _number("kv", lambda v: -v, one=True),
+    "kv is ten times": _number("kv", lambda v: v * 10, one=False),
+    "gear of one is -1": _text('kp="150"', 'gear="-1" kp="150"', one=True),
+    "gear of all is -1": _text('kp="150"', 'gear="-1" kp="150"'),
+    "gear is 10": _text('kp="150"', 'gear="10" kp="150"'),
+    "timeconst is milliseconds": _text('kp="150"', 'timeconst="20" kp="150"'),
+    "timeconst is 1e5": _text('kp="150"', 'timeconst="1e5" kp="150"'),
+    "a servo twice": _text("</actuator>", '<position joint="FL_knee" kp="150" kv="5"/></actuator>'),
+    "forcerange is a tenth": _text('kp="150"', 'forcerange="-0.5 0.5" kp="150"'),
+    "forcerange is one-sided": _text('kp="150"', 'forcerange="0 30" kp="150"'),
+    "ctrlrange is degrees": _text('kp="150"', 'ctrlrange="-0.035 0.035" kp="150"'),
+    "actuatorfrcrange is a tenth": _text('axis="0 1 0"', 'axis="0 1 0" actuatorfrcrange="-1 1"'),
+    "actuators have another joint": _other_joint,
+    "ctrl of one has the wrong sign": _listed("ctrl", _sign),
+    "ctrl of two is swapped": _listed("ctrl", _swap),
+    "ctrl is in degrees": _listed("ctrl", _degrees),
+    "ctrl of one is a tenth": _listed("ctrl", _tenth),
+    "ctrl is of another pose": _text('ctrl="0 0.6 -1.2 0', 'ctrl="0 1.6 -2.5 0'),
+    "ctrl is of lying down": _text(
+        'ctrl="' + " ".join(["0 0.6 -1.2"] * 4), 'ctrl="' + " ".join(["0 1.5 -2.6"] * 4)
+    ),
+    "qpos of one has the wrong sign": _listed("qpos", _sign),
+    "qpos of two is swapped": _listed("qpos", _swap),
+    "a range is swapped": _listed("range", lambda v, _: v.reverse()),
+    "a range is in degrees": _listed("range", _degrees),
+    "an axis has the wrong sign": _listed("axis", lambda v, _: v.__setitem__(1, -1.0)),
+    "a mass is ten times": _number("mass", lambda v: v * 10, one=True),
+    "damping is negative": _text('axis="0 1 0"', 'axis="0 1 0" damping="-6"'),
+    "damping is a thousand times": _text('axis="0 1 0"', 'axis="0 1 0" damping="500"'),
+    "dry friction is in N mm": _text('axis="0 1 0"', 'axis="0 1 0" frictionloss="50"'),
+    "the time step is ten times": _text("<option ", '<option timestep="0.02" '),
+    "gravity is upwards": _text("<option ", '<option gravity="0 0 9.81" '),
+    "gravity is sideways": _text("<option ", '<option gravity="9.81 0 0" '),
+    "actuators are switched off": _text("<option ", '<option actuatorgroupdisable="0" '),
+    "contacts are switched off": _text(
+        "<option ", '<option><flag contact="disable"/></option><option '
+    ),
+    "contacts are overridden": _text(
+        "<option ", '<option o_solref="2 1"><flag override="enable"/></option><option '
+    ),
+    "feet do not touch": _text('size="0.02"', 'size="0.02" contype="0" conaffinity="0"'),
+    "a foot is excluded": _text(
+        "<actuator>", '<contact><exclude body1="world" body2="FL_calf"/></contact><actuator>'
+    ),
+    "the floor is slippery": _text(
+        '<geom type="plane"', '<geom priority="1" friction="0.02" type="plane"'
+    ),
+    "the floor is soft": _text(
+        '<geom type="plane"', '<geom priority="1" solref="0.5 1" type="plane"'
+    ),
+    "a weld to the world": _text(
+        "<actuator>", '<equality><weld body1="FL_calf"/></equality><actuator>'
+    ),
+}
+"""Each makes one, where a random number says."""

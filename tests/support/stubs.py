@@ -1,0 +1,480 @@
+"""Results whose numbers are all different: what tests of showing show.
+
+Each is a stub with the fields that its builder reads. A number that stands in two cells, or in
+none, is seen; so are metres shown as millimetres and columns that are swapped.
+"""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace as Stub
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.pupper import comparison
+from pupper_analysis.report.document import Document, Name, Report
+from pupper_analysis.report.documents.analysis import analysis_document
+from pupper_analysis.report.documents.base_workspace import workspace_document
+from pupper_analysis.report.documents.best_study import best_document
+from pupper_analysis.report.documents.comparison import comparison_document
+from pupper_analysis.report.documents.loaded_stance import payload_document
+from pupper_analysis.report.documents.path_there import path_document
+from pupper_analysis.report.documents.pushed_stance import compare_pushes, push_document
+from pupper_analysis.report.documents.stance import stance_document
+from pupper_analysis.report.words import text
+from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.simulation.verdict import judge
+from pupper_analysis.stance.optimize.best import Objective
+from pupper_analysis.stance.payload.servo_limit import Failure
+from pupper_analysis.stance.payload.sharing import Sharing
+from pupper_analysis.stance.task import StandTask
+
+
+def problem(words: str) -> Diagnostic:
+    """A diagnostic of these words."""
+    return diagnose("problem", problem=words)
+
+
+def loads(shift: float) -> Stub:
+    """A static equilibrium of two motors and two feet; another for each shift."""
+    return Stub(
+        joint_names=("hip", "knee"),
+        joint_torques=np.array([0.1111, -0.2222]) + shift,
+        motor_utilisation=np.array([0.051, 0.952]) + shift,
+        contact_forces={
+            "FR": np.array([1.011, -2.022, 3.033]) + shift,
+            "RL": np.array([4.044, -5.055, 6.066]) + shift,
+        },
+        foot_loads={
+            foot: Stub(
+                force=np.array(force) + shift,
+                friction_utilisation=used,
+                centre_of_pressure=np.array(force) / 7,
+            )
+            for foot, force, used in (
+                ("FR", (1.011, -2.022, 3.033), 0.071),
+                ("RL", (4.044, -5.055, 6.066), 0.082),
+            )
+        },
+        com_margin=0.0123,
+        residual_force=1.1e-11,
+        residual_torque=2.2e-12,
+    )
+
+
+def run(shift: float, *, passed: bool) -> Stub:
+    """A simulated stand."""
+    return Stub(
+        passed=passed,
+        failures=() if passed else (problem("it sank"),),
+        integrator="Euler",
+        timestep=0.002,
+        duration=12.0,
+        kp=np.array([5.0, 6.0]),
+        kd=np.array([0.1, 0.1]),
+        collapses=False,
+        base_height=0.12111 + shift,
+        height_deviation=0.00002222 + shift,
+        height_drift=-0.0000333 - shift,
+        height_loss=0.004444 + shift,
+        servo_sag=0.001555 + shift,
+        contact_sag=0.002889 + shift,
+        tilt=math.radians(0.6666) + shift,
+        foot_slip={"FR": 0.0000777, "RL": 0.0001888 + shift},
+        joint_error=9.1e-5 + shift,
+        joint_torques=np.array([0.3333, -0.4444]),
+        torque_error=0.01234 + shift,
+        foot_forces={"FR": np.array([0.101, 0.202, 7.303]), "RL": np.array([0.404, 0.505, 8.606])},
+        force_error=0.02356 + shift,
+        mujoco_foot_error=3.1e-10,
+        mujoco_residual=4.2e-5,
+        stability=Stub(doubling_time=None),
+        feedforward=passed,
+        time=np.array([0.0, 12.0]),
+        height=np.array([0.12, 0.11]),
+        motion_time=np.array([0.0]),
+        motion=np.zeros((1, 7)),
+    )
+
+
+SERVOS = ServosUsed(ServoSource.FILE, (5.0, 6.0), (0.1, 0.1))
+
+
+ORIGINS = (
+    EffortStatement.of("URDF", "joint", "one", "effort", (-3.3, 3.3)),
+    EffortStatement.of("MJCF", "actuator", "two", "forcerange", (-4.4, 4.4)),
+)
+
+
+def joint(name: str, shift: float) -> Stub:
+    return Stub(
+        name=name,
+        motion="oblique",
+        oblique=True,
+        axis=np.array([0.11, 0.22, -0.33]) + shift,
+        lower=-1.51 + shift,
+        upper=2.52 + shift,
+        effort=3.3 + shift,
+        velocity=14.4 + shift,
+        armature=0.0051 + shift,
+        damping=0.062 + shift,
+        friction=0.073 + shift,
+        effort_origin=ORIGINS[shift > 0],
+    )
+
+
+ANALYSIS: Any = Stub(
+    name="stub",
+    nq=19,
+    nv=18,
+    nu=12,
+    total_mass=3.171,
+    link_masses={"base": 1.501, "hip": 0.202, "knee": 0.202},
+    center_of_mass=np.array([0.0101, -0.0202, 0.0303]),
+    thigh_length=0.0811,
+    calf_length=0.1122,
+    joints=(joint("hip", 0.0), joint("knee", 0.5)),
+    notes=(problem("a note"),),
+    stand=Stub(
+        task=StandTask(height=0.1),
+        iterations=7,
+        qpos=np.array([0.0, 0.0, 0.1009]),
+        foot_error=1.1e-16,
+        orientation_error=2.2e-15,
+        height_error=3.3e-14,
+        com_error=4.4e-13,
+    ),
+    foot_jacobians={
+        "FR": Stub(
+            matrix=np.array([[0.01, 0.02], [0.03, 0.04], [0.05, 0.06]]),
+            singular_values=np.array([0.0951, 0.0052]),
+            condition=18.29,
+        )
+    },
+    statics=loads(0.0),
+    minimum_peak=loads(-0.05),
+    hanging_torques=np.array([0.0077, 0.0088]),
+    verification=run(0.0, passed=True),
+    sagging=run(0.01, passed=False),
+    verdict=judge(run(0.0, passed=True), run(0.01, passed=False), SERVOS),
+    sweep=Stub(
+        kp=np.array([10.0, 30.0]),
+        kd=np.array([0.5, 1.0, 2.0]),
+        height_deviation=np.array([[1.1e-3, 2.2e-3, np.inf], [4.4e-3, 0.5e-3, 6.6e-3]]),
+        fell=np.array([[False, False, True], [False, False, False]]),
+        lasts=np.array([[True, False, True], [True, True, True]]),
+        doubling_time=np.array([[np.inf, 0.51, np.inf], [np.inf, np.inf, 61.0]]),
+        damping_ratio=np.array([[0.11, 0.12, np.nan], [0.13, np.nan, 0.14]]),
+        amplitude=2.1,
+        frequency=3.2,
+        duration=4.3,
+        integrator="implicitfast",
+    ),
+    check=Stub(
+        configurations=21,
+        tolerance=1e-9,
+        worst="mass matrix",
+        quantities=(
+            Stub(
+                name="mass matrix",
+                where="knee, #3",
+                whose="models (Pinocchio)",
+                scale=0.312,
+                unit="kg m^2",
+                deviation=4.1e-5,
+                relative=1.3e-4,
+                passed=False,
+            ),
+            Stub(
+                name="gravity",
+                where="hip, #4",
+                whose="engines (URDF)",
+                scale=31.2,
+                unit="N",
+                deviation=0.0,
+                relative=0.0,
+                passed=True,
+            ),
+        ),
+        notes=(problem("another note"),),
+    ),
+    verified=False,
+    failures=(problem("it leans"),),
+)
+
+
+def row(name: str, shift: float, **changes: Any) -> Any:
+    fields: dict[str, Any] = {
+        "name": name,
+        "base": "skeleton",
+        "total_mass": 2.711 + shift,
+        "mass_ratio": 1.122 + shift,
+        "thigh_ratio": 1.533 + shift,
+        "thigh_shape_ratio": 1.644 + shift,
+        "height": 0.1555 + shift,
+        "peak_torque": 0.366 + shift,
+        "peak_utilisation": 0.177 + shift,
+        "servo_sag": 0.000888 + shift,
+        "stands_without": True,
+        "contact_sag": 0.000999 + shift,
+        "torque_error": 0.0101 + shift,
+        "force_error": 0.0202 + shift,
+        "cross_check": 1.5e-13,
+        "verified": True,
+    }
+    return comparison.ComparisonRow(**{**fields, **changes})
+
+
+def pushes(shift: float) -> Stub:
+    return Stub(
+        directions=np.radians([0.0, 120.0, 240.0]),
+        impulses=np.array([0.51, 0.62, 0.43]) + shift,
+        tipping_estimate=np.array([0.84, 0.75, 0.96]) + shift,
+        weakest_direction=math.radians(240.0),
+        weakest_impulse=0.43 + shift,
+        weakest_failure=problem("it falls"),
+        failures=(problem("it rolls"), problem("it slides"), problem("it falls")),
+        velocity_steps=np.array([0.237, 0.288, 0.201]) + shift,
+        rollouts=77,
+        duration=6.5,
+        resolution=0.03,
+        unpushed=(),
+        mass=2.15,
+    )
+
+
+def pushed(name: str, shift: float, depth: float) -> Any:
+    stand = Stub(
+        task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
+    )
+    verdict = judge(run(0.0, passed=True), None, SERVOS)
+    return Stub(name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict)
+
+
+STAND: Any = Stub(
+    task=StandTask(height=0.1044, roll=math.radians(1.0)),
+    com_margin=0.0333,
+    qpos=np.array([0.0, 0.0, 0.1009]),
+    depths={"FR": 0.0, "RL": 0.0},
+    ground_clearance=Stub(distance=0.0111, links=("calf",)),
+    self_clearance=Stub(distance=0.0222, links=("thigh", "base")),
+)
+
+
+def stance(**changes: Any) -> Any:
+    fields: dict[str, Any] = {
+        "name": "stub",
+        "stand": STAND,
+        "verification": run(0.0, passed=True),
+        "joint_positions": np.array([0.6543, -0.7654]),
+        "statics": loads(0.0),
+        "minimum_peak": loads(-0.05),
+        "limits": np.array([3.1, 4.2]),
+        "limit_origins": ORIGINS,
+        "verdict": judge(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
+        "settled": Stub(
+            base_height=0.11223,
+            servo_sag=0.00789,
+            contact_sag=0.00421,
+            release_margin=0.5,
+            failures=(problem("foot FR slides"),),
+        ),
+        "unsettled": None,
+        "minimum_stiffness": 4.567,
+        "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}, qpos=np.array([0.0, 0.0, 0.1031])),
+        "passed": False,
+        "loops_open": 2.34e-5,
+    }
+    return Stub(**{**fields, **changes})
+
+
+def loaded(*unlimited: str) -> Any:
+    payload = Stub(
+        point=np.array([0.011, -0.022, 0.083]),
+        mass=1.239,
+        where=("knee",),
+        failure=Failure.BUCKLING,
+        motors=Stub(mass=4.569),
+        servos=Stub(mass=1.239),
+        contacts=Stub(mass=math.inf),
+        unlimited=unlimited,
+        shared=Sharing(3.5, np.zeros(12), {}),
+    )
+    trial = Stub(mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
+    buckling = (Stub(mass=0.991, doubling_time=161.6, free_doubling_time=math.inf),)
+    return Stub(
+        name="stub",
+        passed=True,
+        stand=STAND,
+        payload=payload,
+        trial=trial,
+        buckling=buckling,
+        servos=SERVOS,
+    )
+
+
+def there(**changes: Any) -> Any:
+    path = Stub(
+        feet=("FR", "RL"),
+        loads=np.array([[3.33, 9.99], [7.77, 4.44], [8.88, 5.55]]),
+        time=np.array([0.0, 1.5, 3.0]),
+        peak_utilisation=0.321,
+        peak_joint="knee",
+        peak_time=1.23,
+        peak_speed_utilisation=0.054,
+        com_margin=np.array([0.0311, 0.0222, 0.0333]),
+        zmp_margin=np.array([0.0177, 0.0288, 0.0399]),
+        qpos=np.full((3, 7), 0.123),
+    )
+    tracking = Stub(
+        torque_error=0.012,
+        joint_error=0.034,
+        joint_error_rms=0.005,
+        height_error=0.0067,
+        orientation_error=0.089,
+        foot_slip={"FR": 0.0011, "RL": 0.0023},
+        passed=True,
+        failures=(),
+    )
+    fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
+    least = {"binding": None, "reserve": None, "lower_bound": None, "servos": SERVOS}
+    return Stub(**fields, **{**least, **changes})
+
+
+def best() -> Any:
+    """The best stance of a search."""
+    found = Stub(
+        objective=Objective.MARGIN,
+        value=0.0456,
+        nominal_value=0.0345,
+        evaluations=321,
+        coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
+        active=("height high",),
+    )
+    return Stub(best=found, stance=stance(), loaded=None, passed=False)
+
+
+def workspace() -> Any:
+    """How far a base can go."""
+    intervals = {
+        "height": Stub(low=0.0911, high=0.1922),
+        "roll": Stub(low=math.radians(-13.3), high=math.radians(14.4)),
+        "x": Stub(low=-0.0255, high=0.0366),
+    }
+    return Stub(start=STAND, intervals=intervals)
+
+
+def files() -> Any:
+    """Two files that disagree."""
+    difference = Stub(
+        kind="mass",
+        element="base",
+        unit="kg",
+        weight=(0.34, 0.341),
+        urdf=3.3,
+        mjcf=6.9,
+        message="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
+        diagnostic=problem("body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF"),
+        urdf_place="a.urdf:5",
+        mjcf_place="b.xml:44",
+        effects={
+            "gravity": Stub(share=0.45, relative=1.2e-2, deviation=9.0),
+            "mass matrix": Stub(share=0.97, relative=3.4e-1, deviation=8.0),
+        },
+        made_of=(problem("in the URDF it is made of trunk 3 kg"),),
+    )
+    limit = Stub(
+        kind="effort",
+        element="knee",
+        unit="N m",
+        weight=(0.0, 0.0),
+        urdf=1.5,
+        mjcf=2.5,
+        message="joint knee: effort 1.5",
+        diagnostic=problem("joint knee: effort 1.5"),
+        urdf_place="a.urdf:7",
+        mjcf_place="b.xml:55",
+        effects={},
+        made_of=(),
+    )
+    sides = {
+        "models (Pinocchio)": 1.1e-1,
+        "models (MuJoCo)": 2.2e-2,
+        "engines (URDF)": 3.3e-13,
+        "engines (MJCF)": 4.4e-14,
+        "yourdfpy (URDF)": 5.5e-15,
+        "extras (MJCF)": 6.6e-6,
+    }
+    quantity = Stub(name="mass matrix", edges=sides, passed=False, where="knee, #3")
+    return Stub(
+        urdf="a.urdf",
+        mjcf="b.xml",
+        agree=False,
+        same_robot=False,
+        differences=(difference, limit),
+        causes=(
+            Stub(
+                message="another unit",
+                diagnostic=problem("another unit"),
+                differences=(1,),
+                leads=False,
+            ),
+        ),
+        parts=(problem("a tail too many"),),
+        objections=(problem("too much is left"),),
+        mount=None,
+        left={"mass matrix": 7.7e-7, "gravity": 8.8e-8},
+        explained=0.9876,
+        complete=False,
+        check=Stub(
+            configurations=23, tolerance=1e-9, quantities=(quantity,), notes=(problem("noted"),)
+        ),
+        engines=(problem("gravity"),),
+        notes=(problem("assumed"),),
+        guessed={"one": "two"},
+        only_urdf=("tail",),
+        only_mjcf=("head",),
+    )
+
+
+def _variants() -> Report:
+    other = row(
+        "two",
+        0.01,
+        thigh_ratio=None,
+        thigh_shape_ratio=None,
+        stands_without=False,
+        cross_check=2.6e-12,
+        verified=False,
+    )
+    third = row("three", 0.02, stands_without=False)
+    spec = Stub(name="mine", base="v3", leg_scale=1.21, torso_mass_scale=2.31)
+    listed = comparison.variants_table([(spec, Stub(total_mass=3.4567, stand_height=0.14159))])
+    compared = comparison.comparison_table([row("one", 0.0), other, third])
+    return _alone(Document(Name("Variants"), Name("variants"), (compared, listed)))
+
+
+def _pushes() -> Report:
+    both = [pushed("one", 0.0, 0.00311), pushed("two", 0.1, 0.0)]
+    return Report(text("report"), tuple(map(push_document, both)), compare_pushes(both[0], both))
+
+
+def _alone(document: Document) -> Report:
+    return Report(text("report"), (document,))
+
+
+REPORTS = {
+    "analysis": lambda: _alone(analysis_document(ANALYSIS)),
+    "variants": _variants,
+    "pushes": _pushes,
+    "stance": lambda: _alone(stance_document(stance())),
+    "payload": lambda: _alone(payload_document(loaded("hip"))),
+    "best": lambda: _alone(best_document(best())),
+    "workspace": lambda: _alone(workspace_document(workspace())),
+    "path": lambda: _alone(path_document(there())),
+    "files": lambda: _alone(comparison_document(files())),
+}
+"""{golden document: what makes its report}."""

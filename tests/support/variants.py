@@ -1,0 +1,27 @@
+"""Pupper's variants, loaded once."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import pupper_analysis as pa
+
+NAMES = tuple(pa.VARIANTS)
+
+V3_NAMES = tuple(name for name in NAMES if name.startswith("v3"))
+
+SKELETON_NAMES = tuple(name for name in NAMES if not name.startswith("v3"))
+
+BASES = {"original": "pupper_skeleton", "v3": "pupper_v3"}  # variant: name of its files
+
+BASES_FIRST = (*BASES, *(name for name in NAMES if name not in BASES))
+
+
+@cache
+def load(name: str, fixed_base: bool = False) -> pa.Robot:
+    return pa.load_variant(name, fixed_base=fixed_base)
+
+
+@cache
+def stand_of(name: str) -> pa.Stand:
+    return pa.solve_stand(load(name))

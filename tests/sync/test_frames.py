@@ -1,0 +1,223 @@
+"""Making files agree whose link frames, bases and zeros are not the same."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from tests.support.cases import some
+from tests.support.robots import (
+    Files,
+    Parts,
+    arm,
+    changed,
+    mjcf_text,
+    quadruped,
+    turned_about,
+    turned_frames,
+    urdf_text,
+    write,
+)
+
+ROBOT = quadruped()
+
+CHANGES = [
+    ("thigh1", {"mass": 1.3}),
+    ("thigh1", {"com": (0.02, 0.01, -0.05)}),
+    ("shank2", {"inertia": (0.0016, 0.0015, 4e-4, 2e-5, 1e-5, 3e-5)}),
+    ("shank2", {"position": (0.01, 0.07, -0.19)}),
+    ("shank3", {"axis": (0.0, 0.8, 0.6)}),
+    ("thigh0", {"quaternion": (0.8, 0.6, 0.0, 0.0)}),
+    ("thigh0", {"lower": -0.7, "upper": 1.1}),
+    ("shank0", {"effort": 12.5}),
+    ("shank0", {"damping": 0.25, "friction": 0.0}),
+]
+
+
+def agree(files: Files) -> bool:
+    compared = pa.compare_models(
+        files.urdf, files.mjcf, tolerances=pa.Tolerances.strict(), configurations=2
+    )
+    return compared.agree and max(compared.deviations.values()) < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["urdf", "mjcf"])
+@pytest.mark.parametrize(
+    ("link", "values"), some(CHANGES, 3), ids=[str(i) for i in range(len(CHANGES))]
+)
+def test_link_frames_that_are_turned(
+    tmp_path: Path, link: str, values: dict[str, object], side: str
+) -> None:
+    """Every body of the MJCF has another frame, and keeps it."""
+    model = mujoco.MjModel.from_xml_string(mjcf_text(ROBOT))
+    files = write(tmp_path, urdf_text(changed(ROBOT, link, **values)), turned_frames(model, 3))
+    before = [file.read_text() for file in files]
+    result = pa.sync_models(*files, take=side)
+    assert result.agree
+    assert agree(files)
+    # Where frames are turned and a placement differs, the list of differences is not the shortest.
+    assert len(result.edits) <= (12 if "quaternion" in values else 6)
+    other = files.urdf if side == "urdf" else files.mjcf
+    assert other.read_text() == before[0 if side == "urdf" else 1]
+    # Of a URDF that is changed back, what is not of the change is there, digit by digit.
+    if side == "mjcf" and "quaternion" not in values:
+        words = re.findall(r'"([^"]*)"', urdf_text(ROBOT))
+        after = re.findall(r'"([^"]*)"', files.urdf.read_text())
+        for one, two in zip(words, after, strict=True):
+            if one != two:
+                numbers = [[float(word) for word in text.split()] for text in (one, two)]
+                assert numbers[0] == pytest.approx(numbers[1], rel=1e-11, abs=1e-11)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["urdf", "mjcf"])
+@pytest.mark.parametrize(
+    ("link", "values"),
+    [
+        ("boom", {"position": (0.06, 0.0, 0.25)}),
+        ("rod", {"lower": -0.1, "effort": 7.0}),
+        ("rod", {"axis": (0.6, 0.8, 0.0)}),
+        ("column", {"mass": 2.0, "com": (0.1, 0.0, 0.0)}),
+    ],
+)
+def test_an_arm_on_a_base_that_stands_somewhere(
+    tmp_path: Path, link: str, values: dict[str, object], side: str
+) -> None:
+    mjcf = mjcf_text(arm(), free=False, base_position=(0.3, -0.2, 0.7))
+    files = write(tmp_path, urdf_text(changed(arm(), link, **values)), mjcf)
+    result = pa.sync_models(*files, take=side)
+    assert result.agree
+    assert agree(files)
+    if side == "mjcf":
+        assert 1 <= len(result.edits) <= 2
+
+
+def another_zero(**more: Any) -> Parts:
+    """The robot with a knee's zero, and its limits with it, 0.4 rad elsewhere; and more changes."""
+    part = ROBOT["shank1"]
+    turned = turned_about(part, part.axis, 0.4)
+    limits = {"lower": part.lower - 0.4, "upper": part.upper - 0.4}
+    return changed(ROBOT, "shank1", quaternion=turned, **limits, **more)
+
+
+@pytest.mark.parametrize("side", ["urdf", "mjcf"])
+def test_a_zero_that_is_elsewhere(tmp_path: Path, side: str) -> None:
+    """The limits move along: it is one difference, and two or three attributes."""
+    moved = another_zero()
+    files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
+    result = pa.sync_models(*files, take=side)
+    assert [(d.kind, d.element) for d in result.differences] == [("zero", "knee1")]
+    assert result.agree
+    assert agree(files)
+    assert {edit.attribute for edit in result.edits} == (
+        {"quat", "range"} if side == "urdf" else {"rpy", "lower", "upper"}
+    )
+
+
+def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) -> None:
+    part, moved = ROBOT["shank1"], another_zero(position=(0.01, 0.08, -0.2))
+    for side in ("urdf", "mjcf"):
+        files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
+        result = pa.sync_models(*files, take=f"{side}:position")
+        assert [left.difference for left in result.left] == ["joint knee1: zero"]
+        assert [edit.attribute for edit in result.edits] == ["pos" if side == "urdf" else "xyz"]
+        (edit,) = result.edits
+        there = part.position if side == "urdf" else (0.01, 0.08, -0.2)
+        assert [float(word) for word in edit.new.split()] == pytest.approx(list(there), abs=1e-12)
+
+
+@pytest.mark.slow
+def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
+    """And what differs beside it is written in the file's own frame."""
+    c, s = math.cos(0.15), math.sin(0.15)
+    turn = np.array([[c * c - s * s, -2 * c * s, 0], [2 * c * s, c * c - s * s, 0], [0, 0, 1]])
+    parts = dict(ROBOT)
+    for name, part in ROBOT.items():
+        if part.parent == "base":
+            w, x, y, z = part.quaternion
+            quaternion = (c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w)
+            position = tuple(turn @ np.array(part.position))
+            parts = changed(parts, name, position=position, quaternion=quaternion)
+    base = ROBOT["base"]
+    full = np.array(
+        [
+            [base.inertia[0], base.inertia[3], base.inertia[4]],
+            [base.inertia[3], base.inertia[1], base.inertia[5]],
+            [base.inertia[4], base.inertia[5], base.inertia[2]],
+        ]
+    )
+    full = turn @ full @ turn.T
+    entries = (full[0, 0], full[1, 1], full[2, 2], full[0, 1], full[0, 2], full[1, 2])
+    parts = changed(parts, "base", com=tuple(turn @ np.array(base.com)), inertia=entries)
+    heavier = changed(parts, "base", mass=7.0)
+    for side in ("urdf", "mjcf"):
+        files = write(tmp_path, urdf_text(ROBOT), mjcf_text(heavier))
+        result = pa.sync_models(*files, take=side)
+        assert [left.difference for left in result.left] == ["base: base frame"]
+        assert "all that is on the base would have to move" in str(result.left[0].reason)
+        assert [edit.attribute for edit in result.edits] == ["mass" if side == "urdf" else "value"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", ["urdf", "mjcf"])
+def test_frames_of_an_mjcf_count(tmp_path: Path, side: str) -> None:
+    """Bodies, joints and sites in a <frame> state their places in that."""
+    text = mjcf_text(ROBOT)
+    start = text.index('<body name="thigh2"')
+    leg = text[start : text.index('<body name="thigh3"')]
+    # The same leg, in a frame that is moved by (0.05, 0.02, 0) in the base.
+    inside = leg.replace('pos="-0.2 -0.1 0.01"', 'pos="-0.25 -0.12 0.01"', 1)
+    assert inside != leg
+    framed = text.replace(leg, f'<frame pos="0.05 0.02 0">{inside}</frame>')
+    files = write(tmp_path, urdf_text(ROBOT), framed)
+    assert pa.sync_models(*files).agree
+    other = changed(ROBOT, "thigh2", position=(-0.21, -0.1, 0.01), axis=(0.6, 0.8, 0.0))
+    files = write(tmp_path, urdf_text(other), framed)
+    result = pa.sync_models(*files, take=side)
+    assert agree(files)
+    if side == "urdf":
+        assert result.edits[0].new == "-0.26 -0.12 0.01"
+
+
+def test_a_joint_elsewhere_in_its_body_is_one_number(tmp_path: Path) -> None:
+    """The shapes stay where they are on the body."""
+    text = mjcf_text(ROBOT).replace('<joint name="hip2"', '<joint name="hip2" pos="0 0.01 -0.02"')
+    files = write(tmp_path, urdf_text(ROBOT), text)
+    result = pa.sync_models(*files, take="urdf")
+    assert len(result.differences) >= 3
+    assert [(e.element, e.attribute, e.new) for e in result.edits] == [
+        ("joint hip2", "pos", "0 0 0")
+    ]
+    assert agree(files)
+
+
+def test_copies_are_left(tmp_path: Path) -> None:
+    """A leg that is attached stands in a file of its own, under another name."""
+    parts = {name: part for name, part in ROBOT.items() if name in ("base", "thigh0", "shank0")}
+    text = mjcf_text(parts)
+    start, end = text.index('<body name="thigh0"'), text.rindex("</body>\n</worldbody>")
+    leg, motors = text[start:end], re.findall(r"<motor .*/>\n", text)
+    (tmp_path / "leg.xml").write_text(
+        f'<mujoco model="leg"><compiler angle="radian"/><worldbody>{leg}</worldbody></mujoco>'
+    )
+    main = text.replace(leg, '<attach model="leg" body="thigh0" prefix="a_"/>')
+    for motor in motors:
+        main = main.replace(motor, "")
+    main = main.replace(
+        "<worldbody>", '<asset><model name="leg" file="leg.xml"/></asset><worldbody>'
+    )
+    files = write(tmp_path, urdf_text(changed(parts, "thigh0", mass=2.0)), main)
+    before = (tmp_path / "leg.xml").read_bytes()
+    result = pa.sync_models(*files, take="urdf:mass")
+    reasons = {left.difference: str(left.reason) for left in result.left}
+    (reason,) = [text for name, text in reasons.items() if name.endswith(": mass")]
+    assert "the body is a copy of another" in reason
+    assert (tmp_path / "leg.xml").read_bytes() == before

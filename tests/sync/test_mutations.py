@@ -1,0 +1,280 @@
+"""Random numbers of one file are changed; what the other file says restores them, and no more.
+
+The files are changed as text, by regular expressions that share nothing with the package.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import shutil
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import pytest
+
+import pupper_analysis as pa
+from tests.support.cases import some
+from tests.support.repository import ROOT
+from tests.support.robots import mjcf_text, quadruped, urdf_text
+
+TAG = re.compile(r"<([a-z]+)((?:\s+[\w]+=\"[^\"]*\")*)\s*/?>")
+ATTRIBUTE = re.compile(r"(\w+)=\"([^\"]*)\"")
+MODELS = [*pa.VARIANTS, "quadruped"]
+MANY = 210
+
+
+class Pair(NamedTuple):
+    urdf: Path
+    mjcf: Path
+
+    def texts(self) -> dict[Path, str]:
+        """The URDF, and the MJCF with all that it includes."""
+        files = [self.urdf, *sorted(self.mjcf.parent.glob("*.xml"))]
+        return {file: file.read_bytes().decode() for file in files}
+
+
+@cache
+def written(name: str, folder: Path) -> Pair:
+    """A model's files: the published ones, with includes, where it is not derived."""
+    (folder / "urdf").mkdir(parents=True)
+    (folder / "mjcf").mkdir()
+    if name == "quadruped":
+        parts = quadruped()
+        pair = Pair(folder / "urdf" / "q.urdf", folder / "mjcf" / "q.xml")
+        pair.urdf.write_text(urdf_text(parts))
+        pair.mjcf.write_text(mjcf_text(parts))
+        return pair
+    spec = pa.VARIANTS[name]
+    if spec.leg_scale == spec.torso_mass_scale == 1:
+        base = f"pupper_{spec.base}"
+        shutil.copytree(ROOT / "mjcf" / "meshes", folder / "mjcf" / "meshes")
+        shutil.copy(ROOT / "urdf" / f"{base}.urdf", folder / "urdf")
+        for file in (ROOT / "mjcf").glob(f"{base}*.xml"):
+            if "fixed" not in file.name:
+                shutil.copy(file, folder / "mjcf")
+        return Pair(folder / "urdf" / f"{base}.urdf", folder / "mjcf" / f"{base}.xml")
+    return Pair(*pa.write_variant(name, folder))
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sync")
+
+
+def attributes(tag: str) -> dict[str, str]:
+    return dict(ATTRIBUTE.findall(tag))
+
+
+class Mutated(NamedTuple):
+    file: Path
+    text: str
+    count: int  # attributes
+
+
+Change = Callable[[random.Random, list[float]], list[float]]
+
+
+def scaled(choose: random.Random, values: list[float]) -> list[float]:
+    return [value * (1 + choose.choice([-1, 1]) * choose.uniform(0.02, 0.1)) for value in values]
+
+
+def shifted(choose: random.Random, values: list[float]) -> list[float]:
+    index = choose.randrange(len(values))
+    step = choose.choice([-1, 1]) * choose.uniform(0.002, 0.01)
+    return [value + step * (place == index) for place, value in enumerate(values)]
+
+
+def turned(choose: random.Random, values: list[float]) -> list[float]:
+    if len(values) == 3:
+        index = choose.randrange(3)
+        step = choose.uniform(0.03, 0.2)
+        return [value + step * (place == index) for place, value in enumerate(values)]
+    w, x, y, z = values
+    axis = [choose.gauss(0, 1) for _ in range(3)]
+    length = math.hypot(*axis)
+    a, b, c = (math.sin(0.05) * value / length for value in axis)
+    d = math.cos(0.05)
+    return [
+        w * d - x * a - y * b - z * c,
+        w * a + x * d + y * c - z * b,
+        w * b - x * c + y * d + z * a,
+        w * c + x * b - y * a + z * d,
+    ]
+
+
+def swung(choose: random.Random, values: list[float]) -> list[float]:
+    if choose.random() < 0.5:
+        return [-value for value in values]
+    made = [value + choose.uniform(-0.2, 0.2) for value in values]
+    length = math.hypot(*made)
+    return [value / length for value in made]
+
+
+def one_scaled(choose: random.Random, values: list[float]) -> list[float]:
+    index = choose.choice([place for place, value in enumerate(values) if value])
+    factor = 1 + choose.uniform(0.01, 0.05)
+    return [value * (factor if place == index else 1) for place, value in enumerate(values)]
+
+
+def limits(choose: random.Random, values: list[float]) -> list[float]:
+    return [value + choose.uniform(-0.1, 0.1) for value in values]
+
+
+KINDS: dict[str, list[tuple[str, str, Change]]] = {
+    ".urdf": [
+        ("mass", "value", scaled),
+        ("inertial origin", "xyz", shifted),
+        ("inertia", "ixx", scaled),
+        ("inertia", "iyy", scaled),
+        ("inertia", "izz", scaled),
+        ("moving origin", "xyz", shifted),
+        ("moving origin", "rpy", turned),
+        ("fixed origin", "xyz", shifted),
+        ("axis", "xyz", swung),
+        ("limit", "lower", limits),
+        ("limit", "upper", limits),
+        ("limit", "effort", scaled),
+        ("dynamics", "damping", scaled),
+        ("dynamics", "friction", scaled),
+    ],
+    ".xml": [
+        ("inertial", "mass", scaled),
+        ("inertial", "pos", shifted),
+        ("inertial", "fullinertia", one_scaled),
+        ("inertial", "diaginertia", one_scaled),
+        ("inertial", "quat", turned),
+        ("body", "pos", shifted),
+        ("body", "quat", turned),
+        ("joint", "axis", swung),
+        ("joint", "range", limits),
+        ("joint", "damping", scaled),
+        ("joint", "frictionloss", scaled),
+        ("joint+", "axis", lambda *_: [0.6, 0.0, -0.8]),
+        ("joint+", "range", lambda *_: [-0.3, 0.4]),
+        ("joint+", "damping", lambda *_: [0.3]),
+        ("joint+", "frictionloss", lambda *_: [0.3]),
+        ("joint+", "pos", lambda *_: [0.004, -0.003, 0.005]),
+        ("motor+", "forcerange", lambda *_: [-2.5, 2.5]),
+        ("motor", "ctrlrange", lambda _, values: [0.9 * value for value in values]),
+        ("site", "pos", shifted),
+        ("geom", "mass", scaled),
+        ("geom+", "mass", lambda *_: [0.0625]),
+    ],
+}
+
+
+def role(text: str, start: int, tag: str) -> str:
+    """What a tag is: an origin is that of an inertial, or of a joint that is fixed or not."""
+    if tag != "origin":
+        return {"general": "motor"}.get(tag, tag)
+    before = text[:start]
+    around = max(("inertial", "visual", "collision", "joint"), key=lambda t: before.rfind(f"<{t}"))
+    if around == "joint":
+        joint = before[before.rfind("<joint") :]
+        return "fixed origin" if 'type="fixed"' in joint else "moving origin"
+    return f"{around} origin"
+
+
+def is_free(found: dict[str, str], tag: str) -> bool:
+    return tag == "body" and found.get("name") in ("base_link", "base")
+
+
+def mutated(pair: Pair, choose: random.Random) -> Mutated | None:
+    """One attribute of one file is another; None if the choice is not there."""
+    texts = pair.texts()
+    file = choose.choice(list(texts) if choose.random() < 0.6 else [pair.urdf])
+    kind, attribute, change = choose.choice(KINDS[file.suffix])
+    inserts, kind = kind.endswith("+"), kind.removesuffix("+")
+    text = texts[file]
+    places = []
+    for found in TAG.finditer(text):
+        stated = attributes(found[2])
+        own = role(text, found.start(), found[1]) == kind and not is_free(stated, found[1])
+        in_class = found.start() < text.rfind("</default>") and file.suffix == ".xml"
+        free = stated.get("type") == "free" or (found[1] == "site" and "foot" not in str(stated))
+        geom = found[1] == "geom" and stated.get("class") in ("visual", "collision", "torso", None)
+        fits = (attribute in stated) != inserts and bool(stated)
+        if own and fits and not in_class and not free and not (geom and inserts):
+            places.append(found)
+    if not places:
+        return None
+    place = choose.choice(places)
+    stated = attributes(place[2])
+    if inserts:
+        words = " ".join(repr(value) for value in change(choose, []))
+        at = place.end(2)
+        return Mutated(file, f'{text[:at]} {attribute}="{words}"{text[at:]}', 1)
+    values = [float(word) for word in stated[attribute].split()]
+    if not any(values) and change in (scaled, one_scaled):
+        return None
+    words = " ".join(repr(value) for value in change(choose, values))
+    span = re.compile(rf'\s{attribute}="([^"]*)"').search(text, place.start(2))
+    assert span is not None
+    return Mutated(file, text[: span.start(1)] + words + text[span.end(1) :], 1)
+
+
+def changed_attributes(before: str, after: str) -> int:
+    """How many attributes differ; all else must be the same, byte by byte."""
+    spans = [list(ATTRIBUTE.finditer(text)) for text in (before, after)]
+    assert len(spans[0]) == len(spans[1])
+    blank = [ATTRIBUTE.sub(lambda found: f"{found[1]}=", text) for text in (before, after)]
+    assert blank[0] == blank[1]
+    return sum(one[2] != two[2] for one, two in zip(*spans, strict=True))
+
+
+def restored(pair: Pair, seed: int) -> str | None:
+    """Makes a mutation and mends it; returns what it was, None if it was none."""
+    choose = random.Random(seed)
+    mutation = mutated(pair, choose)
+    if mutation is None:
+        return None
+    good = pair.texts()
+    try:
+        mutation.file.write_bytes(mutation.text.encode())
+        try:
+            mujoco.MjModel.from_xml_path(str(pair.mjcf))
+        except ValueError:
+            return None  # no body can be so
+        side = "mjcf" if mutation.file == pair.urdf else "urdf"
+        sync = pa.sync_models(pair.urdf, pair.mjcf, take=side)
+        after = pair.texts()
+        if not sync.differences:
+            assert after[mutation.file] == mutation.text
+            return None  # nobody would notice, as a turn of a sphere
+        said = f"{seed}: {mutation.file.name}: {sync.to_json()}"
+        assert sync.agree, said
+        assert not sync.left
+        assert sync.written == (str(mutation.file),), said
+        count = changed_attributes(mutation.text, after[mutation.file])
+        assert count == mutation.count == len(sync.edits), said
+        assert all(after[file] == good[file] for file in good if file != mutation.file)
+        return f"{mutation.file.suffix} {sync.edits[0].attribute}"
+    finally:
+        for file, text in good.items():
+            file.write_bytes(text.encode())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", some(MODELS, 3))
+def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
+    pair = written(model, folder / model)
+    done = [restored(pair, seed) for seed in range(6)]
+    assert sum(one is not None for one in done) >= 1
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("model", MODELS)
+def test_many_mutations_are_undone(model: str, folder: Path) -> None:
+    pair = written(model, folder / model)
+    done: list[str] = []
+    seed = 1000 * MODELS.index(model)  # not the same choices for all
+    while len(done) < MANY // len(MODELS):
+        seed += 1
+        found = restored(pair, seed)
+        done += [found] if found is not None else []
+    assert len(set(done)) >= 8  # of several kinds, in both files

@@ -1,0 +1,573 @@
+"""Making two files agree: what is written where, in whose words, and what is left."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.sync.digits import Digits
+from pupper_analysis.sync.inertia import Mass, same
+from pupper_analysis.sync.plan import Cause
+from pupper_analysis.sync.xml_bytes import read_document
+from tests.support.robots import (
+    Files,
+    Parts,
+    changed,
+    mjcf_text,
+    quadruped,
+    urdf_text,
+    write,
+    write_parts,
+)
+
+ROBOT = quadruped()
+
+
+def pair(folder: Path, mjcf: Parts = ROBOT, urdf: Parts = ROBOT) -> Files:
+    return write_parts(folder, urdf, mjcf)
+
+
+def sync(files: Files, take: Any = (), **options: Any) -> pa.Sync:
+    return pa.sync_models(files.urdf, files.mjcf, take=take, **options)
+
+
+def edits(result: pa.Sync) -> list[tuple[str, str, str | None, str]]:
+    return [(edit.element, edit.attribute, edit.old, edit.new) for edit in result.edits]
+
+
+def agree(files: Files) -> bool:
+    compared = pa.compare_models(
+        files.urdf, files.mjcf, tolerances=pa.Tolerances.strict(), configurations=2
+    )
+    return compared.agree and max(compared.deviations.values()) < 1e-9
+
+
+def replaced(file: Path, old: str, new: str, count: int = 1) -> None:
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, count))
+
+
+# ------------------------------------------------------------------------------------- choices
+
+
+def test_without_a_choice_nothing_is_changed(tmp_path: Path) -> None:
+    files = pair(tmp_path, changed(ROBOT, "base", mass=7.0))
+    before = [file.read_bytes() for file in files]
+    result = sync(files)
+    assert result.taken == {}
+    assert result.edits == ()
+    assert [(left.difference, str(left.reason)) for left in result.left] == [
+        ("body of base: mass", "nothing was chosen for it")
+    ]
+    assert not result.agree
+    assert [file.read_bytes() for file in files] == before
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_files_that_agree_are_left_alone(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    before = [file.read_bytes() for file in files]
+    result = sync(files, "urdf")
+    assert result.agree
+    assert (result.edits, result.left, result.written, result.diff) == ((), (), (), "")
+    assert [file.read_bytes() for file in files] == before
+
+
+DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, damping=0.3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("take", "expected"),
+    [
+        (["mjcf"], {"mass": "mjcf", "effort": "mjcf", "damping": "mjcf"}),
+        (["mjcf:body of base: mass"], {"mass": "mjcf"}),
+        (["urdf:base"], {"mass": "urdf"}),
+        (["urdf:body of base"], {"mass": "urdf"}),
+        (["urdf:mass", "mjcf:hip1"], {"mass": "urdf", "effort": "mjcf", "damping": "mjcf"}),
+        (["mjcf:joint hip1: effort"], {"effort": "mjcf"}),
+        (["mjcf:1"], {"mass": "mjcf"}),
+        (["mjcf:2-3", "urdf:1"], {"mass": "urdf", "effort": "mjcf", "damping": "mjcf"}),
+        # What is more particular counts, whatever the order.
+        (["urdf:effort", "mjcf"], {"mass": "mjcf", "effort": "urdf", "damping": "mjcf"}),
+        (["urdf:3", "mjcf:hip1"], {"effort": "urdf", "damping": "mjcf"}),
+    ],
+)
+def test_choices(tmp_path: Path, take: list[str], expected: dict[str, str]) -> None:
+    files = pair(tmp_path, DIFFERENT)
+    result = sync(files, take, dry_run=True)
+    assert {label.rpartition(": ")[2]: side for label, side in result.taken.items()} == expected
+    assert len(result.edits) == len(expected)
+    assert result.agree == (len(expected) == 3)
+
+
+@pytest.mark.parametrize(
+    ("take", "said"),
+    [
+        ("both", "'both' is not of the form urdf, mjcf, urdf:WHICH or mjcf:WHICH"),
+        ("urdf:", "'urdf:' is not of the form"),
+        ("urdf:tail", "no difference is called 'tail'; there are: body of base: mass; joint hip1"),
+        ("urdf:4", "'4': the differences are numbered from 1 to 3"),
+        ("urdf:0", "'0': the differences are numbered from 1 to 3"),
+        ("urdf:0-1", "'0-1': the differences are numbered from 1 to 3"),
+        ("urdf:2-1", "'2-1': the differences are numbered from 1 to 3"),
+    ],
+)
+def test_choices_that_mean_nothing_are_refused(tmp_path: Path, take: str, said: str) -> None:
+    with pytest.raises(pa.ConfigurationError, match=re.escape(said)):
+        sync(pair(tmp_path, DIFFERENT), take)
+
+
+def test_the_tenth_digit_of_an_inertial_tells_two_bodies_apart() -> None:
+    """Rounding is in the fifteenth: what differs before it is written, and not passed over."""
+    one = Mass(2.0, np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 2e-4, 2.5e-4]))
+    for factor, alike in ((1e-15, True), (1e-9, False), (1e-4, False)):
+        others = (
+            Mass(2.0 * (1 + factor), one.com, one.inertia),
+            Mass(2.0, one.com + factor, one.inertia),
+            Mass(2.0, one.com, one.inertia * (1 + factor)),
+        )
+        assert [same(one, other) for other in others] == [alike] * 3
+
+
+def test_values_can_go_both_ways_at_once(tmp_path: Path) -> None:
+    files = pair(tmp_path, DIFFERENT)
+    result = sync(files, ["urdf", "mjcf:mass"])
+    assert agree(files)
+    assert result.written == (str(files.urdf), str(files.mjcf))
+    assert edits(result) == [
+        ("link base > inertial > mass", "value", "6.0", "7"),
+        ("joint hip1", "damping", "0.3", "0.1"),
+        ("motor m_hip1", "ctrlrange", "-25.0 25.0", "-21 21"),
+    ]
+
+
+# ------------------------------------------------------------------------------------- forms
+
+
+@pytest.mark.slow
+def test_degrees_and_euler_angles_are_kept(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    text = files.mjcf.read_text().replace('angle="radian"', 'angle="degree"')
+    text = re.sub(
+        r'(?<!l)range="(\S+) (\S+)"',
+        lambda m: f'range="{math.degrees(float(m[1]))!r} {math.degrees(float(m[2]))!r}"',
+        text,
+    )
+    text = re.sub(r'(body name="thigh0"[^>]*) quat="[^"]*"', r'\1 euler="10 20 -30"', text)
+    files.mjcf.write_text(text)
+    assert sync(files, "mjcf").agree  # the turn is the MJCF's now
+    replaced(files.urdf, 'lower="-1.0" upper="0.9"', 'lower="-0.5" upper="0.9"')
+    replaced(files.mjcf, 'euler="10 20 -30"', 'euler="10 20 -35"')
+    result = sync(files, "urdf")
+    assert agree(files)
+    texts = files.mjcf.read_text()
+    assert 'euler="10 20 -30"' in texts
+    assert edits(result)[0][:3] == ("body thigh0", "euler", "10 20 -35")
+    (limit,) = [edit for edit in result.edits if edit.attribute == "range"]
+    assert float(limit.new.split()[0]) == pytest.approx(math.degrees(-0.5), rel=1e-15)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("stated", "attribute"),
+    [
+        ('axisangle="0 0 1 0.3"', "axisangle"),
+        ('xyaxes="0 1 0 -1 0 0"', "xyaxes"),
+        ('zaxis="0 1 1"', "zaxis -> quat"),
+        ("", "quat"),
+    ],
+)
+def test_orientations_in_other_words(tmp_path: Path, stated: str, attribute: str) -> None:
+    files = pair(tmp_path)
+    text = files.mjcf.read_text()
+    files.mjcf.write_text(re.sub(r'(body name="thigh1"[^>]*) quat="[^"]*"', rf"\1 {stated}", text))
+    result = sync(files, "urdf")
+    assert [(edit.element, edit.attribute) for edit in result.edits] == [("body thigh1", attribute)]
+    assert agree(files)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inertia", [(0.004, 0.005, 0.0022, 0, 0, 0), (0.005, 0.00525, 0.002) * 2])
+def test_principal_moments_stay_principal_moments(tmp_path: Path, inertia: Any) -> None:
+    wanted = changed(ROBOT, "thigh1", inertia=(*inertia[:3], 1e-4, -3e-4, 8e-4))
+    files = pair(tmp_path)
+    files.urdf.write_text(urdf_text(wanted))
+    text = files.mjcf.read_text()
+    pattern = r'(<body name="thigh1".*?mass="\S+") fullinertia="[^"]*"'
+    form = r'\1 diaginertia="0.005 0.0053 0.002" quat="1 0.1 0 0"'
+    files.mjcf.write_text(re.sub(pattern, form, text, flags=re.DOTALL))
+    result = sync(files, "urdf")
+    assert {edit.attribute for edit in result.edits} == {"diaginertia", "quat"}
+    assert agree(files)
+
+
+def test_a_class_stays_as_it_is_for_the_others(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    text = re.sub(r' (damping|frictionloss)="\S+"', "", files.mjcf.read_text())
+    default = '<default><joint damping="0.1" frictionloss="0.2"/></default>\n<worldbody>'
+    files.mjcf.write_text(text.replace("<worldbody>", default).replace("<freejoint/>", FREE))
+    assert sync(files).agree
+    replaced(files.urdf, 'damping="0.1"', 'damping="0.15"')
+    before = files.mjcf.read_text()
+    result = sync(files, "urdf")
+    assert agree(files)
+    assert edits(result) == [("joint hip0", "damping", None, "0.15")]
+    assert "stated in a default class (robot.xml:3)" in str(result.notes["joint hip0: damping"])
+    assert files.mjcf.read_text() == before.replace(
+        'armature="0.01"/>', 'armature="0.01" damping="0.15"/>', 1
+    )
+
+
+FREE = '<joint type="free" damping="0" frictionloss="0"/>'
+
+
+def test_includes_are_changed_in_place(tmp_path: Path) -> None:
+    files = pair(tmp_path, changed(ROBOT, "shank3", mass=0.5))
+    lines = files.mjcf.read_text().split("\n")
+    first = next(i for i, line in enumerate(lines) if 'name="thigh3"' in line)
+    last = max(i for i, line in enumerate(lines) if line == "</body>")  # of the base
+    part = ["<mujocoinclude>", "<!-- a leg -->", *lines[first:last], "</mujocoinclude>"]
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "leg.xml").write_text("\r\n".join(part))
+    files.mjcf.write_text(
+        "\n".join([*lines[:first], '<include file="parts/leg.xml"/>', *lines[last:]])
+    )
+    before = files.mjcf.read_bytes()
+    leg = (tmp_path / "parts" / "leg.xml").read_bytes()
+    result = sync(files, "urdf")
+    assert agree(files)
+    assert result.written == (str(tmp_path / "parts" / "leg.xml"),)
+    assert files.mjcf.read_bytes() == before
+    after = (tmp_path / "parts" / "leg.xml").read_bytes()
+    assert after == leg.replace(b'mass="0.5"', f'mass="{ROBOT["shank3"].mass!r}"'.encode())
+    assert len(list(tmp_path.rglob("*.xml"))) == 2
+
+
+def test_what_stays_in_a_file(tmp_path: Path) -> None:
+    """A byte order mark, a declaration, comments, white space, quotes, line ends, letters."""
+    files = pair(tmp_path)
+    text = files.urdf.read_text().replace("\n", "\r\n")
+    text = text.replace('<mass value="6.0"/>', "<mass\tvalue = '6.5' /><!-- Gewölbe: value='6' -->")
+    data = b"\xef\xbb\xbf" + f"<?xml version='1.0'?>\r\n<!-- <mass> -->{text}".encode()
+    files.urdf.write_bytes(data)
+    result = sync(files, "mjcf")
+    assert result.agree
+    assert files.urdf.read_bytes() == data.replace(b"value = '6.5'", b"value = '6'")
+
+
+def test_what_is_not_there_is_put_in(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    text = files.urdf.read_text()
+    inertial = text[text.index("<inertial>") : text.index("</inertial>") + len("</inertial>")]
+    origin = re.search(r"<origin xyz=\"0.2 -0.1[^>]*>\n", text) or re.search(
+        r"<origin xyz=\"0.2 [^>]*>\n", text
+    )
+    assert origin is not None
+    text = text.replace(f"{inertial}\n", "", 1).replace(origin[0], "", 1)
+    text = text.replace('<dynamics damping="0.1" friction="0.2"/>\n', "", 1)
+    files.urdf.write_text(text)
+    result = sync(files, "mjcf")
+    assert result.agree
+    assert agree(files)
+    assert {edit.old for edit in result.edits} == {None}
+    assert '<mass value="6"/>' in files.urdf.read_text()
+
+
+@pytest.mark.slow
+def test_limits_come_and_go(tmp_path: Path) -> None:
+    endless = changed(ROBOT, "thigh2", kind="continuous")
+    files = pair(tmp_path, urdf=endless)
+    assert sync(files, "mjcf").agree
+    assert agree(files)
+    assert files.urdf.read_text().count('type="continuous"') == 0
+    files = pair(tmp_path, urdf=endless)
+    result = sync(files, "urdf", take_absent=True)
+    assert edits(result) == [("joint hip2", "limited", None, "false")]
+    assert agree(files)
+    files = pair(tmp_path, endless)
+    result = sync(files, "mjcf", take_absent=True)
+    assert edits(result) == [("joint hip2", "type", "revolute", "continuous")]
+    assert agree(files)
+    files = pair(tmp_path, endless)
+    assert edits(sync(files, "urdf")) == [("joint hip2", "range", None, "-1.02 0.9")]
+    assert agree(files)
+
+
+def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) -> None:
+    """Efforts of 0 are none, and a <dynamics> or an attribute that is not there is no 0."""
+    heavy = changed(ROBOT, "base", mass=7.0)
+    stated = re.sub('effort="[^"]*"', 'effort="0"', urdf_text(heavy))
+    files = write(tmp_path, re.sub("<dynamics [^>]*/>", "", stated), mjcf_text(ROBOT))
+    result = sync(files, "urdf")
+    assert [(e, a) for e, a, *_ in edits(result)] == [("body base > inertial", "mass")]
+    assert {left.cause for left in result.left} == {Cause.NOT_STATED}
+    assert len([left for left in result.left if left.difference.endswith("effort")]) == 8
+    values = [left.reason.values for left in result.left]
+    assert {(told["lacking"], told["stating"]) for told in values} == {("URDF", "MJCF")}
+    assert not result.withheld
+    assert 'mass="7' in files.mjcf.read_text()
+    assert "limited" not in files.mjcf.read_text()
+    bare = re.sub(r' (damping|frictionloss)="[^"]*"', "", mjcf_text(ROBOT))
+    files = write(tmp_path, urdf_text(heavy), bare)
+    before = files.urdf.read_text()
+    result = sync(files, "mjcf")
+    assert edits(result) == [("link base > inertial > mass", "value", "7.0", "6")]
+    assert {left.cause for left in result.left} == {Cause.NOT_STATED}
+    values = [left.reason.values for left in result.left]
+    assert {(told["lacking"], told["stating"]) for told in values} == {("MJCF", "URDF")}
+    assert files.urdf.read_text().count("damping") == before.count("damping") > 0
+    assert sync(files, "mjcf", take_absent=True).agree
+    assert agree(files)
+
+
+def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
+    """One body that cannot be mended would leave a robot of two versions on the disk."""
+    parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
+    parts = changed(changed(parts, "shank0", mass=1.0), "thigh1", mass=2.0)
+    files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
+    before = files.urdf.read_bytes(), files.mjcf.read_bytes()
+    for dry in (True, False):
+        result = sync(files, "mjcf", dry_run=dry)
+        assert result.withheld
+        assert result.written == ()
+        assert [edit[0] for edit in edits(result)] == ["link thigh1 > inertial > mass"]
+        assert {left.cause for left in result.left} == {Cause.NOT_MENDED}
+        assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
+    for choice, options in (("mjcf", {"partial": True}), ("mjcf:body of hip1", {})):
+        files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
+        result = sync(files, choice, **options)
+        assert not result.withheld
+        assert result.written == (str(files.urdf),)
+
+
+# ------------------------------------------------------------------------------------- bodies
+
+
+def test_of_merged_links_the_one_that_needs_the_fewest_changes_is_changed(tmp_path: Path) -> None:
+    """A foot on a fixed joint weighs 0.1 kg in the URDF, 0.12 kg in the MJCF's one body."""
+    foot = ROBOT["shank0"]
+    parts = {**ROBOT, "pad": type(foot)("pad", "shank0", "to_pad", "fixed", (0, 0, -0.2), mass=0.1)}
+    heavy = changed(parts, "pad", mass=0.12)
+    files = write(tmp_path, urdf_text(parts), mjcf_text(heavy))
+    result = sync(files, "mjcf")
+    assert edits(result) == [("link pad > inertial > mass", "value", "0.1", "0.12")]
+    assert "of the 2 links of this body, link pad was changed" in str(
+        result.notes["body of knee0: mass"]
+    )
+    assert agree(files)
+    # Of the mass alone, the sum can be made right as well, by the shank.
+    files = write(tmp_path, urdf_text(parts), mjcf_text(heavy))
+    result = sync(files, "mjcf:mass")
+    assert not result.agree
+    assert {left.reason.code for left in result.left} == {"nothing-chosen"}
+    assert len(result.edits) >= 1
+
+
+def test_a_sum_that_no_body_can_have_is_left(tmp_path: Path) -> None:
+    """Pad and shank weigh 1 kg each in the URDF; in the MJCF, together less than either."""
+    parts = {**ROBOT, "pad": type(ROBOT["base"])("pad", "shank0", "to_pad", "fixed")}
+    parts = changed(parts, "shank0", mass=1.0)
+    files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
+    before = files.urdf.read_bytes()
+    result = sync(files, "mjcf")
+    assert {left.difference for left in result.left} == {
+        f"body of knee0: {kind}" for kind in ("mass", "com", "inertia")
+    }
+    (reason,) = {str(left.reason) for left in result.left}
+    assert "none of them can be changed so that the sum is right" in reason
+    assert not result.agree
+    assert result.edits == ()
+    assert files.urdf.read_bytes() == before
+
+
+def test_a_body_that_gets_its_mass_from_shapes_is_given_an_inertial(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    text = re.sub(
+        r"<inertial [^>]*/>", '<geom size="0.1" mass="6"/>', files.mjcf.read_text(), count=1
+    )
+    files.mjcf.write_text(text)
+    result = sync(files, "urdf")
+    assert agree(files)
+    assert "its mass comes from its shapes" in str(result.notes["body of base: inertia"])
+    files.mjcf.write_text(text.replace("<compiler", '<compiler inertiafromgeom="true"'))
+    result = sync(files, "urdf:base")
+    assert result.edits == ()
+    assert not result.agree
+
+
+# ------------------------------------------------------------------------------------- left
+
+
+def test_what_a_urdf_cannot_state_is_left_and_said(tmp_path: Path) -> None:
+    sprung = mjcf_text(changed(ROBOT, "base", mass=7.0)).replace(
+        '<joint name="knee1"', '<joint name="knee1" stiffness="3"'
+    )
+    sprung = sprung.replace('<joint name="hip1"', '<joint name="hip1" springref="0.1"')
+    files = write(tmp_path, urdf_text(ROBOT), sprung)
+    for side, said in (
+        ("mjcf", "a URDF has no words for it"),
+        ("urdf", "the MJCF alone has it: take it out of that by hand"),
+    ):
+        result = sync(files, side, dry_run=True)
+        assert [(one.difference, str(one.reason)) for one in result.left] == [
+            ("joint knee1: spring", said)
+        ]
+        assert [edit.attribute for edit in result.edits] == ["value" if side == "mjcf" else "mass"]
+        assert not result.agree
+
+
+def test_a_joint_of_one_file_is_left(tmp_path: Path) -> None:
+    fixed = changed(ROBOT, "shank2", kind="fixed")
+    files = pair(tmp_path, urdf=fixed)
+    result = sync(files, "urdf")
+    assert ("joint knee2", "the MJCF alone has it, not the URDF") in [
+        (left.difference, str(left.reason)) for left in result.left
+    ]
+    assert not result.agree
+
+
+# ------------------------------------------------------------------------------------- writing
+
+
+def test_a_dry_run_shows_what_a_run_does(tmp_path: Path) -> None:
+    files = pair(tmp_path, DIFFERENT)
+    before = files.mjcf.read_text()
+    result = sync(files, "urdf", dry_run=True)
+    assert result.agree
+    assert result.written == ()
+    assert files.mjcf.read_text() == before
+    (tmp_path / "the.patch").write_text(result.diff)
+    patch = ["patch", "--quiet", str(files.mjcf), "the.patch"]
+    try:
+        subprocess.run(patch, cwd=tmp_path, check=True)
+    except FileNotFoundError:
+        pytest.skip("patch is not installed")
+    patched = files.mjcf.read_text()
+    files.mjcf.write_text(before)
+    sync(files, "urdf")
+    assert files.mjcf.read_text() == patched
+
+
+def test_backups_modes_and_links_are_kept(tmp_path: Path) -> None:
+    files = pair(tmp_path, DIFFERENT)
+    before = files.mjcf.read_bytes()
+    files.mjcf.chmod(0o640)
+    (tmp_path / "link.xml").symlink_to(files.mjcf.name)
+    linked = Files(files.urdf, tmp_path / "link.xml")
+    (tmp_path / "robot.xml.bak").write_text("mine")
+    result = sync(linked, "urdf", backup=True)
+    assert result.backups == (str(tmp_path / "robot.xml.bak2"),)
+    assert (tmp_path / "robot.xml.bak2").read_bytes() == before
+    assert (tmp_path / "robot.xml.bak").read_text() == "mine"
+    assert linked.mjcf.is_symlink()
+    assert files.mjcf.stat().st_mode & 0o777 == 0o640
+    assert agree(files)
+
+
+def git(folder: Path, *arguments: str) -> None:
+    named = ["-c", "user.name=n", "-c", "user.email=e@example.org", "-c", "commit.gpgsign=false"]
+    subprocess.run(["git", *named, *arguments], cwd=folder, check=True, capture_output=True)
+
+
+@pytest.mark.slow
+def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> None:
+    files = pair(tmp_path)
+    try:
+        git(tmp_path, "init")
+    except FileNotFoundError:
+        pytest.skip("git is not installed")
+    replaced(files.mjcf, 'mass="6.0"', 'mass="7.0"')
+    assert sync(files, "urdf").agree  # not under version control
+    git(tmp_path, "add", "robot.urdf", "robot.xml")
+    git(tmp_path, "commit", "-m", "robot")
+    replaced(files.mjcf, 'mass="6"', 'mass="7"')
+    before = files.mjcf.read_bytes()
+    with pytest.raises(pa.OutputError, match="changes that are not committed; commit them, or add"):
+        sync(files, "urdf")
+    assert files.mjcf.read_bytes() == before
+    assert sync(files, "urdf", dry_run=True).agree
+    assert sync(files, "mjcf", dry_run=True).agree
+    assert sync(files, "mjcf").agree  # the URDF has no changes
+    git(tmp_path, "checkout", "robot.urdf")
+    assert sync(files, "urdf", force=True).agree
+    assert agree(files)
+
+
+LOOP = """
+import sys
+from pathlib import Path
+from pupper_analysis.together import Writing, write_together
+path, one, two = Path(sys.argv[1]), b"1" * 4_000_000, b"2" * 4_000_001
+print("begun", flush=True)
+while True:
+    write_together([Writing(path, two, before=one)])
+    write_together([Writing(path, one, before=two)])
+"""
+
+
+@pytest.mark.slow
+def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> None:
+    file = tmp_path / "robot.xml"
+    contents = {b"1" * 4_000_000, b"2" * 4_000_001}
+    choose = random.Random(0)
+    for _ in range(6):
+        file.write_bytes(b"1" * 4_000_000)
+        process = subprocess.Popen(
+            [sys.executable, "-c", LOOP, str(file)], stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout is not None
+        assert process.stdout.readline() == "begun\n"
+        time.sleep(choose.uniform(0.0, 0.1))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        assert file.read_bytes() in contents
+
+
+# ------------------------------------------------------------------------------------- its parts
+
+
+def test_digits_are_those_of_the_other_file() -> None:
+    digits = Digits(["0.1234567890123 -2.5e-3"])
+    assert digits.word(0.12345678901230004, 1.0) == "0.1234567890123"
+    assert digits.word(-0.1234567890123, 1.0) == "-0.1234567890123"
+    assert digits.word(0.0025, 1.0) == "0.0025"
+    assert digits.word(0.30000000000000004, 1.0) == "0.3"
+    assert float(digits.word(1 / 3, 1.0)) == pytest.approx(1 / 3, abs=1e-15)
+    assert digits.word(1e-17, 1.0) == "0"
+    assert digits.word(3.0, 1.0) == "3"
+    assert digits.words(["1.50", "0"], np.array([1.5, 2.0])) == "1.50 2"
+    assert digits.words(["1.50", "2"], np.array([1.5, 2.0])) is None
+
+
+def test_bytes_of_a_tag(tmp_path: Path) -> None:
+    file = tmp_path / "a.xml"
+    data = b"<a>\n\t<b x='1>2' y=\"3\"\n\t   z = '4'/>\n\t<c/><d></d><e>text</e>\n</a>\n"
+    file.write_bytes(data)
+    document = read_document(file)
+    assert document.rendered() == data
+    b, c, d, e = document.root.children
+    b.set("z", "5")
+    b.set("new", "<&'\">")
+    c.ensure("in").set("x", "1")
+    d.ensure("in").set("x", "2")
+    e.ensure("in")  # nothing is said of it: it is not written
+    document.root.ensure("first").ensure("second").set("x", "3")
+    assert document.rendered() == (
+        b'<a>\n\t<first>\n\t  <second x="3"/>\n\t</first>\n'
+        b"\t<b x='1>2' y=\"3\"\n\t   z = '5' new='&lt;&amp;&apos;&quot;&gt;'/>\n"
+        b'\t<c><in x="1"/></c><d><in x="2"/></d><e>text</e>\n</a>\n'
+    )
