@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity, audit_model
-from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.checks.audit.registry import CHECKS, rules_table
 from pupper_analysis.checks.audit.rules.joints import expected_axis
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Source
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.robot_model.urdf import read_urdf_model
 from tests.support.repository import ROOT
 
 OWN = {
@@ -968,7 +968,7 @@ def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> N
         '<mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0.002" '
         'iyz="-0.003"/></inertial></link></robot>'
     )
-    inertial = urdf_view(read_urdf(path)).bodies["base"].inertial
+    inertial = read_urdf_model(read_urdf(path)).bodies["base"].inertial
     assert inertial is not None
     theirs = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
     np.testing.assert_allclose(inertial.inertia, theirs.inertia, atol=1e-15)

@@ -25,6 +25,7 @@ ROOMS = (
         "drivers",
     ),  # serve all
     ("models",),
+    ("robot_model",),
     ("robot",),
     ("matching",),
     ("statics",),

@@ -11,8 +11,6 @@ import numpy as np
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
-from pupper_analysis.checks.audit.from_mjcf import mjcf_view
-from pupper_analysis.checks.audit.from_urdf import urdf_view
 from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
 from pupper_analysis.checks.audit.result import Audit, Finding
 from pupper_analysis.diagnostics import Severity, Source, Subject, diagnose
@@ -22,6 +20,8 @@ from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.robot_model.mjcf import read_mjcf_model
+from pupper_analysis.robot_model.urdf import read_urdf_model
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
@@ -58,13 +58,13 @@ def audit_model(
 
 
 def _audited(path: str, file: UrdfFile | MjcfFile, unwanted: tuple[str, ...]) -> Audit:
-    view = urdf_view(file) if isinstance(file, UrdfFile) else mjcf_view(file)
+    robot = read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
     findings, run = [], []
     for rule in RULES.values():
-        if view.format not in rule.formats or rule.id in unwanted:
+        if robot.format not in rule.formats or rule.id in unwanted:
             continue
         run.append(rule.id)
-        findings += [_finding(file, rule, found) for found in CHECKS[rule.id](view)]
+        findings += [_finding(file, rule, found) for found in CHECKS[rule.id](robot)]
     findings.sort(key=lambda finding: (finding.severity.rank, finding.file, finding.line or 0))
     counts = {
         str(severity): sum(finding.severity == severity for finding in findings)
@@ -72,13 +72,13 @@ def _audited(path: str, file: UrdfFile | MjcfFile, unwanted: tuple[str, ...]) ->
     }
     return Audit(
         file=path,
-        format=view.format,
+        format=robot.format,
         passed=counts[Severity.ERROR] == 0,
         counts=counts,
         findings=tuple(findings),
         rules_run=tuple(run),
         disabled=unwanted,
-        notes=view.notes,
+        notes=robot.notes,
     )
 
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pupper_analysis.checks.audit.pose import Array
-from pupper_analysis.checks.audit.view import View
+from pupper_analysis.robot_model.model import RobotModel
+from pupper_analysis.robot_model.pose import Array
 
 _SIDES = (
     *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")),
@@ -76,17 +76,17 @@ class Mirror:
         return image
 
 
-def mirror_plane(view: View, tolerance: float = 1e-3) -> Mirror | None:
+def mirror_plane(robot: RobotModel, tolerance: float = 1e-3) -> Mirror | None:
     """Finds the plane in which most pairs of bodies are mirror images of each other at zero angles.
 
     Returns:
         The plane; None if a third of the pairs, or more, is not explained by any.
     """
-    pairs = mirror_pairs(view.bodies)
+    pairs = mirror_pairs(robot.links)
     if not pairs:
         return None
-    left = np.array([view.bodies[name].pose.position for name, _ in pairs])
-    right = np.array([view.bodies[name].pose.position for _, name in pairs])
+    left = np.array([robot.links[name].pose.position for name, _ in pairs])
+    right = np.array([robot.links[name].pose.position for _, name in pairs])
     best, most = None, 0
     for axis in (1, 0, 2):
         for offset in (0.0, float(np.median(left[:, axis] + right[:, axis])) / 2):

@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import Diagnostic, Severity
 from pupper_analysis.models.places import Place
 
 Check = Callable[[Any], Iterator["Found"]]
-"""Takes a ``View`` (or a ``UrdfView`` or ``MjcfView``, if the rule is for that format alone)."""
+"""Takes a ``RobotModel`` (a ``UrdfModel`` or ``MjcfModel``, if it is for that format alone)."""
 
 BOTH = ("urdf", "mjcf")
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.from_mjcf import joint_name
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import MjcfView
 from pupper_analysis.diagnostics import Quantity, Severity, Term, diagnose
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.robot_model.mjcf import joint_name
+from pupper_analysis.robot_model.model import MjcfModel
 
 
 @dataclass(frozen=True)
@@ -77,25 +77,25 @@ def drives(model: mujoco.MjModel) -> Iterator[Drive]:
         )
 
 
-def _drives(view: MjcfView) -> Iterator[tuple[mujoco.MjModel, Drive]]:
-    if view.model is not None:
-        for drive in drives(view.model):
-            yield view.model, drive
+def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Drive]]:
+    if robot.mj_model is not None:
+        for drive in drives(robot.mj_model):
+            yield robot.mj_model, drive
 
 
 @rule
-def actuator_without_effect(view: MjcfView) -> Iterator[Found]:
+def actuator_without_effect(robot: MjcfModel) -> Iterator[Found]:
     """Finds gains and gears of 0."""
-    for _, drive in _drives(view):
+    for _, drive in _drives(robot):
         if drive.kp == 0 or drive.gear == 0:
             told = diagnose("actuator-without-effect", gain=drive.kp, gear=drive.gear)
             yield Found("actuator", drive.name, told)
 
 
 @rule
-def servo_drives_away(view: MjcfView) -> Iterator[Found]:
+def servo_drives_away(robot: MjcfModel) -> Iterator[Found]:
     """Finds forces that grow with the joint's own motion: -dF/dq < 0, or -dF/dqdot < 0."""
-    for _, drive in _drives(view):
+    for _, drive in _drives(robot):
         if drive.stiffness < 0:
             stiffness = Quantity(drive.stiffness, "N m/rad")
             told = diagnose("servo-drives-away", stiffness=stiffness)
@@ -106,10 +106,10 @@ def servo_drives_away(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def servos_compete(view: MjcfView) -> Iterator[Found]:
+def servos_compete(robot: MjcfModel) -> Iterator[Found]:
     """Finds joints with two position servos or more."""
     holding: dict[str, list[Drive]] = {}
-    for _, drive in _drives(view):
+    for _, drive in _drives(robot):
         if drive.stiffness > 0:
             holding.setdefault(drive.joint_name, []).append(drive)
     for joint, several in holding.items():
@@ -124,9 +124,9 @@ SLOWEST = 1.0
 
 
 @rule
-def actuator_slow(view: MjcfView) -> Iterator[Found]:
+def actuator_slow(robot: MjcfModel) -> Iterator[Found]:
     """Finds filters with a time constant of more than 1 s."""
-    for model, drive in _drives(view):
+    for model, drive in _drives(robot):
         filtered = model.actuator_dyntype[drive.id] in (
             mujoco.mjtDyn.mjDYN_FILTER.value,
             mujoco.mjtDyn.mjDYN_FILTEREXACT.value,
@@ -138,9 +138,9 @@ def actuator_slow(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def forcerange_without_zero(view: MjcfView) -> Iterator[Found]:
+def forcerange_without_zero(robot: MjcfModel) -> Iterator[Found]:
     """Finds forceranges that do not hold 0."""
-    for model, drive in _drives(view):
+    for model, drive in _drives(robot):
         low, high = model.actuator_forcerange[drive.id]
         if model.actuator_forcelimited[drive.id] and not low <= 0 <= high:
             told = diagnose("forcerange-without-zero", low=low, high=high)
@@ -148,9 +148,9 @@ def forcerange_without_zero(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
+def servo_gains_contradict(robot: MjcfModel) -> Iterator[Found]:
     """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""
-    for _, drive in _drives(view):
+    for _, drive in _drives(robot):
         differ = drive.servo and not math.isclose(drive.kp, drive.stiffness, rel_tol=1e-6)
         if differ and drive.kp != 0:
             told = diagnose(
@@ -163,9 +163,9 @@ def servo_gains_contradict(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
+def actuator_unlimited(robot: MjcfModel) -> Iterator[Found]:
     """Finds drives without forcerange, actuatorfrcrange and, for motors, ctrlrange."""
-    for model, drive in _drives(view):
+    for model, drive in _drives(robot):
         limited = model.actuator_forcelimited[drive.id] or model.jnt_actfrclimited[drive.joint]
         by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
@@ -175,9 +175,9 @@ def actuator_unlimited(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
+def forcerange_above_joint(robot: MjcfModel) -> Iterator[Found]:
     """Compares forcerange times gear with actuatorfrcrange, with 1 % of tolerance."""
-    for model, drive in _drives(view):
+    for model, drive in _drives(robot):
         if not (model.actuator_forcelimited[drive.id] and model.jnt_actfrclimited[drive.joint]):
             continue
         force = float(np.abs(model.actuator_forcerange[drive.id]).max()) * abs(drive.gear)
@@ -193,9 +193,9 @@ def forcerange_above_joint(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def ctrlrange_differs(view: MjcfView) -> Iterator[Found]:
+def ctrlrange_differs(robot: MjcfModel) -> Iterator[Found]:
     """Compares the ranges; NOTE where the ctrlrange is wider, or narrower by less than 10 %."""
-    for model, drive in _drives(view):
+    for model, drive in _drives(robot):
         limited = model.actuator_ctrllimited[drive.control] and model.jnt_limited[drive.joint]
         if not drive.servo or not limited or drive.gear == 0:
             continue

@@ -6,36 +6,36 @@ import math
 from collections.abc import Iterator, Sequence
 
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import Shape, UrdfView
 from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.robot_model.model import Shape, UrdfModel
 
 WATER = 1000.0
 """The density that PhysX gives a shape of which none is known (kg/m^3)."""
 
 
 @rule
-def link_without_inertial(view: UrdfView) -> Iterator[Found]:
+def link_without_inertial(robot: UrdfModel) -> Iterator[Found]:
     """Finds links without <inertial>, but for ``world``, which PyBullet leaves without mass."""
     links = [
-        body for body in view.bodies.values() if body.inertial is None and body.name != "world"
+        body for body in robot.links.values() if body.inertial is None and body.name != "world"
     ]
     if not links:
         return
     told = diagnose(
         "link-without-inertial",
         others=[link.name for link in links[1:]],
-        weighs=Quantity(view.total_mass + len(links), "kg"),
-        mass=Quantity(view.total_mass, "kg"),
+        weighs=Quantity(robot.total_mass + len(links), "kg"),
+        mass=Quantity(robot.total_mass, "kg"),
     )
     yield Found("link", links[0].name, told)
 
 
 @rule
-def massless_link_collides(view: UrdfView) -> Iterator[Found]:
+def massless_link_collides(robot: UrdfModel) -> Iterator[Found]:
     """Finds links without mass, stated or not, that have shapes for contacts."""
     links = {
         body: [shape for shape in body.shapes if shape.collides]
-        for body in view.bodies.values()
+        for body in robot.links.values()
         if body.mass == 0
     }
     links = {body: shapes for body, shapes in links.items() if shapes}
@@ -48,7 +48,7 @@ def massless_link_collides(view: UrdfView) -> Iterator[Found]:
         "massless-link-collides",
         others=others,
         water=Quantity(sum(known), "kg") if len(known) == len(masses) else None,
-        mass=Quantity(view.total_mass, "kg"),
+        mass=Quantity(robot.total_mass, "kg"),
     )
     yield Found("link", first, told, "collision")
 

@@ -7,54 +7,54 @@ from pathlib import Path
 
 from lxml import etree
 
-from pupper_analysis.checks.audit.geometry import mesh_problem
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import FIXED, MjcfView, UrdfView, View
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing, is_pointer
 from pupper_analysis.models.places import Place
+from pupper_analysis.robot_model.geometry import mesh_problem
+from pupper_analysis.robot_model.model import FIXED, MjcfModel, RobotModel, UrdfModel
 
 
 @rule
-def mujoco_refuses(view: MjcfView) -> Iterator[Found]:
+def mujoco_refuses(robot: MjcfModel) -> Iterator[Found]:
     """Compiles the file."""
-    if view.refusal is not None:
-        problem, place = view.refusal
+    if robot.refusal is not None:
+        problem, place = robot.refusal
         yield Found("mujoco", "", diagnose("mujoco-refuses", problem=problem), place=place)
 
 
 @rule
-def mesh_missing(view: UrdfView | MjcfView) -> Iterator[Found]:
+def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
     """Looks for each file once."""
     seen: set[str] = set()
-    if isinstance(view, MjcfView):
-        yield from _missing_in_mjcf(view.file)
+    if isinstance(robot, MjcfModel):
+        yield from _missing_in_mjcf(robot.file)
         return
-    for owner, link in view.file.tree.links.items():
+    for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
             name = mesh.get("filename", "")
-            if name not in seen and view.file.resolve_mesh(name) is None:
-                place = Place(view.file.path, mesh.sourceline)
-                told = _what_is_missing(name, [view.file.path.parent / name])
+            if name not in seen and robot.file.resolve_mesh(name) is None:
+                place = Place(robot.file.path, mesh.sourceline)
+                told = _what_is_missing(name, [robot.file.path.parent / name])
                 yield Found("link", owner, told, place=place)
             seen.add(name)
 
 
 @rule
-def mesh_unreadable(view: UrdfView) -> Iterator[Found]:
+def mesh_unreadable(robot: UrdfModel) -> Iterator[Found]:
     """Opens each STL and OBJ once; see ``mesh_problem``."""
     seen: set[Path] = set()
-    for owner, link in view.file.tree.links.items():
+    for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
             name = mesh.get("filename", "")
-            path = view.file.resolve_mesh(name)
+            path = robot.file.resolve_mesh(name)
             if path is None or path in seen:
                 continue
             seen.add(path)
             problem = mesh_problem(path)
             if problem is not None:
-                place = Place(view.file.path, mesh.sourceline)
+                place = Place(robot.file.path, mesh.sourceline)
                 told = diagnose("mesh-unreadable", mesh=name, problem=problem)
                 yield Found("link", owner, told, place=place)
 
@@ -83,9 +83,9 @@ def first_place(file: MjcfFile, tag: str, attribute: str) -> Place | None:
 
 
 @rule
-def material_undefined(view: UrdfView) -> Iterator[Found]:
+def material_undefined(robot: UrdfModel) -> Iterator[Found]:
     """Finds names without a <material> that has a colour or texture; each name once."""
-    materials = list(view.file.root.iter("material"))
+    materials = list(robot.file.root.iter("material"))
     defined = {
         m.get("name")
         for m in materials
@@ -97,7 +97,7 @@ def material_undefined(view: UrdfView) -> Iterator[Found]:
         if not name or name in defined or name in missing or _of_gazebo(material):
             continue
         missing.add(name)
-        place = Place(view.file.path, material.sourceline)
+        place = Place(robot.file.path, material.sourceline)
         yield Found("material", name, diagnose("material-undefined"), place=place)
 
 
@@ -106,19 +106,19 @@ def _of_gazebo(element: etree._Element) -> bool:
 
 
 @rule
-def joint_named_like_link(view: View) -> Iterator[Found]:
+def joint_named_like_link(robot: RobotModel) -> Iterator[Found]:
     """Finds the names in common; once per file."""
-    both = [j.name for j in view.joints.values() if j.name in view.bodies]
+    both = [j.name for j in robot.joints.values() if j.name in robot.links]
     both += [
         str(j.name)
-        for body in view.bodies.values()
+        for body in robot.links.values()
         for j in body.joints
-        if j.kind == FIXED and j.name in view.bodies and j.name not in both
+        if j.kind == FIXED and j.name in robot.links and j.name not in both
     ]
     if both:
         told = diagnose(
             "joint-named-like-link",
-            kind=Term(view.body_tag),
+            kind=Term(robot.link_tag),
             joint=both[0],
             others=len(both) - 1,
         )

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.geometry import extent_points, link_points
-from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import Body, Inertial, View
 from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.robot_model.geometry import extent_points, link_points
+from pupper_analysis.robot_model.model import Inertial, Link, RobotModel
+from pupper_analysis.robot_model.pose import Array
 
 FACTOR = 100.0
 """How far an inertia may be from that of a solid box: units slip by 1000 or more."""
@@ -23,37 +23,37 @@ REACH = 0.05
 """How far a link without shapes is taken to reach, at least (m)."""
 
 
-def _stated(view: View) -> Iterator[tuple[Body, Inertial]]:
-    for body in view.bodies.values():
+def _stated(robot: RobotModel) -> Iterator[tuple[Link, Inertial]]:
+    for body in robot.links.values():
         if body.inertial is not None and body.inertial.stated and body.inertial.mass > 0:
             yield body, body.inertial
 
 
 @rule
-def inertia_not_positive_definite(view: View) -> Iterator[Found]:
+def inertia_not_positive_definite(robot: RobotModel) -> Iterator[Found]:
     """Finds negative moments; and moments of zero on moving bodies to which nothing is fixed."""
-    for body, inertial in _stated(view):
+    for body, inertial in _stated(robot):
         least, _, greatest = inertial.moments
         scale = max(abs(least), greatest)
         zero = max(1e-9 * scale, TINY * inertial.mass)
-        alone = body.moving and len(view.fixed_group(body.name)) == 1
+        alone = body.moving and len(robot.fixed_group(body.name)) == 1
         if least < -max(zero, inertial.rounding) or (alone and least <= zero):
             told = diagnose(
                 "inertia-not-positive-definite",
                 least=Quantity(least, "kg m^2"),
                 greatest=Quantity(greatest, "kg m^2"),
             )
-            yield Found(view.body_tag, body.name, told, view.inertial_part("inertia"))
+            yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
 
 
 @rule
-def triangle_inequality(view: View) -> Iterator[Found]:
+def triangle_inequality(robot: RobotModel) -> Iterator[Found]:
     """Compares the greatest moment with the sum of the others.
 
     The tolerance is that of values rounded in their last digit, 1e-5 of the greatest moment at
-    least and 1 % at most. Source: R. Featherstone, "Rigid Body Dynamics Algorithms", 2008, ch. 2.
+    least and 1 % at most. Source: R. Featherstone, "Rigid Link Dynamics Algorithms", 2008, ch. 2.
     """
-    for body, inertial in _stated(view):
+    for body, inertial in _stated(robot):
         least, middle, greatest = inertial.moments
         tolerance = min(max(1e-5 * greatest, 3 * inertial.rounding), 0.01 * greatest)
         excess = greatest - least - middle
@@ -69,11 +69,11 @@ def triangle_inequality(view: View) -> Iterator[Found]:
                 share=Quantity(excess / greatest, "1"),
                 equal=bool(np.allclose(inertial.inertia, inertial.inertia[0, 0], rtol=1e-6)),
             )
-            yield Found(view.body_tag, body.name, told, view.inertial_part("inertia"))
+            yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
 
 
 @rule
-def inertia_implausible(view: View) -> Iterator[Found]:
+def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
     """Compares the greatest moment with what a body of this mass and size can have.
 
     An inertia is at most m R^2, with R the distance of the furthest point from the com; twice that
@@ -81,14 +81,14 @@ def inertia_implausible(view: View) -> Iterator[Found]:
     frame, and 100 times that is allowed. At the lower end, it is compared with that of a solid box
     of the body's mass around its own shapes, m (a^2 + b^2) / 12.
     """
-    for body, inertial in _stated(view):
+    for body, inertial in _stated(robot):
         greatest = float(inertial.moments[-1])
-        if greatest <= 0 or view.is_negligible(body):
+        if greatest <= 0 or robot.is_negligible(body):
             continue
-        points = extent_points(view.fixed_group(body.name), body)
+        points = extent_points(robot.fixed_group(body.name), body)
         shaped = points is not None
         if points is None:
-            points = link_points(view, body)
+            points = link_points(robot, body)
         reach = float(np.linalg.norm(points - inertial.com, axis=1).max())
         if not shaped:
             reach = max(reach, REACH)
@@ -112,7 +112,7 @@ def inertia_implausible(view: View) -> Iterator[Found]:
             )
         else:
             continue
-        yield Found(view.body_tag, body.name, told, view.inertial_part("inertia"))
+        yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
 
 
 def _solid_box(points: Array, mass: float) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 
 from pupper_analysis.checks.audit.pairs import mirror_plane
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import HINGE, View
 from pupper_analysis.diagnostics import Quantity, Term, Vector, diagnose
+from pupper_analysis.robot_model.model import HINGE, RobotModel
 
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 
@@ -41,13 +41,13 @@ def expected_axis(name: str, all_names: set[str]) -> int | None:
 
 
 @rule
-def axis_contradicts_name(view: View) -> Iterator[Found]:
+def axis_contradicts_name(robot: RobotModel) -> Iterator[Found]:
     """Compares axes at zero angles with names; an axis may be up to 60 degrees inclined."""
-    mirror = mirror_plane(view)
+    mirror = mirror_plane(robot)
     if mirror is not None and mirror.axis != 1:
         return  # the base's y is not sideways: roll and pitch are about other axes
-    names = set(view.joints)
-    for joint in view.joints.values():
+    names = set(robot.joints)
+    for joint in robot.joints.values():
         axis = expected_axis(joint.name, names)
         if axis is None or joint.kind != HINGE or not joint.axis.any():
             continue
@@ -63,17 +63,17 @@ def axis_contradicts_name(view: View) -> Iterator[Found]:
 
 
 @rule
-def axis_zero(view: View) -> Iterator[Found]:
+def axis_zero(robot: RobotModel) -> Iterator[Found]:
     """Finds axes shorter than 1e-9."""
-    for joint in view.joints.values():
+    for joint in robot.joints.values():
         if joint.moves and float(np.linalg.norm(joint.raw_axis)) < 1e-9:
             yield Found("joint", joint.name, diagnose("axis-zero"), "axis")
 
 
 @rule
-def axis_not_unit(view: View) -> Iterator[Found]:
+def axis_not_unit(robot: RobotModel) -> Iterator[Found]:
     """Finds axes whose length differs from 1 by more than 1e-3."""
-    for joint in view.joints.values():
+    for joint in robot.joints.values():
         length = float(np.linalg.norm(joint.raw_axis))
         if joint.moves and length > 1e-9 and abs(length - 1.0) > 1e-3:
             axis = Vector(tuple(joint.raw_axis), "1")

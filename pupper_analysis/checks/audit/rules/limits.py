@@ -8,31 +8,31 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.from_mjcf import line_of
-from pupper_analysis.checks.audit.from_urdf import number
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import HINGE, MjcfView, UrdfView, View
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.robot_model.mjcf import line_of
+from pupper_analysis.robot_model.model import HINGE, MjcfModel, RobotModel, UrdfModel
+from pupper_analysis.robot_model.urdf import number
 
 
 @rule
-def range_empty(view: View) -> Iterator[Found]:
+def range_empty(robot: RobotModel) -> Iterator[Found]:
     """Finds lower >= upper, also where both are left out of a URDF, where they count as 0.
 
     Of an MJCF's ranges that nothing says to be off, also those of actuators: MuJoCo takes an
     inverted one for none, without a word.
     """
-    for joint in view.joints.values():
+    for joint in robot.joints.values():
         if joint.moves and joint.lower >= joint.upper:
             lower, upper = Quantity(joint.lower, joint.unit), Quantity(joint.upper, joint.unit)
             told = diagnose("range-empty", lower=lower, upper=upper)
             yield Found("joint", joint.name, told, "limit")
-    if isinstance(view, MjcfView) and view.refusal is None:
-        yield from _inverted(view)
+    if isinstance(robot, MjcfModel) and robot.refusal is None:
+        yield from _inverted(robot)
 
 
-def _inverted(view: MjcfView) -> Iterator[Found]:
-    spec, auto = view.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
+def _inverted(robot: MjcfModel) -> Iterator[Found]:
+    spec, auto = robot.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
     kinds = (
         ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),
         (
@@ -47,21 +47,21 @@ def _inverted(view: MjcfView) -> Iterator[Found]:
             for name, switch in pairs:
                 low, high = np.array(getattr(element, name)).reshape(-1)[:2]
                 if getattr(element, switch) == auto and low > high:
-                    around = element.parent.name if tag == "joint" else view.base
-                    place = None if element.name else line_of(view.file, element, around)
+                    around = element.parent.name if tag == "joint" else robot.base
+                    place = None if element.name else line_of(robot.file, element, around)
                     told = diagnose("range-inverted", attribute=name, low=low, high=high)
                     yield Found(tag, element.name, told, place=place)
 
 
 @rule
-def limit_missing(view: View) -> Iterator[Found]:
+def limit_missing(robot: RobotModel) -> Iterator[Found]:
     """Finds hinges and slides without a range, but for wheels.
 
     In a URDF, these are those of type continuous: others without <limit> are refused on reading.
     """
-    for joint in view.joints.values():
+    for joint in robot.joints.values():
         if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
-            ignored = _limits_without_effect(view, joint.name)
+            ignored = _limits_without_effect(robot, joint.name)
             if ignored is not None:
                 yield Found("joint", joint.name, ignored, "limit")
                 continue
@@ -69,11 +69,11 @@ def limit_missing(view: View) -> Iterator[Found]:
             yield Found("joint", joint.name, told)
 
 
-def _limits_without_effect(view: View, name: str) -> Diagnostic | None:
+def _limits_without_effect(robot: RobotModel, name: str) -> Diagnostic | None:
     """Says so if a joint of type continuous states limits all the same."""
-    if not isinstance(view, UrdfView):
+    if not isinstance(robot, UrdfModel):
         return None
-    limit = view.file.root.find(f"joint[@name='{name}']/limit") if "'" not in name else None
+    limit = robot.file.root.find(f"joint[@name='{name}']/limit") if "'" not in name else None
     if limit is None or limit.get("lower") is None or limit.get("upper") is None:
         return None
     lower, upper = number(limit, "lower", 0.0), number(limit, "upper", 0.0)
@@ -85,13 +85,13 @@ def _limits_without_effect(view: View, name: str) -> Diagnostic | None:
 
 
 @rule
-def limits_in_wrong_unit(view: View) -> Iterator[Found]:
+def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
     """Finds integer limits of 12 to 360 rad, and an MJCF in degrees with none above 2 pi.
 
     Limits of 10 rad are a habit of those who want none.
     """
     hinges = [
-        j for j in view.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
+        j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
     ]
     for joint in hinges:
         limits = (joint.lower, joint.upper)
@@ -100,7 +100,7 @@ def limits_in_wrong_unit(view: View) -> Iterator[Found]:
             lower, upper = (Quantity(value, "rad") for value in limits)
             told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
             yield Found("joint", joint.name, told, "limit")
-    if not isinstance(view, MjcfView) or not view.file.spec.compiler.degree or len(hinges) < 3:
+    if not isinstance(robot, MjcfModel) or not robot.file.spec.compiler.degree or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
     low, high = np.rad2deg((widest.lower, widest.upper))
@@ -115,9 +115,9 @@ def limits_in_wrong_unit(view: View) -> Iterator[Found]:
 
 
 @rule
-def effort_or_velocity_zero(view: UrdfView) -> Iterator[Found]:
+def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
     """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
-    for joint in view.file.tree.joints.values():
+    for joint in robot.file.tree.joints.values():
         limit = joint.element.find("limit")
         if limit is None or joint.is_fixed or joint.mimic is not None:
             continue

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.from_mjcf import line_of
-from pupper_analysis.checks.audit.geometry import extent_points, link_points, outside_hull
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import FREE, MjcfView, View
 from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
 from pupper_analysis.models.places import Place
+from pupper_analysis.robot_model.geometry import extent_points, link_points, outside_hull
+from pupper_analysis.robot_model.mjcf import line_of
+from pupper_analysis.robot_model.model import FREE, MjcfModel, RobotModel
 
 LIGHT, HEAVY = 0.05, 500.0
 """Total masses between which a legged robot is expected (kg)."""
@@ -28,9 +28,9 @@ DEFAULT_DENSITY = 1000.0
 
 
 @rule
-def mass_not_positive(view: View) -> Iterator[Found]:
+def mass_not_positive(robot: RobotModel) -> Iterator[Found]:
     """Finds masses <= 0; not where nothing is claimed, with an inertia of zero too."""
-    for body in view.bodies.values():
+    for body in robot.links.values():
         inertial = body.inertial
         if inertial is None or not inertial.stated or inertial.mass > 0:
             continue
@@ -42,33 +42,33 @@ def mass_not_positive(view: View) -> Iterator[Found]:
             mass=Quantity(inertial.mass, "kg"),
             largest=Quantity(largest, "kg m^2"),
         )
-        yield Found(view.body_tag, body.name, told, view.inertial_part("mass"))
+        yield Found(robot.link_tag, body.name, told, robot.inertial_part("mass"))
 
 
 @rule
-def moving_body_without_mass(view: View) -> Iterator[Found]:
+def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
     """Finds moving bodies without mass, fixed ones counted in; WARNING if others hang on them."""
-    for body in view.bodies.values():
-        if not body.moving or any(part.mass != 0 for part in view.fixed_group(body.name)):
+    for body in robot.links.values():
+        if not body.moving or any(part.mass != 0 for part in robot.fixed_group(body.name)):
             continue
-        carries = any(other.mass > 0 for other in view.descendants(body.name))
+        carries = any(other.mass > 0 for other in robot.descendants(body.name))
         joint = body.joints[0].name
         told = diagnose("moving-body-without-mass", joint=joint, carries=carries)
-        yield Found(view.body_tag, body.name, told, severity=Severity.WARNING if carries else None)
+        yield Found(robot.link_tag, body.name, told, severity=Severity.WARNING if carries else None)
 
 
 @rule
-def com_outside_shapes(view: View) -> Iterator[Found]:
+def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
     """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
-    for body in view.bodies.values():
+    for body in robot.links.values():
         inertial = body.inertial
-        if inertial is None or not inertial.stated or not body.shapes or view.is_negligible(body):
+        if inertial is None or not inertial.stated or not body.shapes or robot.is_negligible(body):
             continue
-        group = view.fixed_group(body.name)
+        group = robot.fixed_group(body.name)
         points = extent_points(group, body)
         if points is None:
             continue
-        points = np.concatenate([points, link_points(view, body)])
+        points = np.concatenate([points, link_points(robot, body)])
         size = float(np.ptp(points, axis=0).max())
         outside = outside_hull(points, inertial.com)
         shapes = [shape for part in group for shape in part.shapes]
@@ -80,16 +80,16 @@ def com_outside_shapes(view: View) -> Iterator[Found]:
                 outside=Quantity(outside, "m"),
                 size=Quantity(size, "m"),
             )
-            yield Found(view.body_tag, body.name, told, view.inertial_part("origin"))
+            yield Found(robot.link_tag, body.name, told, robot.inertial_part("origin"))
 
 
 @rule
-def total_mass_unusual(view: View) -> Iterator[Found]:
+def total_mass_unusual(robot: RobotModel) -> Iterator[Found]:
     """Finds totals below 50 g and above 500 kg."""
-    base = view.bodies.get(view.base)
+    base = robot.links.get(robot.base)
     if base is None:
         return
-    total = base.mass + sum(body.mass for body in view.descendants(base.name))
+    total = base.mass + sum(body.mass for body in robot.descendants(base.name))
     if not LIGHT <= total <= HEAVY:
         told = diagnose(
             "total-mass-unusual",
@@ -97,17 +97,17 @@ def total_mass_unusual(view: View) -> Iterator[Found]:
             least=Quantity(LIGHT, "kg"),
             most=Quantity(HEAVY, "kg"),
         )
-        yield Found(view.body_tag, view.base, told)
+        yield Found(robot.link_tag, robot.base, told)
 
 
 @rule
-def inertial_ignored(view: MjcfView) -> Iterator[Found]:
+def inertial_ignored(robot: MjcfModel) -> Iterator[Found]:
     """Compares each stated mass with the one that MuJoCo computes."""
-    if view.file.spec.compiler.inertiafromgeom != 1:
+    if robot.file.spec.compiler.inertiafromgeom != 1:
         return
-    for body in view.file.spec.bodies:
-        if body.explicitinertial and body.name in view.bodies:
-            taken = view.bodies[body.name].mass
+    for body in robot.file.spec.bodies:
+        if body.explicitinertial and body.name in robot.links:
+            taken = robot.links[body.name].mass
             told = diagnose(
                 "inertial-ignored", stated=Quantity(body.mass, "kg"), taken=Quantity(taken, "kg")
             )
@@ -115,14 +115,14 @@ def inertial_ignored(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def visual_adds_mass(view: MjcfView) -> Iterator[Found]:
+def visual_adds_mass(robot: MjcfModel) -> Iterator[Found]:
     """Finds drawn geoms with a mass that nobody stated, in bodies whose mass is their geoms'."""
-    compiler = view.file.spec.compiler
+    compiler = robot.file.spec.compiler
     low, high = compiler.inertiagrouprange
-    for body in view.file.spec.bodies:
+    for body in robot.file.spec.bodies:
         if body.name == "world" or (body.explicitinertial and compiler.inertiafromgeom != 1):
             continue
-        if not body.name or body.name not in view.bodies:
+        if not body.name or body.name not in robot.links:
             continue
         weighing = [
             geom
@@ -138,26 +138,26 @@ def visual_adds_mass(view: MjcfView) -> Iterator[Found]:
             told = diagnose(
                 "visual-adds-mass",
                 density=Quantity(geom.density, "kg/m^3"),
-                mass=Quantity(view.bodies[body.name].mass, "kg"),
+                mass=Quantity(robot.links[body.name].mass, "kg"),
                 body=body.name,
             )
-            place: Place | None = None if geom.name else line_of(view.file, geom, body.name)
+            place: Place | None = None if geom.name else line_of(robot.file, geom, body.name)
             yield Found("geom", geom.name, told, place=place)
 
 
 @rule
-def base_fixed(view: View) -> Iterator[Found]:
+def base_fixed(robot: RobotModel) -> Iterator[Found]:
     """Finds a base with mass and without a free joint, below which are at least two feet."""
     feet = [
         name
-        for body in view.bodies.values()
+        for body in robot.links.values()
         for name in {body.name, *(frame.name for frame in body.frames)}
         if "foot" in name.lower()
     ]
-    base = view.bodies.get(view.base)
+    base = robot.links.get(robot.base)
     if base is None or len(feet) < 2:
         return
-    mass = sum(body.mass for body in view.fixed_group(base.name))
+    mass = sum(body.mass for body in robot.fixed_group(base.name))
     if not any(joint.kind == FREE for joint in base.joints):
         told = diagnose("base-fixed", mass=Quantity(mass, "kg"), feet=len(feet))
-        yield Found(view.body_tag, base.name, told)
+        yield Found(robot.link_tag, base.name, told)

@@ -8,42 +8,42 @@ import numpy as np
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
-from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import HINGE, Body, Inertial, Joint, View
 from pupper_analysis.diagnostics import Quantity, Vector, bound, diagnose
+from pupper_analysis.robot_model.model import HINGE, Inertial, Joint, Link, RobotModel
+from pupper_analysis.robot_model.pose import Array
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 """Tolerances: m, relative, m, relative, rad or m."""
 
 
-def _body_pairs(view: View) -> Iterator[tuple[Body, Body]]:
+def _body_pairs(robot: RobotModel) -> Iterator[tuple[Link, Link]]:
     """Yields pairs, the one that stands later in the file as the second."""
-    for one, other in mirror_pairs(view.bodies):
-        yield view.bodies[one], view.bodies[other]
+    for one, other in mirror_pairs(robot.links):
+        yield robot.links[one], robot.links[other]
 
 
-def _anchor(body: Body) -> Array:
+def _anchor(body: Link) -> Array:
     return body.joints[0].position if body.moving else body.pose.position
 
 
-def _displaced(view: View, mirror: Mirror) -> tuple[set[str], list[tuple[Body, Body]]]:
+def _displaced(robot: RobotModel, mirror: Mirror) -> tuple[set[str], list[tuple[Link, Link]]]:
     """Returns all bodies that are not at their mirror image, and the first pair of each chain."""
     displaced: set[str] = set()
     first_ones = []
-    for one, other in _body_pairs(view):
+    for one, other in _body_pairs(robot):
         if not (one.moving or one.mass or "foot" in one.name.lower()):
             continue  # a mark on a link
         if float(np.linalg.norm(mirror.point(_anchor(one)) - _anchor(other))) > POSITION:
-            if not displaced & {*view.ancestors(one.name), *view.ancestors(other.name)}:
+            if not displaced & {*robot.ancestors(one.name), *robot.ancestors(other.name)}:
                 first_ones.append((one, other))
             displaced |= {one.name, other.name}
     return displaced, first_ones
 
 
-def _turned_by(view: View, image: Array, body: Body) -> str | None:
+def _turned_by(robot: RobotModel, image: Array, body: Link) -> str | None:
     """Returns the parent's hinge if turning it would bring a body to its mirror image."""
-    parent = None if body.parent is None else view.bodies[body.parent]
+    parent = None if body.parent is None else robot.links[body.parent]
     if parent is None or not parent.joints or parent.joints[-1].kind != HINGE:
         return None
     hinge = parent.joints[-1]
@@ -56,37 +56,39 @@ def _turned_by(view: View, image: Array, body: Body) -> str | None:
     return hinge.name if same else None
 
 
-def _in_place(view: View) -> Iterator[tuple[Mirror, Body, Body]]:
+def _in_place(robot: RobotModel) -> Iterator[tuple[Mirror, Link, Link]]:
     """Yields the pairs that are where they should be, with their children."""
-    mirror = mirror_plane(view)
+    mirror = mirror_plane(robot)
     if mirror is None:
         return
-    displaced, _ = _displaced(view, mirror)
-    for one, other in _body_pairs(view):
+    displaced, _ = _displaced(robot, mirror)
+    for one, other in _body_pairs(robot):
         names = {one.name, other.name}
-        names |= {child.name for name in (one.name, other.name) for child in view.children(name)}
-        if not displaced & names and not view.is_negligible(one):
+        names |= {child.name for name in (one.name, other.name) for child in robot.children(name)}
+        if not displaced & names and not robot.is_negligible(one):
             yield mirror, one, other
 
 
-def _inertials(view: View) -> Iterator[tuple[Mirror, tuple[Body, Inertial], tuple[Body, Inertial]]]:
+def _inertials(
+    robot: RobotModel,
+) -> Iterator[tuple[Mirror, tuple[Link, Inertial], tuple[Link, Inertial]]]:
     """Yields the pairs that are where they should be, with the inertials that both have."""
-    for mirror, one, other in _in_place(view):
+    for mirror, one, other in _in_place(robot):
         if one.inertial is not None and other.inertial is not None:
             yield mirror, (one, one.inertial), (other, other.inertial)
 
 
-def _same_mass(one: Body, other: Body) -> bool:
+def _same_mass(one: Link, other: Link) -> bool:
     return not abs(one.mass - other.mass) > MASS * max(abs(one.mass), abs(other.mass))
 
 
 @rule
-def mirror_position(view: View) -> Iterator[Found]:
+def mirror_position(robot: RobotModel) -> Iterator[Found]:
     """Compares the places of joints, or of fixed bodies; once per chain."""
-    mirror = mirror_plane(view)
+    mirror = mirror_plane(robot)
     if mirror is None:
         return
-    for one, other in _displaced(view, mirror)[1]:
+    for one, other in _displaced(robot, mirror)[1]:
         image, place = mirror.point(_anchor(one)), _anchor(other)
         gap = float(np.linalg.norm(image - place))
         told = diagnose(
@@ -95,18 +97,18 @@ def mirror_position(view: View) -> Iterator[Found]:
             gap=Quantity(gap, "m"),
             image=Vector(tuple(image), "m"),
             other=one.name,
-            turned=_turned_by(view, image, other),
+            turned=_turned_by(robot, image, other),
         )
-        if view.format == "urdf" and other.joints:
+        if robot.format == "urdf" and other.joints:
             yield Found("joint", other.joints[0].name, told, "origin")
         else:
-            yield Found(view.body_tag, other.name, told)
+            yield Found(robot.link_tag, other.name, told)
 
 
 @rule
-def mirror_mass(view: View) -> Iterator[Found]:
+def mirror_mass(robot: RobotModel) -> Iterator[Found]:
     """Compares masses, with 1 % of tolerance."""
-    for one, other in _body_pairs(view):
+    for one, other in _body_pairs(robot):
         if not _same_mass(one, other):
             told = diagnose(
                 "mirror-mass",
@@ -114,13 +116,13 @@ def mirror_mass(view: View) -> Iterator[Found]:
                 other=one.name,
                 its=Quantity(one.mass, "kg"),
             )
-            yield Found(view.body_tag, other.name, told, view.inertial_part("mass"))
+            yield Found(robot.link_tag, other.name, told, robot.inertial_part("mass"))
 
 
 @rule
-def mirror_com(view: View) -> Iterator[Found]:
+def mirror_com(robot: RobotModel) -> Iterator[Found]:
     """Compares coms, with 1 mm and 1 % of the distance to the base of tolerance."""
-    for mirror, (one, here), (other, there) in _inertials(view):
+    for mirror, (one, here), (other, there) in _inertials(robot):
         image = mirror.point(one.pose.point(here.com))
         com = other.pose.point(there.com)
         gap = float(np.linalg.norm(image - com))
@@ -132,14 +134,14 @@ def mirror_com(view: View) -> Iterator[Found]:
                 image=Vector(tuple(image), "m"),
                 other=one.name,
             )
-            yield Found(view.body_tag, other.name, told, view.inertial_part("origin"))
+            yield Found(robot.link_tag, other.name, told, robot.inertial_part("origin"))
 
 
 @rule
-def mirror_inertia(view: View) -> Iterator[Found]:
+def mirror_inertia(robot: RobotModel) -> Iterator[Found]:
     """Compares S I S with I', with S the reflection, where the masses agree; tolerance: 10 %."""
     names = tuple(INERTIA_ENTRIES)
-    for mirror, (one, here), (other, there) in _inertials(view):
+    for mirror, (one, here), (other, there) in _inertials(robot):
         if not _same_mass(one, other):
             continue
         turned = one.pose.rotation @ here.inertia @ one.pose.rotation.T
@@ -158,12 +160,12 @@ def mirror_inertia(view: View) -> Iterator[Found]:
                 other=one.name,
                 its=Quantity(its[worst], "kg m^2"),
             )
-            yield Found(view.body_tag, other.name, told, view.inertial_part("inertia"))
+            yield Found(robot.link_tag, other.name, told, robot.inertial_part("inertia"))
 
 
-def _joint_pairs(view: View) -> Iterator[tuple[Mirror, Joint, Joint]]:
+def _joint_pairs(robot: RobotModel) -> Iterator[tuple[Mirror, Joint, Joint]]:
     """Yields the pairs of joints that move alike, if there is a plane between them."""
-    mirror, joints = mirror_plane(view), view.joints
+    mirror, joints = mirror_plane(robot), robot.joints
     if mirror is None:
         return
     for pair in mirror_pairs(joints):
@@ -182,9 +184,9 @@ def _sense(mirror: Mirror, one: Joint, other: Joint) -> float:
 
 
 @rule
-def mirror_axis(view: View) -> Iterator[Found]:
+def mirror_axis(robot: RobotModel) -> Iterator[Found]:
     """Compares the lines along which axes lie; either may point either way. Tolerance: 1 degree."""
-    for mirror, one, other in _joint_pairs(view):
+    for mirror, one, other in _joint_pairs(robot):
         if one.axis.any() and other.axis.any():
             cosine = abs(_sense(mirror, one, other))
             if cosine < np.cos(np.deg2rad(1.0)):
@@ -199,9 +201,9 @@ def mirror_axis(view: View) -> Iterator[Found]:
 
 
 @rule
-def mirror_limits(view: View) -> Iterator[Found]:
+def mirror_limits(robot: RobotModel) -> Iterator[Found]:
     """Compares ranges, turned round if the axes' senses differ, and efforts (1 %)."""
-    for mirror, one, other in _joint_pairs(view):
+    for mirror, one, other in _joint_pairs(robot):
         sense = _sense(mirror, one, other)
         if abs(sense) < 0.9:
             continue

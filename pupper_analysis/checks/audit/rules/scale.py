@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from pupper_analysis.checks.audit.geometry import extent_points, link_points
-from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import Body, View
 from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.robot_model.geometry import extent_points, link_points
+from pupper_analysis.robot_model.model import Link, RobotModel
+from pupper_analysis.robot_model.pose import Array
 
 DENSEST = 20_000.0
 """Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.
@@ -40,17 +40,17 @@ OUT_OF_SCALE = 20.0
 
 
 @rule
-def density_implausible(view: View) -> Iterator[Found]:
+def density_implausible(robot: RobotModel) -> Iterator[Found]:
     """Compares a moving body's mass, with all that is fixed to it, with its shapes' convex hull."""
-    for body in _moving(view):
-        group = view.fixed_group(body.name)
+    for body in _moving(robot):
+        group = robot.fixed_group(body.name)
         mass = sum(part.mass for part in group)
-        if mass < SHARE * view.total_mass or mass <= 0:
+        if mass < SHARE * robot.total_mass or mass <= 0:
             continue
         points = extent_points(group, body)
         if points is None:
             continue
-        links = link_points(view, body)
+        links = link_points(robot, body)
         own, way = _extent(points), _extent(links)
         if own < max(SMALL, TOKEN * way):
             continue
@@ -63,14 +63,14 @@ def density_implausible(view: View) -> Iterator[Found]:
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),
             )
-            yield Found(view.body_tag, body.name, told, view.inertial_part("mass"))
+            yield Found(robot.link_tag, body.name, told, robot.inertial_part("mass"))
 
 
 @rule
-def scale_unusual(view: View) -> Iterator[Found]:
+def scale_unusual(robot: RobotModel) -> Iterator[Found]:
     """Compares the extent of all joints with that of robots, and that of each link with it."""
-    places = np.array([joint.position for joint in view.joints.values() if joint.moves])
-    if len(places) < 2 or view.base not in view.bodies:
+    places = np.array([joint.position for joint in robot.joints.values() if joint.moves])
+    if len(places) < 2 or robot.base not in robot.links:
         return
     size = _extent(places)
     if size > LARGE or 0 < size < TINY:
@@ -80,10 +80,10 @@ def scale_unusual(view: View) -> Iterator[Found]:
             least=Quantity(TINY, "m"),
             most=Quantity(LARGE, "m"),
         )
-        yield Found(view.body_tag, view.base, told)
+        yield Found(robot.link_tag, robot.base, told)
     if size < SMALL:
         return
-    for body in view.bodies.values():
+    for body in robot.links.values():
         points = extent_points([body], body)
         if points is not None and _extent(points) > OUT_OF_SCALE * size:
             told = diagnose(
@@ -92,11 +92,11 @@ def scale_unusual(view: View) -> Iterator[Found]:
                 times=_extent(points) / size,
                 size=Quantity(size, "m"),
             )
-            yield Found(view.body_tag, body.name, told)
+            yield Found(robot.link_tag, body.name, told)
 
 
-def _moving(view: View) -> Iterator[Body]:
-    for body in view.bodies.values():
+def _moving(robot: RobotModel) -> Iterator[Link]:
+    for body in robot.links.values():
         if body.parent is None or body.moving:
             yield body
 

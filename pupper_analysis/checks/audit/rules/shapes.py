@@ -6,26 +6,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.view import Body, Shape, View
 from pupper_analysis.diagnostics import Quantity, Severity, Subject, Term, diagnose
+from pupper_analysis.robot_model.model import Link, RobotModel, Shape
+from pupper_analysis.robot_model.pose import Array
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""
 
 
-def _next_points(view: View, body: Body) -> dict[Subject, Array]:
+def _next_points(robot: RobotModel, body: Link) -> dict[Subject, Array]:
     """Returns where the link ends: its moving children and its feet, in its frame (m)."""
     to_frame = body.pose.inverse()
     points: dict[Subject, Array] = {}
-    for part in view.fixed_group(body.name):
+    for part in robot.fixed_group(body.name):
         local = to_frame * part.pose
-        for child in view.children(part.name):
+        for child in robot.children(part.name):
             if child.moving:
                 points[Subject("joint", child.joints[0].name)] = to_frame.point(child.pose.position)
         if part is not body and _is_foot(part.name):
-            points[Subject(view.body_tag, part.name)] = local.position
+            points[Subject(robot.link_tag, part.name)] = local.position
         for frame in part.frames:
             if _is_foot(frame.name):
                 points[Subject("site", frame.name)] = local.point(frame.position)
@@ -50,16 +50,16 @@ def _from_joint(shape: Shape, anchor: Array) -> tuple[Array, float] | None:
 
 
 @rule
-def shape_ends_off_joint(view: View) -> Iterator[Found]:
+def shape_ends_off_joint(robot: RobotModel) -> Iterator[Found]:
     """Compares capsules and cylinders that begin at their body's joint with the way to the next.
 
     Longer by 2 % or more is reported, shorter by 20 % or more: some shorten a shape on purpose, to
     keep it clear of its neighbour.
     """
-    for body in view.bodies.values():
+    for body in robot.links.values():
         if not body.moving:
             continue
-        ends = _next_points(view, body)
+        ends = _next_points(robot, body)
         anchor = body.pose.inverse().point(body.joints[-1].position)
         reported = set()
         for shape in body.shapes:
@@ -90,11 +90,11 @@ def shape_ends_off_joint(view: View) -> Iterator[Found]:
                     gap=Quantity(abs(gap), "m"),
                     beyond=gap > 0,
                 )
-                yield Found(view.body_tag, body.name, told, _tag(view, shape))
+                yield Found(robot.link_tag, body.name, told, _tag(robot, shape))
 
 
-def _tag(view: View, shape: Shape) -> str:
-    if view.format == "mjcf":
+def _tag(robot: RobotModel, shape: Shape) -> str:
+    if robot.format == "mjcf":
         return "geom"
     return "collision" if shape.collides else "visual"
 
@@ -106,18 +106,18 @@ def _on_line(offset: Array, direction: Array, radius: float) -> bool:
 
 
 @rule
-def foot_sphere_off_frame(view: View) -> Iterator[Found]:
+def foot_sphere_off_frame(robot: RobotModel) -> Iterator[Found]:
     """Compares a foot's frame with the nearest sphere that touches things, of what moves with it.
 
     Spheres of the foot, by their name or their link's, come first. NOTE where the frame is inside
     the sphere: some make a flat sole that way.
     """
-    for body in view.bodies.values():
-        group = view.fixed_group(body.name)
+    for body in robot.links.values():
+        group = robot.fixed_group(body.name)
         feet = {f.name: (body, f.position, "site") for f in body.frames if _is_foot(f.name)}
         if not feet and _is_foot(body.name) and not body.moving and body.parent is not None:
-            feet = {body.name: (body, np.zeros(3), view.body_tag)}
-            group = view.fixed_group(_carrier(view, body))
+            feet = {body.name: (body, np.zeros(3), robot.link_tag)}
+            group = robot.fixed_group(_carrier(robot, body))
         for name, (owner, position, kind) in feet.items():
             place = owner.pose.point(position)
             spheres = [
@@ -141,8 +141,8 @@ def foot_sphere_off_frame(view: View) -> Iterator[Found]:
             yield Found(kind, name, told, severity=Severity.NOTE if gap < radius else None)
 
 
-def _carrier(view: View, body: Body) -> str:
+def _carrier(robot: RobotModel, body: Link) -> str:
     """Returns the moving body, or root, to which a body is fixed."""
     while not body.moving and body.parent is not None:
-        body = view.bodies[body.parent]
+        body = robot.links[body.parent]
     return body.name

@@ -10,32 +10,32 @@ import numpy as np
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.rules.files import first_place
-from pupper_analysis.checks.audit.view import MjcfView
 from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
 from pupper_analysis.robot.contact import combine, ground_geom
 from pupper_analysis.robot.servo_stability import servo_stability
+from pupper_analysis.robot_model.model import MjcfModel
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2; what is used differs by the third digit."""
 
 
 @rule
-def gravity_unusual(view: MjcfView) -> Iterator[Found]:
+def gravity_unusual(robot: MjcfModel) -> Iterator[Found]:
     """Finds a gravity off by more than 0.02 m/s^2 in any direction; NOTE unless it points up."""
-    gravity = np.array(view.file.spec.option.gravity)
+    gravity = np.array(robot.file.spec.option.gravity)
     if np.linalg.norm(gravity - (0.0, 0.0, -STANDARD_GRAVITY)) > 0.02:
-        place = first_place(view.file, "option", "gravity")
+        place = first_place(robot.file, "option", "gravity")
         told = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
         severity = None if gravity[2] > 0 else Severity.NOTE
         yield Found("option", "", told, place=place, severity=severity)
 
 
 @rule
-def armature_zero(view: MjcfView) -> Iterator[Found]:
+def armature_zero(robot: MjcfModel) -> Iterator[Found]:
     """Finds models in which the armature of every driven joint, and of its motor, is 0."""
-    if view.model is None:
+    if robot.mj_model is None:
         return
-    model = view.model
+    model = robot.mj_model
     driven = list(drives(model))
     armature = [
         model.dof_armature[model.jnt_dofadr[drive.joint]] + model.actuator_armature[drive.id]
@@ -47,9 +47,9 @@ def armature_zero(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def servo_unstable(view: MjcfView) -> Iterator[Found]:
+def servo_unstable(robot: MjcfModel) -> Iterator[Found]:
     """Tests the stability of all servos together at qpos0; see ``servo_stability``."""
-    model = view.model
+    model = robot.mj_model
     if model is None or model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER.value:
         return
     used = [drive for drive in drives(model) if drive.kd > 0 or drive.stiffness > 0]
@@ -78,13 +78,13 @@ def servo_unstable(view: MjcfView) -> Iterator[Found]:
 
 
 @rule
-def foot_frictionless(view: MjcfView) -> Iterator[Found]:
+def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
     """Finds feet whose contact with the ground, as MuJoCo combines it, has no sliding friction.
 
     A file without ground is to be put into a scene: there, condim 1 of the foot gives way to the
     ground's 3, so that the friction alone counts.
     """
-    model = view.model
+    model = robot.mj_model
     if model is None:
         return
     ground = ground_geom(model)
@@ -98,7 +98,7 @@ def foot_frictionless(view: MjcfView) -> Iterator[Found]:
             for site in range(model.nsite)
             if model.site_bodyid[site] == body
         )
-        called = "foot" in name.lower() or "foot" in view.body_names[body].lower()
+        called = "foot" in name.lower() or "foot" in robot.body_names[body].lower()
         if not collides or not body or not (called or at_site):
             continue
         contact = combine(model, geom, geom if ground is None else ground)
@@ -110,4 +110,4 @@ def foot_frictionless(view: MjcfView) -> Iterator[Found]:
             if name:
                 yield Found("geom", name, told)
             else:
-                yield Found("body", view.body_names[body], told, "geom")
+                yield Found("body", robot.body_names[body], told, "geom")

@@ -10,16 +10,16 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.from_mjcf import joint_name
-from pupper_analysis.checks.audit.pose import Array
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.rules.actuators import drives
-from pupper_analysis.checks.audit.view import MjcfView, View
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import base_motion
+from pupper_analysis.robot_model.mjcf import joint_name
+from pupper_analysis.robot_model.model import MjcfModel, RobotModel
+from pupper_analysis.robot_model.pose import Array
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
@@ -54,12 +54,12 @@ class Start:
     severity: Severity
 
 
-def _starts(view: MjcfView) -> Iterator[Start]:
-    model = view.model
-    if model is None or not view.bodies:
+def _starts(robot: MjcfModel) -> Iterator[Start]:
+    model = robot.mj_model
+    if model is None or not robot.links:
         return
     least = Severity.NOTE if model.nkey else Severity.WARNING
-    yield Start(("body", view.base), diagnose("start-qpos0"), np.array(model.qpos0), least)
+    yield Start(("body", robot.base), diagnose("start-qpos0"), np.array(model.qpos0), least)
     for key in range(min(model.nkey, MOST_KEYFRAMES)):
         name = model.key(key).name
         told = diagnose("start-keyframe", keyframe=name, number=key)
@@ -67,16 +67,16 @@ def _starts(view: MjcfView) -> Iterator[Start]:
 
 
 @rule
-def start_outside_limits(view: View) -> Iterator[Found]:
+def start_outside_limits(robot: RobotModel) -> Iterator[Found]:
     """Finds joints outside by more than 1 mrad (1 mm); NOTE for zero angles and qpos0."""
-    if not isinstance(view, MjcfView):
-        values = {joint.name: 0.0 for joint in view.joints.values() if joint.moves}
-        if view.base:
-            where = (view.body_tag, view.base)
-            yield from _outside(view, where, diagnose("start-zero"), values, Severity.NOTE)
+    if not isinstance(robot, MjcfModel):
+        values = {joint.name: 0.0 for joint in robot.joints.values() if joint.moves}
+        if robot.base:
+            where = (robot.link_tag, robot.base)
+            yield from _outside(robot, where, diagnose("start-zero"), values, Severity.NOTE)
         return
-    model = view.model
-    for start in _starts(view):
+    model = robot.mj_model
+    for start in _starts(robot):
         assert model is not None
         values = {
             joint_name(model, joint): float(start.qpos[model.jnt_qposadr[joint]])
@@ -84,11 +84,11 @@ def start_outside_limits(view: View) -> Iterator[Found]:
         }
         named = start.element[0] == "key"
         severity = Severity.WARNING if named else Severity.NOTE
-        yield from _outside(view, start.element, start.told, values, severity)
+        yield from _outside(robot, start.element, start.told, values, severity)
 
 
 def _outside(
-    view: View,
+    robot: RobotModel,
     where: tuple[str, str],
     start: Diagnostic,
     values: dict[str, float],
@@ -96,12 +96,12 @@ def _outside(
 ) -> Iterator[Found]:
     excess = {
         joint.name: max(joint.lower - values[joint.name], values[joint.name] - joint.upper)
-        for joint in view.joints.values()
+        for joint in robot.joints.values()
         if joint.moves and joint.lower < joint.upper and joint.name in values
     }
     outside = [name for name, by in excess.items() if by > 1e-3]
     if outside:
-        worst = view.joints[max(outside, key=lambda name: excess[name])]
+        worst = robot.joints[max(outside, key=lambda name: excess[name])]
         told = diagnose(
             "start-outside-limits",
             start=start,
@@ -116,13 +116,13 @@ def _outside(
 
 
 @rule
-def keyframe_ctrl(view: MjcfView) -> Iterator[Found]:
+def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
     """Finds commands of position servos that a keyframe's own pose does not answer to.
 
     A command may be ahead of its joint by the torque that holds it: at most by what the servo's
     limit gives, or by 0.5 rad (0.5 m), a sag that no standing robot has, where it has none.
     """
-    model = view.model
+    model = robot.mj_model
     if model is None:
         return
     for key in range(min(model.nkey, MOST_KEYFRAMES)):
@@ -142,25 +142,25 @@ def keyframe_ctrl(view: MjcfView) -> Iterator[Found]:
             told = diagnose(
                 "keyframe-ctrl",
                 joint=worst,
-                off=Quantity(ahead[worst], view.joints[worst].unit),
+                off=Quantity(ahead[worst], robot.joints[worst].unit),
                 ahead=len(ahead),
                 commands=model.nu,
             )
-            said = len(view.file.spec.keys[key].ctrl) > 0
+            said = len(robot.file.spec.keys[key].ctrl) > 0
             yield Found("key", name, told, severity=None if said else Severity.NOTE)
 
 
 @rule
-def keyframe_falls(view: MjcfView) -> Iterator[Found]:
+def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
     """Simulates the first keyframe (``home``, if there is one) with its own actuators and ctrl.
 
     For 2 s, and 6 if the base still moves then. Where the keyframe states no ctrl, position servos
     are told to hold its joints, if half of them have one; motors would need a controller.
     """
-    model = view.model
-    if model is None or view.refusal is not None or not model.nkey or not view.base:
+    model = robot.mj_model
+    if model is None or robot.refusal is not None or not model.nkey or not robot.base:
         return
-    base, step = view.body_names.index(view.base), float(model.opt.timestep)
+    base, step = robot.body_names.index(robot.base), float(model.opt.timestep)
     joint = int(model.body_jntadr[base])
     free = joint >= 0 and model.jnt_type[joint] == JointKind.FREE
     if not free or not step >= _SHORTEST:
@@ -170,7 +170,7 @@ def keyframe_falls(view: MjcfView) -> Iterator[Found]:
     before = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, before, key)
     ground = ground_geom(model)
-    if ground is None or (not model.key_ctrl[key].any() and not _held(view, before)):
+    if ground is None or (not model.key_ctrl[key].any() and not _held(robot, before)):
         return
     mujoco.mj_kinematics(model, before)
     floor = float(before.geom_xpos[ground][2])
@@ -191,14 +191,14 @@ def keyframe_falls(view: MjcfView) -> Iterator[Found]:
     yield Found("key", names[key], told)
 
 
-def _held(view: MjcfView, data: mujoco.MjData) -> bool:
+def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
     """Commands position servos to a pose; tells whether they are at half of the joints or more."""
-    assert view.model is not None
-    holding = [drive for drive in drives(view.model) if drive.servo]
+    assert robot.mj_model is not None
+    holding = [drive for drive in drives(robot.mj_model) if drive.servo]
     for drive in holding:
-        angle = float(data.qpos[view.model.jnt_qposadr[drive.joint]])
+        angle = float(data.qpos[robot.mj_model.jnt_qposadr[drive.joint]])
         data.ctrl[drive.control] = drive.gear * angle * drive.stiffness / (drive.kp or 1.0)
-    return 2 * len(holding) >= max(1, sum(joint.moves for joint in view.joints.values()))
+    return 2 * len(holding) >= max(1, sum(joint.moves for joint in robot.joints.values()))
 
 
 def _run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
@@ -207,14 +207,14 @@ def _run(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> None:
 
 
 @rule
-def start_in_floor(view: MjcfView) -> Iterator[Found]:
+def start_in_floor(robot: MjcfModel) -> Iterator[Found]:
     """Finds contacts with planes of the world deeper than 5 mm; the deepest of each start."""
-    for start in _starts(view):
+    for start in _starts(robot):
         depths: dict[str, float] = {}
-        for bodies, geoms, depth in _contacts(view, start):
-            plane = any(_is_plane(view, geom) for geom in geoms)
+        for bodies, geoms, depth in _contacts(robot, start):
+            plane = any(_is_plane(robot, geom) for geom in geoms)
             if plane and 0 in bodies and depth > FLOOR_DEPTH:
-                name = view.body_names[max(bodies)]
+                name = robot.body_names[max(bodies)]
                 depths[name] = max(depth, depths.get(name, 0.0))
         if depths:
             deepest = max(depths, key=lambda name: depths[name])
@@ -228,21 +228,21 @@ def start_in_floor(view: MjcfView) -> Iterator[Found]:
             yield Found(*start.element, told, severity=start.severity)
 
 
-def _is_plane(view: MjcfView, geom: int) -> bool:
-    assert view.model is not None
-    return bool(view.model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value)
+def _is_plane(robot: MjcfModel, geom: int) -> bool:
+    assert robot.mj_model is not None
+    return bool(robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE.value)
 
 
 @rule
-def start_self_collision(view: MjcfView) -> Iterator[Found]:
+def start_self_collision(robot: MjcfModel) -> Iterator[Found]:
     """Finds contacts within a tree, deeper than 1 mm, that MuJoCo's filters let through."""
-    for start in _starts(view):
+    for start in _starts(robot):
         depths: dict[tuple[str, str], float] = {}
-        for bodies, _, depth in _contacts(view, start):
-            assert view.model is not None
-            roots = view.model.body_rootid[list(bodies)]
+        for bodies, _, depth in _contacts(robot, start):
+            assert robot.mj_model is not None
+            roots = robot.mj_model.body_rootid[list(bodies)]
             if 0 not in bodies and roots[0] == roots[1] and depth > OVERLAP:
-                pair = (view.body_names[bodies[0]], view.body_names[bodies[1]])
+                pair = (robot.body_names[bodies[0]], robot.body_names[bodies[1]])
                 depths[pair] = max(depth, depths.get(pair, 0.0))
         if depths:
             one, other = worst = max(depths, key=lambda pair: depths[pair])
@@ -266,10 +266,10 @@ def _rounded(value: float, unit: str) -> Quantity:
 
 
 def _contacts(
-    view: MjcfView, start: Start
+    robot: MjcfModel, start: Start
 ) -> Iterator[tuple[tuple[int, int], tuple[int, int], float]]:
     """Yields bodies, geoms and depth (m) of each contact that MuJoCo finds in a pose."""
-    model = view.model
+    model = robot.mj_model
     assert model is not None
     data = mujoco.MjData(model)
     data.qpos[:] = start.qpos

@@ -8,14 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.checks.audit.from_mjcf import line_of
-from pupper_analysis.checks.audit.from_urdf import number, vector
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.rules.files import first_place
-from pupper_analysis.checks.audit.view import MjcfView, UrdfView
 from pupper_analysis.diagnostics import Severity, Vector, diagnose
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
+from pupper_analysis.robot_model.mjcf import line_of
+from pupper_analysis.robot_model.model import MjcfModel, UrdfModel
+from pupper_analysis.robot_model.urdf import number, vector
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 
@@ -26,15 +26,15 @@ _PASSIVE = ("damping", "frictionloss", "armature", "stiffness")
 
 
 @rule
-def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
+def value_impossible(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
     """Finds sizes of 0 and less, and negative damping, dry friction, armature, stiffness, limits.
 
     A cylinder of length 0 is a disc, and a capsule of length 0 a ball. Of MuJoCo's polynomials the
     first coefficient is looked at, which is what counts at small speeds.
     """
-    if isinstance(view, UrdfView):
-        yield from _impossible_sizes(view)
-        for name, joint in view.file.tree.joints.items():
+    if isinstance(robot, UrdfModel):
+        yield from _impossible_sizes(robot)
+        for name, joint in robot.file.tree.joints.items():
             for tag, attributes in _JOINT_NUMBERS.items():
                 element = joint.element.find(tag)
                 for attribute in attributes:
@@ -45,30 +45,30 @@ def value_impossible(view: UrdfView | MjcfView) -> Iterator[Found]:
                         )
                         yield Found("joint", name, told, tag)
         return
-    for joint in view.file.spec.joints:
-        around = line_of(view.file, joint, joint.parent.name)
+    for joint in robot.file.spec.joints:
+        around = line_of(robot.file, joint, joint.parent.name)
         for attribute in _PASSIVE:
             value = float(np.atleast_1d(getattr(joint, attribute))[0])
             if value < 0:
                 place = None if joint.name else around
                 told = diagnose("value-impossible", attribute=attribute, value=value)
                 yield Found("joint", joint.name, told, place=place)
-    for at, tendon in enumerate(view.file.spec.tendons):
+    for at, tendon in enumerate(robot.file.spec.tendons):
         for attribute in _PASSIVE:
             value = float(np.atleast_1d(getattr(tendon, attribute))[0])
             if value < 0:
-                place = None if tendon.name else view.file.numbered("tendon", at)
+                place = None if tendon.name else robot.file.numbered("tendon", at)
                 told = diagnose("value-impossible", attribute=attribute, value=value)
                 yield Found("tendon", tendon.name, told, place=place)
-    for geom in view.file.spec.geoms:
+    for geom in robot.file.spec.geoms:
         if min(geom.friction) < 0:
-            place = None if geom.name else line_of(view.file, geom, geom.parent.name)
+            place = None if geom.name else line_of(robot.file, geom, geom.parent.name)
             told = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
             yield Found("geom", geom.name, told, place=place)
 
 
-def _impossible_sizes(view: UrdfView) -> Iterator[Found]:
-    for link, _, shape in _shapes(view):
+def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
+    for link, _, shape in _shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
             sizes = {"size": vector(shape, "size", (1.0, 1.0, 1.0))}
@@ -83,36 +83,36 @@ def _impossible_sizes(view: UrdfView) -> Iterator[Found]:
                 told = diagnose(
                     "size-impossible", attribute=name, shape=tag, stated=shape.get(name)
                 )
-                yield Found("link", link, told, place=Place(view.file.path, shape.sourceline))
+                yield Found("link", link, told, place=Place(robot.file.path, shape.sourceline))
 
 
-def _shapes(view: UrdfView) -> Iterator[tuple[str, etree._Element, etree._Element]]:
+def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
     """Yields each shape's link, its <geometry>, and its element."""
-    for name, link in view.file.tree.links.items():
+    for name, link in robot.file.tree.links.items():
         for geometry in link.geometries:
             for shape in geometry.iterchildren(tag=etree.Element):
                 yield name, geometry, shape
 
 
 @rule
-def geometry_empty(view: UrdfView) -> Iterator[Found]:
+def geometry_empty(robot: UrdfModel) -> Iterator[Found]:
     """Finds <geometry> without an element in it."""
-    for name, link in view.file.tree.links.items():
+    for name, link in robot.file.tree.links.items():
         for geometry in link.geometries:
             if next(geometry.iterchildren(tag=etree.Element), None) is None:
-                place = Place(view.file.path, geometry.sourceline)
+                place = Place(robot.file.path, geometry.sourceline)
                 told = diagnose("geometry-empty", tag=geometry.getparent().tag)
                 yield Found("link", name, told, place=place)
 
 
 @rule
-def mesh_mirrored(view: UrdfView) -> Iterator[Found]:
+def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
     """Finds an odd number of negative factors in a mesh's scale, once a file.
 
     One is often on purpose, to draw a left part from the right one's file; three never are.
     """
     mirrored: dict[int, list[tuple[str, etree._Element]]] = {1: [], 3: []}
-    for link, _, shape in _shapes(view):
+    for link, _, shape in _shapes(robot):
         if shape.tag == "mesh":
             negative = int((vector(shape, "scale", (1.0, 1.0, 1.0)) < 0).sum())
             mirrored.get(negative, []).append((link, shape))
@@ -126,7 +126,7 @@ def mesh_mirrored(view: UrdfView) -> Iterator[Found]:
                 others=len(found) - 1,
             )
             severity = Severity.NOTE if count == 1 else None
-            place = Place(view.file.path, shape.sourceline)
+            place = Place(robot.file.path, shape.sourceline)
             yield Found("link", link, told, place=place, severity=severity)
 
 
@@ -147,9 +147,9 @@ _OPTIONS: dict[str, tuple[float, float, Severity, str]] = {
 
 
 @rule
-def option_out_of_range(view: MjcfView) -> Iterator[Found]:
+def option_out_of_range(robot: MjcfModel) -> Iterator[Found]:
     """Finds time steps, solver settings and fluids with which MuJoCo simulates no robot."""
-    option = view.file.spec.option
+    option = robot.file.spec.option
     for name, (least, greatest, severity, unit) in _OPTIONS.items():
         value = float(getattr(option, name))
         if not least <= value <= greatest:
@@ -162,5 +162,5 @@ def option_out_of_range(view: MjcfView) -> Iterator[Found]:
                 greatest=greatest,
                 below=value < least,
             )
-            place = first_place(view.file, "option", name)
+            place = first_place(robot.file, "option", name)
             yield Found("option", "", told, place=place, severity=severity)

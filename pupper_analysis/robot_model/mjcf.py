@@ -1,4 +1,4 @@
-"""The neutral view of an MJCF, built from MuJoCo's spec and from what MuJoCo compiles it to.
+"""Reads the model of an MJCF, built from MuJoCo's spec and from what MuJoCo compiles it to.
 
 A file that MuJoCo refuses to compile is repaired in a copy, so that the rest can be audited; what
 was wrong is still seen in the spec, which holds the values as they are written.
@@ -14,27 +14,27 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.checks.audit.from_urdf import half_digit
-from pupper_analysis.checks.audit.geometry import hull_points
-from pupper_analysis.checks.audit.pose import Array, Pose
-from pupper_analysis.checks.audit.repair import full_matrix, repaired, switched_off_ranges
-from pupper_analysis.checks.audit.view import (
-    BALL,
-    FREE,
-    HINGE,
-    SLIDE,
-    Body,
-    Frame,
-    Inertial,
-    Joint,
-    MjcfView,
-    Shape,
-)
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
+from pupper_analysis.robot_model.geometry import hull_points
+from pupper_analysis.robot_model.model import (
+    BALL,
+    FREE,
+    HINGE,
+    SLIDE,
+    Frame,
+    Inertial,
+    Joint,
+    Link,
+    MjcfModel,
+    Shape,
+)
+from pupper_analysis.robot_model.pose import Array, Pose
+from pupper_analysis.robot_model.repair import full_matrix, repaired, switched_off_ranges
+from pupper_analysis.robot_model.urdf import half_digit
 
 _KINDS: dict[int, str] = {
     JointKind.FREE: FREE,
@@ -44,8 +44,8 @@ _KINDS: dict[int, str] = {
 }
 
 
-def mjcf_view(file: MjcfFile) -> MjcfView:
-    """Returns the neutral view of an MJCF; empty if MuJoCo refuses even a repaired copy."""
+def read_mjcf_model(file: MjcfFile) -> MjcfModel:
+    """Returns the model of an MJCF; empty if MuJoCo refuses even a repaired copy."""
     notes, refusal = list(file.notes), file.refusal
     if refusal is None:
         spec = file.spec.copy()
@@ -54,7 +54,7 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
         spec, model = repaired(file.spec)
     if model is None:
         notes.append(diagnose("not-compiled-after-repair"))
-        return MjcfView("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
+        return MjcfModel("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())
     if refusal:
         notes.append(diagnose("repaired-copy-audited"))
     names = body_names(model)
@@ -81,7 +81,7 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
         pose = to_base * _world_pose(data, body)
-        bodies[names[body]] = Body(
+        bodies[names[body]] = Link(
             name=names[body],
             parent=names[parent] if parent else None,
             pose=pose,
@@ -97,7 +97,7 @@ def mjcf_view(file: MjcfFile) -> MjcfView:
             frames=tuple(frames.get(body, ())),
         )
     said = refusal or file.as_it_is
-    return MjcfView(
+    return MjcfModel(
         "mjcf", "body", names[base], bodies, tuple(notes), file, model, said, tuple(names)
     )
 

@@ -1,4 +1,4 @@
-"""The neutral view of a URDF, built from its XML."""
+"""Reads the model of a URDF, built from its XML."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.checks.audit.geometry import mesh_vertices
-from pupper_analysis.checks.audit.pose import Array, Pose
-from pupper_analysis.checks.audit.view import (
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
+from pupper_analysis.robot_model.geometry import mesh_vertices
+from pupper_analysis.robot_model.model import (
     FIXED,
     FREE,
     HINGE,
     SLIDE,
-    Body,
     Inertial,
     Joint,
+    Link,
     Shape,
-    UrdfView,
+    UrdfModel,
 )
-from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
+from pupper_analysis.robot_model.pose import Array, Pose
 
 _KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
 
 
-def urdf_view(file: UrdfFile) -> UrdfView:
-    """Returns the neutral view of a URDF; the reader has made sure that it is one tree."""
+def read_urdf_model(file: UrdfFile) -> UrdfModel:
+    """Returns the model of a URDF; the reader has made sure that it is one tree."""
     tree = file.tree
     root = tree.base
     bodies = {root.name: _body(file, root, None, Pose(), ())}
@@ -41,7 +41,7 @@ def urdf_view(file: UrdfFile) -> UrdfView:
             pose = bodies[parent].pose * origin(joint.element)
             bodies[name] = _body(file, tree.links[name], parent, pose, (_joint(joint, pose),))
             waiting.append(name)
-    return UrdfView("urdf", "link", root.name, bodies, file.notes, file)
+    return UrdfModel("urdf", "link", root.name, bodies, file.notes, file)
 
 
 def number(element: etree._Element | None, attribute: str, default: float) -> float:
@@ -97,13 +97,13 @@ def _body(
     parent: str | None,
     pose: Pose,
     joints: tuple[Joint, ...],
-) -> Body:
+) -> Link:
     shapes = [
         _shape(file, element, tag == "collision")
         for tag in ("visual", "collision")
         for element in link.element.findall(tag)
     ]
-    return Body(link.name, parent, pose, joints, _inertial(link), tuple(shapes))
+    return Link(link.name, parent, pose, joints, _inertial(link), tuple(shapes))
 
 
 def _inertial(link: UrdfLink) -> Inertial | None:

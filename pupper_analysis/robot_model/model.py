@@ -1,6 +1,6 @@
-"""A neutral view of a model: the same for a URDF and an MJCF, so that most rules are written once.
+"""A robot as its file states it, the same for each format: what looks at it is written once.
 
-Unlike in an engine's model, bodies that are fixed to others are kept apart, as in the file.
+Unlike in an engine's model, links that are fixed to others are kept apart, as in the file.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.pose import Array, Pose
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.robot_model.pose import Array, Pose
 
 HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
 
@@ -121,7 +121,7 @@ class Frame:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class Link:
     """A link of a URDF, a body of an MJCF.
 
     Attributes:
@@ -154,37 +154,37 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RobotModel:
     """A model.
 
     Attributes:
         format: ``"urdf"`` or ``"mjcf"``.
-        body_tag: What a body is called in the format.
+        link_tag: What a body is called in the format.
         base: The name of the base; "" if there is no body.
-        bodies: By name, parents first.
+        links: By name, parents first.
         notes: What was left out.
     """
 
     format: str
-    body_tag: str
+    link_tag: str
     base: str
-    bodies: dict[str, Body]
+    links: dict[str, Link]
     notes: tuple[Diagnostic, ...]
 
     @cached_property
     def joints(self) -> dict[str, Joint]:
         """All joints, by name."""
-        return {joint.name: joint for body in self.bodies.values() for joint in body.joints}
+        return {joint.name: joint for body in self.links.values() for joint in body.joints}
 
     @cached_property
     def total_mass(self) -> float:
         """Of all bodies (kg)."""
-        return sum(body.mass for body in self.bodies.values())
+        return sum(body.mass for body in self.links.values())
 
     @cached_property
-    def _children(self) -> dict[str, list[Body]]:
-        children: dict[str, list[Body]] = {name: [] for name in self.bodies}
-        for body in self.bodies.values():
+    def _children(self) -> dict[str, list[Link]]:
+        children: dict[str, list[Link]] = {name: [] for name in self.links}
+        for body in self.links.values():
             if body.parent is not None:
                 children[body.parent].append(body)
         return children
@@ -193,38 +193,38 @@ class View:
         """Returns where the mass, origin or inertia of a body stands below it in the format."""
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
 
-    def children(self, name: str) -> list[Body]:
+    def children(self, name: str) -> list[Link]:
         """Returns the bodies whose parent is the one named."""
         return self._children[name]
 
-    def descendants(self, name: str) -> Iterator[Body]:
+    def descendants(self, name: str) -> Iterator[Link]:
         """Yields the children of a body, their children, and so on."""
         for child in self.children(name):
             yield child
             yield from self.descendants(child.name)
 
-    def fixed_group(self, name: str) -> list[Body]:
+    def fixed_group(self, name: str) -> list[Link]:
         """Returns a body and all that is fixed to it, directly or not."""
-        group = [self.bodies[name]]
+        group = [self.links[name]]
         for child in self.children(name):
             if not child.moving:
                 group += self.fixed_group(child.name)
         return group
 
-    def is_negligible(self, body: Body) -> bool:
+    def is_negligible(self, body: Link) -> bool:
         """Whether a body weighs less than 1e-4 of all: a placeholder, or a label stuck on."""
         return body.mass < 1e-4 * self.total_mass
 
     def ancestors(self, name: str) -> Iterator[str]:
         """Yields the parent of a body, its parent, and so on."""
-        parent = self.bodies[name].parent
+        parent = self.links[name].parent
         while parent is not None:
             yield parent
-            parent = self.bodies[parent].parent
+            parent = self.links[parent].parent
 
 
 @dataclass(frozen=True, eq=False)
-class UrdfView(View):
+class UrdfModel(RobotModel):
     """A model in a URDF.
 
     Attributes:
@@ -235,17 +235,17 @@ class UrdfView(View):
 
 
 @dataclass(frozen=True, eq=False)
-class MjcfView(View):
+class MjcfModel(RobotModel):
     """A model in an MJCF.
 
     Attributes:
         file: The file.
-        model: What MuJoCo makes of it, perhaps after repair; None if it refuses even that.
+        mj_model: What MuJoCo makes of it, perhaps after repair; None if it refuses even that.
         refusal: MuJoCo's message if it refuses the file as it stands, and the place it names.
-        body_names: The view's name of each of MuJoCo's bodies, by id.
+        body_names: The name here of each of MuJoCo's bodies, by id.
     """
 
     file: MjcfFile
-    model: mujoco.MjModel | None
+    mj_model: mujoco.MjModel | None
     refusal: tuple[Diagnostic, Place] | None
     body_names: tuple[str, ...]

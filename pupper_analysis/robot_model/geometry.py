@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from pupper_analysis.checks.audit.pose import Array
-from pupper_analysis.checks.audit.view import Body, Shape, View
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.places import one_line
+from pupper_analysis.robot_model.model import Link, RobotModel, Shape
+from pupper_analysis.robot_model.pose import Array
 
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])
@@ -109,7 +109,7 @@ def shape_points(shape: Shape) -> Array | None:
     return shape.pose.point(local)
 
 
-def extent_points(bodies: Sequence[Body], frame: Body) -> Array | None:
+def extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
     """Returns points (n, 3) that span all shapes of some bodies, in the frame of one of them (m).
 
     Returns:
@@ -126,11 +126,11 @@ def extent_points(bodies: Sequence[Body], frame: Body) -> Array | None:
     return np.concatenate(parts) if parts else None
 
 
-def link_points(view: View, body: Body) -> Array:
+def link_points(robot: RobotModel, body: Link) -> Array:
     """Returns a body's origin, frames and children's origins (n, 3), in its frame (m)."""
     to_frame = body.pose.inverse()
     points = [np.zeros(3), *(frame.position for frame in body.frames)]
-    points += [to_frame.point(child.pose.position) for child in view.children(body.name)]
+    points += [to_frame.point(child.pose.position) for child in robot.children(body.name)]
     return np.array(points)
 
 
