@@ -23,6 +23,7 @@ from pupper_analysis.checks.words import (
 )
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.models.attributes import IN_A_TREE
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
@@ -263,35 +264,25 @@ def _joint_numbers(
     name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
 ) -> Iterable[Change]:
     """Yields other limits, damping and friction; and armature, where both can state it."""
-    for kind, field, unit, tolerance, relative in (
-        ("lower limit", "lower", "rad", tolerances.limit, False),
-        ("upper limit", "upper", "rad", tolerances.limit, False),
-        ("effort", "effort", "N m", tolerances.effort, True),
-        ("velocity", "velocity", "rad/s", tolerances.velocity, True),
-        ("damping", "damping", "N m s/rad", tolerances.damping, True),
-        ("friction", "friction", "N m", tolerances.friction, True),
-        ("armature", "armature", "kg m^2", tolerances.inertia, True),
-    ):
+    for attribute in IN_A_TREE:
+        kind, field, unit = attribute.kind, attribute.field, attribute.unit(one.slides)
         a, b = float(getattr(one, field)), float(getattr(two, field))
-        if field == "armature" and not sides.alike:
-            continue  # both have the MJCF's
-        if field == "velocity" and not sides.alike and not (math.isfinite(a) and math.isfinite(b)):
-            continue  # an MJCF cannot state it
+        if not (sides.alike or attribute.in_both):
+            continue  # one of the formats has no words for it, and was given the other's
+        tolerance = getattr(tolerances, attribute.tolerance)
         if a == b or (
             math.isfinite(a)
             and math.isfinite(b)
-            and abs(b - a) <= tolerance * (max(abs(a), abs(b)) if relative else 1.0)
+            and abs(b - a) <= tolerance * (max(abs(a), abs(b)) if attribute.relative else 1.0)
         ):
             continue
-        if field == "effort" and a == 0 and math.isinf(b) and not sides.alike:
+        if kind == "effort" and a == 0 and math.isinf(b) and not sides.alike:
             continue  # neither states one
-        endless = field in ("lower", "upper") and one.slides and abs(a) >= ENDLESS_SLIDE
+        endless = kind in ("lower limit", "upper limit") and one.slides and abs(a) >= ENDLESS_SLIDE
         if endless and math.isinf(b) and not sides.alike:
             continue  # a URDF cannot state a slide without
-        if one.slides:
-            unit = unit.replace("N m", "N").replace("rad", "m").replace("kg m^2", "kg")
         guess = in_degrees(a, b)
-        if field == "effort" and a == 0 and not sides.alike:
+        if kind == "effort" and a == 0 and not sides.alike:
             guess = diagnose("guess-zero-for-unknown")
         told = diagnose(
             "joint-number-differs",
@@ -301,8 +292,8 @@ def _joint_numbers(
             **pair(a, b, unit),
             **sides.named,
         )
-        felt = field in ("damping", "armature")
-        yield Change(kind, name, a, b, unit, told, _take_joint(name, field), felt=felt)
+        take = _take_joint(name, field)
+        yield Change(kind, name, a, b, unit, told, take, felt=attribute.felt)
 
 
 def _take_body(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:

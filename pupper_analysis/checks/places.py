@@ -10,6 +10,7 @@ import numpy as np
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.match import Match
+from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -23,14 +24,9 @@ URDF_CHILD = {
     "position": "origin",
     "rotation": "origin",
     "axis": "axis",
-    "lower limit": "limit",
-    "upper limit": "limit",
-    "effort": "limit",
-    "velocity": "limit",
-    "damping": "dynamics",
-    "friction": "dynamics",
-    "armature": "dynamics",
     "mimic": "mimic",
+    # Where it would stand, of what a URDF has no words for.
+    **{one.kind: one.urdf[0] if one.urdf else "dynamics" for one in IN_A_TREE},
 }
 
 MJCF_SECTION = {
@@ -46,14 +42,8 @@ WHOLE = {"fluid": ("density", "viscosity"), "gravity": ("gravity",), "flag": (),
 
 
 MJCF_ATTRIBUTES = {
-    "lower limit": ("range",),
-    "upper limit": ("range",),
-    "damping": ("damping",),
-    "friction": ("frictionloss",),
-    "armature": ("armature",),
     "axis": ("axis",),
-    "spring": ("stiffness",),
-    "effort": ("forcerange", "actuatorfrcrange", "ctrlrange"),
+    **{one.kind: one.mjcf for one in JOINT_ATTRIBUTES},
 }
 """The attributes that state a kind of number, in an element or in a default class."""
 

@@ -13,6 +13,7 @@ from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.unlimited import states_no_limits
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -154,8 +155,7 @@ class UrdfBodies:
             type="slide" if kind == "prismatic" else None,
             axis="1 0 0" if axis is None else axis.get("xyz"),
             range=bounds,
-            damping=_stated(dynamics, "damping"),
-            frictionloss=_stated(dynamics, "friction"),
+            **{one.mjcf[0]: _stated(dynamics, one.urdf[1]) for one in PASSIVE if one.urdf},
             armature=words(self.armature[name]) if name in self.armature else None,
         )
         effort = _stated(limit, "effort")

@@ -20,6 +20,7 @@ from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
 from pupper_analysis.convert.xml_text import element, free_name, words
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
@@ -160,9 +161,14 @@ class UrdfLinks:
             most = Quantity(ENDLESS_SLIDE, "m")
             self.left.append(diagnose("slide-without-limits", subject=("joint", name), limit=most))
         dof = int(model.jnt_dofadr[joint])
-        damping, friction = float(model.dof_damping[dof]), float(model.dof_frictionloss[dof])
-        if damping or friction:
-            element(node, "dynamics", damping=words(damping), friction=words(friction))
+        passive = {
+            one.urdf[1]: float(getattr(model, one.mujoco)[dof])
+            for one in PASSIVE
+            if one.urdf and one.mujoco
+        }
+        if any(passive.values()):
+            stated = {word: words(value) for word, value in passive.items()}
+            element(node, "dynamics", **stated)
         if not math.isfinite(effort):
             self.unlimited += 1
 

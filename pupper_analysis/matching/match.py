@@ -39,6 +39,7 @@ from pupper_analysis.matching.urdf import (
     take_mass_of_base,
     without_shapes,
 )
+from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
@@ -270,20 +271,17 @@ def _take_unstated(
         {``damping`` or ``friction``: the joints that were given it}.
     """
     theirs = mjcf_tree(spec, source).joints
-    given: dict[str, list[str]] = {"damping": [], "friction": []}
+    optional = [one for one in PASSIVE if one.in_both]
+    given: dict[str, list[str]] = {one.kind: [] for one in optional}
     for name, joint in UrdfTree(root).joints.items():
-        dynamics = joint.element.find("dynamics")
         if joint.is_fixed or name not in theirs:
             continue
-        for word, names in given.items():
-            value = float(getattr(theirs[name], word))
-            if not value or (dynamics is not None and dynamics.get(word) is not None):
-                continue
-            if dynamics is None:
-                dynamics = etree.SubElement(joint.element, "dynamics")
-            dynamics.set(word, repr(value))
-            names.append(name)
-    return {word: tuple(names) for word, names in given.items()}
+        for one in optional:
+            value = float(getattr(theirs[name], one.field))
+            if value and joint.stated(one) is None:
+                joint.state(one, value)
+                given[one.kind].append(name)
+    return {kind: tuple(names) for kind, names in given.items()}
 
 
 def _check_names(

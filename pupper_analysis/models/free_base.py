@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
 
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 _APART: Final = 0.1
 """Least volume that three axes span: those of coordinates span 1, and 0 are none."""
 
-_LOSSES: Final = ("damping", "armature", "frictionloss")
+_LOSSES: Final = tuple(one.mjcf[0] for one in PASSIVE if one.mujoco)
 
 
 def join_free_base(

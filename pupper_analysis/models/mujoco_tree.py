@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 
@@ -124,9 +125,9 @@ def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Joi
     model.jnt_actfrclimited[ids] = np.isfinite(efforts)
     efforts = np.where(np.isfinite(efforts), efforts, 0.0)
     model.jnt_actfrcrange[ids] = np.stack([-efforts, efforts], axis=1)
-    model.dof_armature[dofs] = [joint.armature for joint in joints]
-    model.dof_damping[dofs] = [joint.damping for joint in joints]
-    model.dof_frictionloss[dofs] = [joint.friction for joint in joints]
+    for one in JOINT_ATTRIBUTES:
+        if one.mujoco:
+            getattr(model, one.mujoco)[dofs] = [getattr(joint, one.field) for joint in joints]
 
 
 def _quaternion(rotation: Array) -> Array:

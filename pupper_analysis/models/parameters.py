@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 
 Array = NDArray[np.float64]
 
@@ -140,6 +141,9 @@ class Parameters:
         )
 
 
+_OF_PINOCCHIO = tuple(one for one in JOINT_ATTRIBUTES if one.pinocchio)
+
+
 def from_pinocchio(
     model: pin.Model, base: str, joint_names: Iterable[str], frames: Mapping[str, str]
 ) -> Parameters:
@@ -179,11 +183,7 @@ def from_pinocchio(
             slides=slides,
             lower=float(model.lowerPositionLimit[q]) if bounded else -np.inf,
             upper=float(model.upperPositionLimit[q]) if bounded else np.inf,
-            effort=float(model.effortLimit[v]),
-            velocity=float(model.velocityLimit[v]),
-            armature=float(model.armature[v]),
-            damping=float(model.damping[v]),
-            friction=float(model.friction[v]),
+            **{one.field: float(getattr(model, one.pinocchio)[v]) for one in _OF_PINOCCHIO},
         )
         bodies[name] = _body(model.inertias[index])
     places = {}
@@ -251,12 +251,8 @@ def to_pinocchio(parameters: Parameters) -> pin.Model:
         _append(model, index[name], parameters.bodies[name])
     offset = 6 if parameters.floating else 0
     joints = [parameters.joints[name] for name in order]
-    for values, field in (
-        (model.armature, "armature"),
-        (model.damping, "damping"),
-        (model.friction, "friction"),
-    ):
-        values[offset:] = [getattr(joint, field) for joint in joints]
+    for one in _OF_PINOCCHIO:
+        getattr(model, one.pinocchio)[offset:] = [getattr(joint, one.field) for joint in joints]
     model.damping[:offset] = parameters.base_damping
     model.armature[:offset] = parameters.base_armature
     for name, (body, position) in parameters.frames.items():

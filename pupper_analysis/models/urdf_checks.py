@@ -11,6 +11,7 @@ from typing import Final
 from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.places import line_of, refusal_at, short
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER
 
@@ -26,8 +27,12 @@ _NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
     "axis": {"xyz": 3},
     "mass": {"value": 1},
     "inertia": dict.fromkeys(_INERTIA, 1),
-    "limit": {"effort": 1, "velocity": 1, "lower": 1, "upper": 1},
-    "dynamics": {"damping": 1, "friction": 1},
+    **{
+        tag: dict.fromkeys(
+            (one.urdf[1] for one in JOINT_ATTRIBUTES if one.urdf and one.urdf[0] == tag), 1
+        )
+        for tag in ("limit", "dynamics")
+    },
     "mimic": {"multiplier": 1, "offset": 1},
     "calibration": {"rising": 1, "falling": 1, "reference_position": 1},
     "safety_controller": {

@@ -16,6 +16,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.xml import parse_text
 
 Array = NDArray[np.float64]
@@ -140,6 +141,22 @@ class UrdfJoint(UrdfElement):
         """Where its frame is in the parent's."""
         return origin_of(self.element)
 
+    def stated(self, attribute: JointAttribute) -> str | None:
+        """Returns one of its numbers as it is written; None where the file states none."""
+        if attribute.urdf is None:
+            return None
+        element = self.element.find(attribute.urdf[0])
+        return None if element is None else element.get(attribute.urdf[1])
+
+    def state(self, attribute: JointAttribute, value: float) -> None:
+        """States one of its numbers, which a URDF has words for."""
+        assert attribute.urdf is not None, f"a URDF has no words for {attribute.kind}"
+        tag, word = attribute.urdf
+        element = self.element.find(tag)
+        if element is None:
+            element = etree.SubElement(self.element, tag, _NO_LIMIT if tag == "limit" else {})
+        element.set(word, repr(float(value)))
+
     def fix(self) -> None:
         """Makes it a fixed joint."""
         self.element.set("type", "fixed")
@@ -148,11 +165,8 @@ class UrdfJoint(UrdfElement):
         """Limits a joint (rad, m); one that turned without end no longer does."""
         if self.kind == "continuous":
             self.element.set("type", "revolute")
-        limit = self.element.find("limit")
-        if limit is None:
-            limit = etree.SubElement(self.element, "limit", _NO_LIMIT)
-        limit.set("lower", repr(float(lower)))
-        limit.set("upper", repr(float(upper)))
+        self.state(BY_KIND["lower limit"], lower)
+        self.state(BY_KIND["upper limit"], upper)
 
 
 def _words(values: Array) -> str:

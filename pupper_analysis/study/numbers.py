@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
@@ -108,12 +109,10 @@ def _scale_urdf(tree: UrdfTree, robot: Robot, kind: str, joint: str, factor: flo
             for entry in INERTIA_ENTRIES:
                 _times(inertial.find("inertia"), entry, factor)
         return
-    element = tree.joints[joint].element
-    if kind == "effort":
-        _times(element.find("limit"), "effort", factor)
-    elif kind != "armature":  # which a URDF cannot state
-        attribute = {"damping": "damping", "frictionloss": "friction"}[kind]
-        _times(element.find("dynamics"), attribute, factor)
+    attribute = BY_KIND.get(kind) or BY_MJCF[kind]
+    text = tree.joints[joint].stated(attribute)
+    if text is not None:
+        tree.joints[joint].state(attribute, float(text) * float(factor))
 
 
 def _times(element: etree._Element | None, attribute: str, factor: float) -> None:
@@ -136,8 +135,6 @@ def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor
                 actuator.forcerange = np.array(actuator.forcerange) * factor
                 if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # a motor's command is force
                     actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
-    elif kind == "armature":
-        element.armature = element.armature * factor
     else:
         value = getattr(element, kind)
         setattr(element, kind, np.array(value) * factor if np.ndim(value) else value * factor)

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Final
 
 from pupper_analysis.checks.differences import LIMITS, OF_INERTIALS
+from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.sync.frames import Key, Sides
-
-_VALUE: Final = {"lower limit": "lower", "upper limit": "upper", "effort": "effort"}
-
-_ATTRIBUTE: Final = {"damping": "damping", "friction": "frictionloss"}
-"""What an MJCF's joint calls what a URDF's <dynamics> has under the name of the kind."""
 
 
 def is_absent(key: Key, whose: str, both: Sides, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
@@ -34,14 +29,15 @@ def is_absent(key: Key, whose: str, both: Sides, urdf: UrdfFile, mjcf: MjcfFile)
     side = both.urdf if whose == "urdf" else both.mjcf
     if kind == "effort" and whose == "urdf" and name in side.joints:
         return not 0 < side.joints[name].effort < math.inf
-    if kind in LIMITS:
-        return name in side.joints and math.isinf(getattr(side.joints[name], _VALUE[kind]))
+    attribute = BY_KIND.get(kind)
+    if kind in LIMITS and attribute is not None:
+        return name in side.joints and math.isinf(getattr(side.joints[name], attribute.field))
     if kind in OF_INERTIALS:
         return name in side.bodies and not side.bodies[name].mass > 0
-    if kind not in _ATTRIBUTE or name not in side.joints or getattr(side.joints[name], kind):
+    if attribute is None or attribute.urdf is None or name not in side.joints:
+        return False
+    if getattr(side.joints[name], attribute.field):
         return False
     if whose == "mjcf":
-        return mjcf.stated("joint", name, {_ATTRIBUTE[kind]}) is None
-    joint = both.matched.urdf_joint[name]
-    dynamics = urdf.tree.joints[joint].element.find("dynamics")
-    return dynamics is None or dynamics.get(kind) is None
+        return mjcf.stated("joint", name, attribute.mjcf) is None
+    return urdf.tree.joints[both.matched.urdf_joint[name]].stated(attribute) is None

@@ -10,6 +10,7 @@ from typing import Final
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 
 SIDES: Final = ("urdf", "mjcf")
 
@@ -19,19 +20,12 @@ _OF_JOINT: Final = (
     "position",
     "rotation",
     "axis",
-    "lower limit",
-    "upper limit",
-    "effort",
-    "velocity",
-    "damping",
-    "friction",
-    "armature",
+    *(attribute.kind for attribute in JOINT_ATTRIBUTES),
     "zero",
     "type",
     "parent",
     "mimic",
     "name",
-    "spring",
     "damping polynomial",
 )
 

@@ -13,6 +13,7 @@ from pupper_analysis.matching.alignment import Alignment
 from pupper_analysis.matching.conventions import with_zero
 from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.trees import base_pose, trees
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.parameters import Body, Joint, Parameters
 from pupper_analysis.sync.inertia import Mass
@@ -28,11 +29,7 @@ _JOINT = {
     "position": "position",
     "rotation": "rotation",
     "axis": "axis",
-    "lower limit": "lower",
-    "upper limit": "upper",
-    "effort": "effort",
-    "damping": "damping",
-    "friction": "friction",
+    **{one.kind: one.field for one in JOINT_ATTRIBUTES if one.in_both},
 }
 
 

@@ -8,10 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 
 from pupper_analysis.checks.attribution import align
-from pupper_analysis.checks.differences import LIMITS, OF_BODIES_AND_PLACES
+from pupper_analysis.checks.differences import OF_BODIES_AND_PLACES
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.match import match
 from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
@@ -23,7 +24,9 @@ from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
 from pupper_analysis.sync.xml_bytes import Document, Element, read_document
 
-_WRITTEN = (*OF_BODIES_AND_PLACES, *LIMITS, "damping", "friction", "zero")
+_OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
+
+_WRITTEN = (*OF_BODIES_AND_PLACES, *_OF_BOTH, "zero")
 """Kinds of differences that are numbers of both formats."""
 
 _REASONS = {

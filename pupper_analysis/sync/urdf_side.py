@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Term, diagnose
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.parameters import Joint
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, mass_of, placement
@@ -30,8 +31,12 @@ Array = NDArray[np.float64]
 Changes = dict[tuple[str, str], str]
 """{(path below an element, attribute): new value}."""
 
-_NUMBERS = {"effort": ("limit", "effort"), "damping": ("dynamics", "damping")} | {
-    "friction": ("dynamics", "friction")
+_RANGE = ("lower limit", "upper limit")
+
+_NUMBERS = {
+    one.kind: one.urdf
+    for one in JOINT_ATTRIBUTES
+    if one.urdf and one.mjcf and one.kind not in _RANGE
 }
 
 
@@ -69,7 +74,7 @@ class UrdfSide(Side):
             kind, name = key
             if kind == "axis":
                 self._axis(name)
-            elif kind in ("lower limit", "upper limit", "zero"):
+            elif kind in (*_RANGE, "zero"):
                 self._limits(key)
             elif kind in _NUMBERS:
                 self._number(key)

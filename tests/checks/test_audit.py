@@ -968,7 +968,7 @@ def test_inertias_of_a_urdf_are_turned_as_their_origin_says(tmp_path: Path) -> N
         '<mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.025" ixy="0.001" ixz="0.002" '
         'iyz="-0.003"/></inertial></link></robot>'
     )
-    inertial = read_urdf_model(read_urdf(path)).bodies["base"].inertial
+    inertial = read_urdf_model(read_urdf(path)).links["base"].inertial
     assert inertial is not None
     theirs = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
     np.testing.assert_allclose(inertial.inertia, theirs.inertia, atol=1e-15)

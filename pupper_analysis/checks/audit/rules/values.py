@@ -11,6 +11,7 @@ from lxml import etree
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.diagnostics import Severity, Vector, diagnose
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot_model.mjcf import line_of
@@ -19,9 +20,7 @@ from pupper_analysis.robot_model.urdf import number, vector
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 
-_JOINT_NUMBERS = {"dynamics": ("damping", "friction"), "limit": ("effort", "velocity")}
-
-_PASSIVE = ("damping", "frictionloss", "armature", "stiffness")
+_PASSIVE = tuple(one.mjcf[0] for one in PASSIVE)
 """Of an MJCF's joints and tendons: what resists a motion, and not drives it."""
 
 
@@ -35,30 +34,29 @@ def value_impossible(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
     if isinstance(robot, UrdfModel):
         yield from _impossible_sizes(robot)
         for name, joint in robot.file.tree.joints.items():
-            for tag, attributes in _JOINT_NUMBERS.items():
-                element = joint.element.find(tag)
-                for attribute in attributes:
-                    value = number(element, attribute, 0.0)
-                    if value < 0:
-                        told = diagnose(
-                            "value-impossible", attribute=f"{tag} {attribute}", value=value
-                        )
-                        yield Found("joint", name, told, tag)
+            for attribute in JOINT_ATTRIBUTES:
+                if attribute.urdf is None or attribute.signed:
+                    continue
+                tag, word = attribute.urdf
+                value = number(joint.element.find(tag), word, 0.0)
+                if value < 0:
+                    told = diagnose("value-impossible", attribute=f"{tag} {word}", value=value)
+                    yield Found("joint", name, told, tag)
         return
     for joint in robot.file.spec.joints:
         around = line_of(robot.file, joint, joint.parent.name)
-        for attribute in _PASSIVE:
-            value = float(np.atleast_1d(getattr(joint, attribute))[0])
+        for word in _PASSIVE:
+            value = float(np.atleast_1d(getattr(joint, word))[0])
             if value < 0:
                 place = None if joint.name else around
-                told = diagnose("value-impossible", attribute=attribute, value=value)
+                told = diagnose("value-impossible", attribute=word, value=value)
                 yield Found("joint", joint.name, told, place=place)
     for at, tendon in enumerate(robot.file.spec.tendons):
-        for attribute in _PASSIVE:
-            value = float(np.atleast_1d(getattr(tendon, attribute))[0])
+        for word in _PASSIVE:
+            value = float(np.atleast_1d(getattr(tendon, word))[0])
             if value < 0:
                 place = None if tendon.name else robot.file.numbered("tendon", at)
-                told = diagnose("value-impossible", attribute=attribute, value=value)
+                told = diagnose("value-impossible", attribute=word, value=value)
                 yield Found("tendon", tendon.name, told, place=place)
     for geom in robot.file.spec.geoms:
         if min(geom.friction) < 0:

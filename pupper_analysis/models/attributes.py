@@ -1,0 +1,165 @@
+"""The numbers of a joint: what each is called in a URDF, in an MJCF and in both engines.
+
+Reading, audit, comparison, `sync` and conversion go through this one table. `docs/architecture.md`
+shows how to add a row.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+
+@dataclass(frozen=True)
+class JointAttribute:
+    """A number of a hinge or a slide.
+
+    Attributes:
+        kind: What a difference in it is called; a term of the catalogue.
+        field: The attribute of `parameters.Joint`; "" of what no tree of joints has.
+        units: Its unit for a hinge, and for a slide.
+        tolerance: Of `Tolerances`.
+        relative: Whether the tolerance is relative.
+        felt: Whether forward dynamics depend on it.
+        unstated: What it is where a file does not state it.
+        urdf: The element below ``<joint>`` and its attribute; None where a URDF has no words.
+        mjcf: The attributes of an MJCF's joint, or its actuators, any of which states it; none
+            where an MJCF has no words.
+        pinocchio: The vector of Pinocchio's model, one entry per velocity; "" if there is none.
+        mujoco: The array of MuJoCo's model, one entry per velocity; "" if there is none.
+        resists: Whether it resists motion, whatever a motor does.
+        signed: Whether it can be negative.
+    """
+
+    kind: str
+    field: str
+    units: tuple[str, str]
+    tolerance: str
+    relative: bool = True
+    felt: bool = False
+    unstated: float = 0.0
+    urdf: tuple[str, str] | None = None
+    mjcf: tuple[str, ...] = ()
+    pinocchio: str = ""
+    mujoco: str = ""
+    resists: bool = False
+    signed: bool = False
+
+    def unit(self, slides: bool) -> str:
+        """Returns its unit, of a joint that slides or turns."""
+        return self.units[slides]
+
+    @property
+    def in_both(self) -> bool:
+        """Whether both formats can state it."""
+        return self.urdf is not None and bool(self.mjcf)
+
+
+_ANGLE, _FORCE = ("rad", "m"), ("N m", "N")
+
+JOINT_ATTRIBUTES: Final = (
+    JointAttribute(
+        "lower limit",
+        "lower",
+        _ANGLE,
+        "limit",
+        relative=False,
+        signed=True,
+        unstated=-math.inf,
+        urdf=("limit", "lower"),
+        mjcf=("range",),
+    ),
+    JointAttribute(
+        "upper limit",
+        "upper",
+        _ANGLE,
+        "limit",
+        relative=False,
+        signed=True,
+        unstated=math.inf,
+        urdf=("limit", "upper"),
+        mjcf=("range",),
+    ),
+    JointAttribute(
+        "effort",
+        "effort",
+        _FORCE,
+        "effort",
+        unstated=math.inf,
+        urdf=("limit", "effort"),
+        mjcf=("forcerange", "actuatorfrcrange", "ctrlrange"),
+        pinocchio="effortLimit",
+    ),
+    JointAttribute(
+        "velocity",
+        "velocity",
+        ("rad/s", "m/s"),
+        "velocity",
+        unstated=math.inf,
+        urdf=("limit", "velocity"),
+        pinocchio="velocityLimit",
+    ),
+    JointAttribute(
+        "damping",
+        "damping",
+        ("N m s/rad", "N s/m"),
+        "damping",
+        felt=True,
+        urdf=("dynamics", "damping"),
+        mjcf=("damping",),
+        pinocchio="damping",
+        mujoco="dof_damping",
+        resists=True,
+    ),
+    JointAttribute(
+        "friction",
+        "friction",
+        _FORCE,
+        "friction",
+        urdf=("dynamics", "friction"),
+        mjcf=("frictionloss",),
+        pinocchio="friction",
+        mujoco="dof_frictionloss",
+        resists=True,
+    ),
+    JointAttribute(
+        "armature",
+        "armature",
+        ("kg m^2", "kg"),
+        "inertia",
+        felt=True,
+        mjcf=("armature",),
+        pinocchio="armature",
+        mujoco="dof_armature",
+        resists=True,
+    ),
+    JointAttribute(
+        "spring",
+        "",
+        ("N m/rad", "N/m"),
+        "dynamics",
+        felt=True,
+        mjcf=("stiffness",),
+        resists=True,
+    ),
+)
+"""All of them, in the order in which they are compared."""
+
+BY_KIND: Final[Mapping[str, JointAttribute]] = MappingProxyType(
+    {attribute.kind: attribute for attribute in JOINT_ATTRIBUTES}
+)
+"""{kind: attribute}."""
+
+BY_MJCF: Final[Mapping[str, JointAttribute]] = MappingProxyType(
+    {word: attribute for attribute in JOINT_ATTRIBUTES for word in attribute.mjcf}
+)
+"""{an MJCF's word: the attribute}; both ends of a ``range`` have one word, and the upper counts."""
+
+IN_A_TREE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.field)
+"""What a tree of joints has, as `parameters` states it."""
+
+PASSIVE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.resists)
+"""What resists a joint's motion, whatever its motor does."""
