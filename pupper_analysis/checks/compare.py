@@ -15,7 +15,7 @@ from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck
 from pupper_analysis.checks.mount import Mount, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
-from pupper_analysis.checks.places import mjcf_place, path_of, shares, urdf_place
+from pupper_analysis.checks.shares import shares
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
@@ -219,12 +219,13 @@ def _placed(
     mjcf: MjcfFile,
 ) -> Iterator[Difference]:
     """Yields the differences, and names that are another, with where they stand."""
+    one, two = matched.sources(urdf, mjcf)
     for difference in (*explanation.differences, *(_name(*pair) for pair in names.items())):
         yield replace(
             difference,
-            urdf_place=path_of(urdf_place(difference, matched, urdf)),
-            mjcf_place=path_of(mjcf_place(difference, matched, mjcf)),
-            made_of=shares(difference, matched, urdf, mjcf),
+            urdf_place=one.place(difference.kind, difference.element).path,
+            mjcf_place=two.place(difference.kind, difference.element).path,
+            made_of=shares(difference, one, two),
         )
 
 

@@ -28,6 +28,7 @@ from pupper_analysis.matching.mjcf import (
 )
 from pupper_analysis.matching.pairs import pair_up
 from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.structure import common_frames
 from pupper_analysis.matching.subtrees import removable, take_off
 from pupper_analysis.matching.tolerances import Tolerances
@@ -94,6 +95,29 @@ class Match:
     def urdf_tree(self) -> UrdfTree:
         """The links and joints of the URDF as it was matched."""
         return UrdfTree.of(self.robot.description.urdf)
+
+    def sources(self, urdf: UrdfFile, mjcf: MjcfFile) -> tuple[Sources, Sources]:
+        """Returns where the numbers stand in the two files that were matched."""
+        base = tuple(dict.fromkeys((self.robot.base, self.reference.base)))
+        frames = self.robot.description.frames
+        one = UrdfSources(
+            file=urdf,
+            tree=self.urdf_tree,
+            links=self.urdf_link,
+            joints=self.urdf_joint,
+            frames={name: link for name, (link, _) in frames.items()},
+            movers={body: mover for mover, body in self.mjcf_body.items()},
+            base=base,
+        )
+        two = MjcfSources(
+            file=mjcf,
+            model=self.robot.mj_model,
+            bodies=self.mjcf_body,
+            frames={name: site for name, (_, site) in frames.items()},
+            base=base,
+            renumbered=bool(self.only_mjcf),  # the numbers are those of what was left
+        )
+        return one, two
 
 
 def read_mapping(path: Path) -> dict[str, str]:

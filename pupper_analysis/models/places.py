@@ -30,6 +30,11 @@ class Place:
     def __str__(self) -> str:
         return self.file.name if self.line is None else f"{self.file.name}:{self.line}"
 
+    @property
+    def path(self) -> str:
+        """The whole path, and the line: by it a CI service finds the file."""
+        return f"{self.file}" if self.line is None else f"{self.file}:{self.line}"
+
 
 def innermost(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
     """Returns the innermost element that exists on a path below one.

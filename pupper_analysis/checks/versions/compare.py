@@ -13,7 +13,6 @@ from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Judge
 from pupper_analysis.checks.versions.behaviour import Trial
-from pupper_analysis.checks.versions.places import place_in
 from pupper_analysis.checks.versions.revision import Source, opened
 from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
@@ -254,7 +253,7 @@ class _Comparison:
         """Returns a difference as a change, with where it stands in both files."""
         kind, element = difference.kind, difference.element
         places = [
-            source.label(place_in(version, kind, name))
+            source.label(version.sources.place(kind, name))
             for source, version, name in (
                 (self.sources[0], self.one, element),
                 (self.sources[1], self.two, self.new_name.get(element, element)),

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from pupper_analysis.checks.places import path_of
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import git
@@ -39,7 +38,7 @@ class Source:
 
     def label(self, place: Place) -> str:
         """Returns a place as the user knows it."""
-        return self._known(path_of(place))
+        return self._known(place.path)
 
     def read(self, read: Callable[[Path], _T]) -> _T:
         """Reads the file; an error tells of it as the user knows it."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-from lxml import etree
 
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.scene import Scene
@@ -16,6 +15,7 @@ from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.mimics import urdf_mimics
 from pupper_analysis.matching.mjcf import drop_other_objects, hinges, mjcf_tree, name_all
 from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.urdf import (
     moving_joints,
     urdf_tree,
@@ -40,19 +40,15 @@ class Version:
         tree: Its joints and bodies. The base of a URDF is free, for it states none.
         others: {(kind, element): value} of what is not in the tree: joints that follow others,
             motors, springs, tendons ...
-        carriers: {base or joint: the link or body that it moves}.
+        sources: Where the numbers stand.
         notes: What was assumed or left out.
-        model: Of an MJCF, what MuJoCo makes of it.
-        root: Of a URDF, its XML.
     """
 
     file: UrdfFile | MjcfFile
     tree: Parameters
     others: Mapping[tuple[str, str], Any]
-    carriers: Mapping[str, str]
+    sources: Sources
     notes: tuple[Diagnostic, ...]
-    model: mujoco.MjModel | None = None
-    root: etree._Element | None = field(default=None, repr=False)
 
 
 def version_of(file: UrdfFile | MjcfFile) -> Version:
@@ -78,9 +74,8 @@ def _of_urdf(file: UrdfFile) -> Version:
         file=file,
         tree=urdf_tree(root, file.path, base, frames),
         others={("mimic", name): list(value) for name, value in mimics.items()},
-        carriers={base: base, **carriers},
+        sources=UrdfSources(file, UrdfTree(root), {base: base, **carriers}, {}, {}, {}, (base,)),
         notes=(*file.notes, *held),
-        root=root,
     )
 
 
@@ -112,9 +107,8 @@ def _of_mjcf(file: MjcfFile) -> Version:
         file=file,
         tree=mjcf_tree(spec, file.path, base, frames),
         others={**others, **_motors(Scene(reference))},
-        carriers={base: base, **carriers},
+        sources=MjcfSources(file, model, {base: base, **carriers}, {}, (base,)),
         notes=tuple(notes),
-        model=model,
     )
 
 
