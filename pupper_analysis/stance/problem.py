@@ -242,7 +242,9 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
         robot.points_of(foot)
     for foot in depths:
         robot.check_foot(foot)
-    for foot, depth in depths.items():
+    for sole in robot.feet_with(depths):  # corners of a sole that bears may lift
+        foot = max((one for one in robot.soles[sole] if one in depths), key=depths.__getitem__)
+        depth = depths[foot]
         margin = robot.contacts[foot].margin if foot in robot.contacts else 0.0
         if not -margin <= depth < math.inf:
             given, least = Quantity(depth, "m"), Quantity(-margin if margin else 0.0, "m")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,14 +28,16 @@ def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
     """Returns a stand of the unloaded robot as the loaded one has it on MuJoCo's soft ground.
 
     The base stays where it is, and the feet where they are seen from above: each leg is longer by
-    what its foot sinks in under the load. The com is where the load takes it.
+    what its foot sinks in under the load. The com is where the load takes it. Where the legs do not
+    follow (they are straight, or an ankle does not turn as its sole would have to), they are as
+    they were, and the robot sinks as a whole.
 
     Args:
         loaded: The robot with its payload.
         stand: The unloaded robot's.
 
     Raises:
-        StanceUnreachableError: If the legs do not reach down so far.
+        StanceUnreachableError: If something comes into the way; with ``blocked``.
         StaticsInfeasibleError: If no contact forces balance it.
     """
     centre = np.mean(list(stand.contact_points.values()), axis=0)
@@ -48,7 +50,12 @@ def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
         **NO_MARGINS,
         ik_seed=tuple(stand.joint_positions(loaded).tolist()),
     )
-    return sunk_stand(loaded, task, explain=False)
+    try:
+        return sunk_stand(loaded, task, explain=False)
+    except StanceUnreachableError as error:
+        if error.blocked:
+            raise
+        return stand
 
 
 DEPTH_TOLERANCE = 1e-9
@@ -172,8 +179,19 @@ def loops_give(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array
     return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
 
 
+_SOLE_STEPS = 30
+"""Newton steps to a sole's plane: four do, but where corners lift."""
+
+_SOLE_TOLERANCE = 1e-12
+"""Of a sole's load: rounding."""
+
+
 def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
-    """Returns the depths of flat feet's contact points (m), which are on one body: a plane's."""
+    """Returns the depths of flat feet's contact points (m), which are on one body: a plane's.
+
+    A sole is one body: it lies where the ground pushes against it with the force and the moment
+    that it has to bear, however its points share them. A corner may lift: its depth is negative.
+    """
     found: dict[str, float] = {}
     for foot in robot.feet_with(depths):
         points = robot.soles[foot]
@@ -182,8 +200,47 @@ def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[s
             normal = stand.normals[points[0]]
             across = places - places.mean(axis=0)
             across -= np.outer(across @ normal, normal)
-            table = np.column_stack([np.ones(len(points)), across])
-            given = np.array([depths[point] for point in points])
-            plane = np.linalg.lstsq(table, given)[0]
-            found |= dict(zip(points, (table @ plane).tolist(), strict=True))
+            table = np.column_stack([np.ones(len(points)), across / np.abs(across).max()])
+            laws = [GroundLaw.of(robot, point) for point in points]
+            given = [depths[point] for point in points]
+            found |= dict(zip(points, _plane(table, laws, given).tolist(), strict=True))
     return found
+
+
+def _plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
+    """Returns the depths (n,) in a plane whose forces have the resultant of others.
+
+    Their potential is convex: Newton's steps, shortened until what is left gets less, find it.
+
+    Args:
+        table: (n, 4) what a plane's numbers make of a sole's points: its height, its slopes.
+        laws: (n,) of the ground under the points.
+        given: (n,) depths in no plane (m).
+    """
+
+    def forces(depths: Array) -> Array:
+        return np.array(
+            [
+                law.force(max(-law.margin, depth))
+                for law, depth in zip(laws, depths.tolist(), strict=True)
+            ]
+        )
+
+    wanted = table.T @ forces(np.array(given))
+    depths: Array = table @ np.linalg.lstsq(table, np.array(given))[0]
+    left = wanted - table.T @ forces(depths)
+    for _ in range(_SOLE_STEPS):
+        if float(np.abs(left).max()) <= _SOLE_TOLERANCE * float(np.abs(wanted).max()):
+            break
+        rates = np.array([law.rate(d) for law, d in zip(laws, depths.tolist(), strict=True)])
+        step = table @ np.linalg.lstsq(table.T @ (rates[:, None] * table), left)[0]
+        for _ in range(_SOLE_STEPS):
+            tried = depths + step
+            remaining = wanted - table.T @ forces(tried)
+            if np.linalg.norm(remaining) < np.linalg.norm(left):
+                break
+            step = step / 2
+        else:
+            break
+        depths, left = tried, remaining
+    return depths

@@ -21,6 +21,7 @@ from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.first_order import Loads
 from pupper_analysis.stance.payload.servo_limit import (
+    RESOLUTION,
     Bound,
     Command,
     Failure,
@@ -35,6 +36,9 @@ Array = NDArray[np.float64]
 
 UNLIMITED = 1e4
 """A payload above this many times the robot's mass is as good as unlimited."""
+
+_NOTHING = 1e-4
+"""A foot that carries less may carry nothing: in weights, of which the cone programme leaves 1e-5."""
 
 AT_LIMIT = 1e-9
 """How far above its limit a torque counts as at it, in parts of the torque of the robot's weight on
@@ -219,8 +223,10 @@ def motor_limit(
     if laden is not None and not stand.task.ground.slope:
         loads = Loads.of(empty, laden, robot.total_mass, stand)
         mass = loads.motor_limit(limits)
-        if loads.contact_limit() < max(mass, robot.total_mass):
-            mass = None  # a foot lets go before: from there on another line
+        # A foot that carries nothing at one end of the line lets go, or begins to carry, on it.
+        least = np.minimum(loads.normals, loads.normals + robot.total_mass * loads.normal_rates)
+        if least.min() < _NOTHING * weight or loads.contact_limit() < mass:
+            mass = None
     if mass is None:
         mass = first_failing(
             lambda tried: (found := at(tried)) is not None and bool((found > 0).any()),
@@ -231,8 +237,11 @@ def motor_limit(
         return Bound(math.inf, Failure.NOTHING, ())
     over = excess(_even(robot, stand, point, mass))
     with np.errstate(invalid="ignore"):
-        near = over > -1e-3 * limits - 2 * slack
-    return Bound(mass, Failure.MOTOR, _names(robot, near & np.isfinite(limits)))
+        near = np.isfinite(limits) & (over > -1e-3 * limits - 2 * slack)
+    if not near.any():  # found by bisection, a little below
+        above = at(mass * (1 + 2 * RESOLUTION))
+        near = np.isfinite(limits) & (over == over.max() if above is None else above > 0)
+    return Bound(mass, Failure.MOTOR, _names(robot, near))
 
 
 def _even(

@@ -62,7 +62,6 @@ class Failure(StrEnum):
     BUCKLING = "the servos are too soft: it buckles"
     JOINT = "a joint comes to its limit"
     GROUND = "another part comes to the ground"
-    REACH = "the legs are too short for feet that sink so deep"
     COMMAND = "a servo cannot be commanded so far"
     NOTHING = "nothing that was looked at"
 
@@ -237,9 +236,7 @@ def loaded_pose(
         sunk = loaded_stand(loaded, stand)
         balance = stand_statics(loaded, sunk, distribution=ForceDistribution.MIN_TANGENTIAL)
     except StanceUnreachableError as error:
-        if error.blocked:
-            return Bound(mass, Failure.GROUND, tuple(map(str, error.blocked)))
-        return Bound(mass, Failure.REACH, tuple(error.shortfall))
+        return Bound(mass, Failure.GROUND, tuple(map(str, error.blocked)))
     except StaticsInfeasibleError as error:
         needed = error.friction_needed
         failure = Failure.TIPPING if needed is None or needed > GRIPLESS else Failure.SLIDING

@@ -87,3 +87,15 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
         assert found == pytest.approx(crept.base_height, abs=1e-3 * robot.stand_height)
         looked_at += 1
     assert looked_at
+
+
+@pytest.mark.longest
+def test_a_load_that_soles_of_five_joints_cannot_follow_is_borne(tmp_path: Path) -> None:
+    """No roll of an ankle lays the soles as the ground would: "too short for feet that sink"."""
+    robot = loaded(0, tmp_path)
+    stand, point = pa.solve_stand(robot), (0.03, 0.01, 0.05)
+    kp = 3.0 * robot.total_mass * 9.81 * robot.stand_height
+    gains = {"kp": kp, "kd": 0.03 * kp}
+    limit = pa.payload_limit(robot, stand, point, **gains)
+    assert limit.mass > 0.2 * robot.total_mass
+    assert pa.payload_trial(robot, stand, 0.95 * limit.mass, point, **gains).held
