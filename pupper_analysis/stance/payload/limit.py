@@ -38,7 +38,7 @@ UNLIMITED = 1e4
 """A payload above this many times the robot's mass is as good as unlimited."""
 
 _NOTHING = 1e-4
-"""A foot that carries less may carry nothing: in weights, of which the cone programme leaves 1e-5."""
+"""A foot that carries less may carry nothing: in weights. The cone programme leaves 1e-5."""
 
 AT_LIMIT = 1e-9
 """How far above its limit a torque counts as at it, in parts of the torque of the robot's weight on
