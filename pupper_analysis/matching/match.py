@@ -46,6 +46,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
@@ -190,10 +191,14 @@ def match(
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
     opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
-    ways = removable(root, spec, only_urdf, only_mjcf)
+    ways = removable((UrdfTree(root), SpecTree(spec)), only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
-    parts = [] if complete else take_off(root, spec, (urdf.path, mjcf.path), ways, pairs)
+    parts = (
+        []
+        if complete
+        else take_off((UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path), ways, pairs)
+    )
     unstated = {} if strict else _take_unstated(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:

@@ -7,14 +7,11 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
-from lxml import etree
-
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.matching.mjcf import mjcf_tree
 from pupper_analysis.matching.urdf import urdf_tree
-from pupper_analysis.models.free_base import delete_joint
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.model_tree import ModelTree
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 _KINDS = (
@@ -81,80 +78,26 @@ def best_parts(candidates: list[list[Part]], short: float) -> list[Part]:
     return best
 
 
-def urdf_parts(root: etree._Element, extra: Collection[str]) -> dict[str, list[list[Part]]]:
-    """Returns {carrier: ways to take off the joints of a URDF that the MJCF lacks}."""
-    tree = UrdfTree(root)
+def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[Part]]]:
+    """Returns {carrier: ways to take off the joints of a file that the other one lacks}."""
 
     def part(link: str) -> Part | None:
         inside = list(tree.subtree(link))
-        above = [tree.above[name] for name in inside if name in tree.above]
-        joints = tuple(joint.name for joint in above if not joint.is_fixed)
+        joints = tuple(joint for name in inside for joint in tree.movers(name))
         if any(joint not in extra for joint in joints):
             return None
-        movers = [joint.name for joint in list(tree.chain(link))[1:] if not joint.is_fixed]
-        mass = sum(tree.links[name].mass or 0.0 for name in inside)
-        return Part(link, movers[0] if movers else "", joints, mass)
+        carrier = tree.parent(link)
+        while carrier is not None and not tree.movers(carrier):
+            carrier = tree.parent(carrier)
+        mover = tree.movers(carrier)[-1] if carrier is not None else ""
+        return Part(link, mover, joints, sum(map(tree.weight, inside)))
 
-    tops = []
-    for link, joint in tree.above.items():
-        if joint.name in extra:
-            found = part(link)
-            if found is not None:
-                tops.append(found)
+    def holder(link: str) -> str | None:
+        up = tree.parent(link)
+        return up if up is not None and not tree.movers(up) and tree.parent(up) else None
 
-    def parent(link: str) -> str | None:
-        up = tree.above[link].parent
-        return up if up in tree.above and tree.above[up].is_fixed else None
-
-    return _ways(tops, part, parent)
-
-
-def mjcf_parts(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, extra: Collection[str]
-) -> dict[str, list[list[Part]]]:
-    """Returns {carrier: ways to take off the joints of an MJCF that the URDF lacks}."""
-
-    def joints_of(body: mujoco.MjsBody) -> list[str]:
-        return [joint.name for joint in body.joints]
-
-    def part(name: str) -> Part | None:
-        body = spec.body(name)
-        every = [body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)]
-        joints = tuple(joint for each in every for joint in joints_of(each))
-        if any(joint not in extra for joint in joints):
-            return None
-        up = body.parent
-        while up.name != spec.worldbody.name and not joints_of(up):
-            up = up.parent
-        carrier = joints_of(up)[-1] if joints_of(up) else ""
-        if model.body(name).id and up.name != spec.worldbody.name:
-            free = model.body(up.name).jntadr[0]
-            if model.jnt_type[free] == JointKind.FREE:
-                carrier = ""
-        return Part(name, carrier, joints, float(model.body(name).subtreemass[0]))
-
-    tops = []
-    for body in spec.bodies:
-        if body.name != spec.worldbody.name and set(joints_of(body)) & set(extra):
-            found = part(body.name)
-            if found is not None:
-                tops.append(found)
-
-    def parent(name: str) -> str | None:
-        up = spec.body(name).parent
-        fixed = up.name != spec.worldbody.name and not joints_of(up)
-        return up.name if fixed and up.parent.name != spec.worldbody.name else None
-
-    return _ways(tops, part, parent)
-
-
-def take_off_mjcf(spec: mujoco.MjSpec, name: str) -> None:
-    """Takes a body and all below it out of an MJCF, in place."""
-    body = spec.body(name)
-    for each in (body, *body.find_all(mujoco.mjtObj.mjOBJ_BODY)):
-        for joint in list(each.joints):
-            delete_joint(spec, joint)
-    spec.delete(body)
+    tops = [part(link) for link in tree.names if set(tree.movers(link)) & set(extra)]
+    return _ways([top for top in tops if top is not None], part, holder)
 
 
 def _ways(
@@ -191,19 +134,14 @@ Ways = Mapping[str, list[list[Part]]]
 
 
 def removable(
-    root: etree._Element,
-    spec: mujoco.MjSpec,
-    only_urdf: Collection[str],
-    only_mjcf: Collection[str],
+    trees: tuple[UrdfTree, SpecTree], only_urdf: Collection[str], only_mjcf: Collection[str]
 ) -> tuple[Ways, Ways]:
     """Returns the ways to take off the joints that one file lacks, of the URDF and of the MJCF."""
-    mjcf = mjcf_parts(spec, spec.copy().compile(), only_mjcf) if only_mjcf else {}
-    return urdf_parts(root, only_urdf), mjcf
+    return parts_of(trees[0], only_urdf), parts_of(trees[1], only_mjcf)
 
 
 def take_off(
-    root: etree._Element,
-    spec: mujoco.MjSpec,
+    trees: tuple[UrdfTree, SpecTree],
     files: tuple[Path, Path],
     ways: tuple[Ways, Ways],
     pairs: Mapping[str, str],
@@ -211,11 +149,11 @@ def take_off(
     """Takes off what one file has and the other lacks, where masses say so; returns what it is."""
     if not any(ways):
         return []
-    one, two = urdf_tree(root, files[0]), mjcf_tree(spec, files[1])
+    one, two = urdf_tree(trees[0].root, files[0]), mjcf_tree(trees[1].spec, files[1])
     said = []
-    for candidates, here, there, words in (
-        (ways[0], one, two, ("URDF", "MJCF")),
-        (ways[1], two, one, ("MJCF", "URDF")),
+    for tree, candidates, here, there, words in (
+        (trees[0], ways[0], one, two, ("URDF", "MJCF")),
+        (trees[1], ways[1], two, one, ("MJCF", "URDF")),
     ):
         for carrier, way in candidates.items():
             name = pairs.get(carrier, carrier) if words[0] == "URDF" else carrier
@@ -224,8 +162,5 @@ def take_off(
             short = here.bodies[name].mass - there.bodies[name].mass
             for part in best_parts(way, short):
                 said.append(lacking(part, *words))
-                if words[0] == "URDF":
-                    UrdfTree(root).remove_subtree(part.root)
-                else:
-                    take_off_mjcf(spec, part.root)
+                tree.remove_subtree(part.root)
     return said

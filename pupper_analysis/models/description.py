@@ -13,6 +13,8 @@ from pupper_analysis.arrays import plain_state
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.spec_state import spec_from, state_of
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.urdf_tree import UrdfTree
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,3 +59,7 @@ class Description:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update({**state, "mjcf": spec_from(state["mjcf"])})
+
+    def trees(self) -> tuple[UrdfTree, SpecTree]:
+        """Returns both files' links and joints, to be changed: they are its own no more."""
+        return UrdfTree.of(self.urdf), SpecTree(self.mjcf.copy())

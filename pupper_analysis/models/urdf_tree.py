@@ -169,6 +169,12 @@ class UrdfJoint(UrdfElement):
         self.state(BY_KIND["upper limit"], upper)
 
 
+def _scale(element: etree._Element | None, attribute: str, factor: float) -> None:
+    text = None if element is None else element.get(attribute)
+    if element is not None and text is not None:
+        element.set(attribute, repr(float(text) * float(factor)))
+
+
 def _words(values: Array) -> str:
     return " ".join(repr(float(value)) for value in values)
 
@@ -218,6 +224,28 @@ class UrdfTree:
         for joint in self.joints.values():
             found.setdefault(joint.parent, []).append(joint)
         return found
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The links, in the file's order."""
+        return tuple(self.links)
+
+    def parent(self, link: str) -> str | None:
+        """Returns the link that carries one; None for the base."""
+        return self.above[link].parent if link in self.above else None
+
+    def movers(self, link: str) -> tuple[str, ...]:
+        """Returns the joint that moves a link; none of one that is fixed, and of the base."""
+        joint = self.above.get(link)
+        return () if joint is None or joint.is_fixed else (joint.name,)
+
+    def moved_by(self, joint: str) -> str | None:
+        """Returns the link that a joint moves; None if there is no such joint."""
+        return self.joints[joint].child if joint in self.joints else None
+
+    def weight(self, link: str) -> float:
+        """Returns the mass that a link states (kg); 0 where it states none."""
+        return self.links[link].mass or 0.0
 
     @property
     def base(self) -> UrdfLink:
@@ -307,6 +335,35 @@ class UrdfTree:
         etree.SubElement(held, "child", link=name)
         etree.SubElement(held, "origin", xyz=_words(place))
         self._forget()
+
+    def scale_mass(self, link: str, factor: float) -> None:
+        """Multiplies the mass of one link, and its inertia with it."""
+        inertial = self.links[link].inertial
+        _scale(None if inertial is None else inertial.find("mass"), "value", factor)
+        self.scale_inertia(link, factor)
+
+    def scale_inertia(self, link: str, factor: float) -> None:
+        """Multiplies the inertia of one link about its com."""
+        inertial = self.links[link].inertial
+        for entry in INERTIA_ENTRIES:
+            _scale(None if inertial is None else inertial.find("inertia"), entry, factor)
+
+    def move_com(self, link: str, offset: Array) -> None:
+        """Moves the com of one link by an offset (3,) in its own axes (m)."""
+        inertial = self.links[link].inertial
+        if inertial is None:
+            return
+        origin = inertial.find("origin")
+        if origin is None:
+            origin = etree.SubElement(inertial, "origin")
+        place = np.array((origin.get("xyz") or "0 0 0").split(), dtype=float) + offset
+        origin.set("xyz", _words(place))
+
+    def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
+        """Multiplies a number of a joint; what is not stated, or has no words, stays so."""
+        text = self.joints[joint].stated(attribute)
+        if text is not None:
+            self.joints[joint].state(attribute, float(text) * float(factor))
 
     def _forget(self) -> None:
         for name in ("links", "joints", "above", "below"):

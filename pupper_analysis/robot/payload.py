@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked, length, real_array
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 
@@ -53,25 +54,13 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     if mass == 0.0:
         return robot
     robot.check_floating()
-    before = robot.description
-    spec, urdf = before.mjcf.copy(), before.urdf
-    name = _NAME
-    while spec.body(name) is not None or f'"{name}"' in urdf:
+    trees, name = robot.description.trees(), _NAME
+    while any(name in tree.names for tree in trees):
         name += "_"
-    body = spec.body(robot.mj_base).add_body(name=name, pos=place)
-    body.explicitinertial = True
-    body.mass, body.ipos, body.inertia = mass, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    head, end, tail = urdf.rpartition("</robot>")
-    if not end:
-        raise ModelError(before.urdf_source, diagnose("no-end-of-robot"))
-    x, y, z = (repr(float(value)) for value in place)
-    link = (
-        f'<link name="{name}"><inertial><mass value="{mass!r}"/>'
-        '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        f'<joint name="{name}_weld" type="fixed"><origin xyz="{x} {y} {z}"/>'
-        f'<parent link="{robot.base}"/><child link="{name}"/></joint>'
-    )
-    built = rebuilt(robot, mjcf=spec, urdf=head + link + end + tail)
+    weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
+    for tree, base in zip(trees, (robot.base, robot.mj_base), strict=True):
+        tree.add_link(name, base, f"{name}_weld", place, weight)
+    built = rebuilt(robot, urdf=to_text(trees[0].root), mjcf=trees[1].spec)
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
     model = robot.pin_model.copy()
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]

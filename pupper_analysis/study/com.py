@@ -6,15 +6,15 @@ from collections.abc import Mapping
 
 import mujoco
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Vector, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.named import bodies_of, welded_to
+from pupper_analysis.study.named import bodies_of
 
 Array = NDArray[np.float64]
 
@@ -22,9 +22,7 @@ _SAME = 1e-9
 """m: the centres of mass of both models have moved alike to rounding."""
 
 
-def move_coms(
-    robot: Robot, tree: UrdfTree, spec: mujoco.MjSpec, offsets: Mapping[str, Array]
-) -> None:
+def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
     """Moves centres of mass in both files, in place.
 
     What is fixed to a link moves with it, each part by the same offset in the world, so that the
@@ -32,51 +30,20 @@ def move_coms(
 
     Args:
         robot: The robot of which the files are: its links are turned as its pose of zeros has them.
-        tree: Of the URDF.
-        spec: Of the MJCF.
+        trees: Of the URDF and of the MJCF.
         offsets: {joint: (3,) m, in the axes of the URDF's link that it moves}; ``""``: the base.
-
-    Raises:
-        ModelError: If the MJCF cannot be compiled.
     """
-    config = Configuration(robot, robot.neutral())
-    compiled = _compiled(robot, spec)
-    data = mujoco.MjData(compiled)
+    config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, robot.neutral())
-    mujoco.mj_kinematics(compiled, data)
-    links, bodies = tree.moved_links, bodies_of(robot)
+    mujoco.mj_kinematics(robot.mj_model, data)
+    urdf, mjcf = trees
     for joint, offset in offsets.items():
-        link = links.get(joint, robot.base)
+        link = urdf.moved_by(joint) or robot.base
         moved = config.frame_rotation(link) @ offset
-        for one in tree.fixed_group(link):
-            inertial = tree.links[one].inertial
-            if inertial is not None:
-                _move_origin(inertial, config.frame_rotation(one).T @ moved)
-        for body in welded_to(spec.body(bodies[joint] if joint else robot.mj_base)):
-            if not body.explicitinertial:  # what its geoms make of it is written out
-                body.mass, body.ipos = compiled.body_mass[body.id], compiled.body_ipos[body.id]
-                body.iquat, body.inertia = (
-                    compiled.body_iquat[body.id],
-                    compiled.body_inertia[body.id],
-                )
-                body.explicitinertial = True
-            body.ipos = np.array(body.ipos) + data.xmat[body.id].reshape(3, 3).T @ moved
-
-
-def _compiled(robot: Robot, spec: mujoco.MjSpec) -> mujoco.MjModel:
-    try:
-        return spec.compile()  # which numbers its bodies, too
-    except ValueError as error:
-        told = diagnose("mjcf-not-compiled", message=str(error))
-        raise ModelError(robot.description.mjcf_source, told) from error
-
-
-def _move_origin(inertial: etree._Element, offset: Array) -> None:
-    origin = inertial.find("origin")
-    if origin is None:
-        origin = etree.SubElement(inertial, "origin")
-    place = np.array((origin.get("xyz") or "0 0 0").split(), dtype=float) + offset
-    origin.set("xyz", " ".join(repr(float(value)) for value in place))
+        for one in urdf.fixed_group(link):
+            urdf.move_com(one, config.frame_rotation(one).T @ moved)
+        for one in mjcf.fixed_group(mjcf.moved_by(joint) or robot.mj_base):
+            mjcf.move_com(one, data.body(one).xmat.reshape(3, 3).T @ moved)
 
 
 def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from glob import escape
-
-import mujoco
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
@@ -147,11 +145,3 @@ def bodies_of(robot: Robot) -> dict[str, str]:
         joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
         for joint in robot.joint_names
     }
-
-
-def welded_to(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
-    """Yields a body of an MJCF, and those that are fixed to it."""
-    yield body
-    for child in body.bodies:
-        if not list(child.joints):
-            yield from welded_to(child)

@@ -8,15 +8,13 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
@@ -29,7 +27,6 @@ from pupper_analysis.study.named import (
     Named,
     bodies_of,
     joints_of,
-    welded_to,
 )
 
 Array = NDArray[np.float64]
@@ -73,14 +70,15 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
                 own[joint] = own.get(joint, 1.0) * factor
     if not wanted and not offsets:
         return robot
-    spec, tree = robot.description.mjcf.copy(), UrdfTree.of(robot.description.urdf)
+    trees = robot.description.trees()
+    sides: tuple[tuple[ModelTree, str], ...] = ((trees[0], robot.base), (trees[1], robot.mj_base))
     for kind, joints in wanted.items():
         for joint, factor in joints.items():
-            _scale_urdf(tree, robot, kind, joint, factor)
-            _scale_mjcf(spec, robot, kind, joint, factor)
+            for tree, base in sides:
+                _scale(tree, tree.moved_by(joint) or base, kind, joint, factor, robot)
     if offsets:
-        move_coms(robot, tree, spec, offsets)
-    built = rebuilt(robot, urdf=to_text(tree.root), mjcf=spec)
+        move_coms(robot, trees, offsets)
+    built = rebuilt(robot, urdf=to_text(trees[0].root), mjcf=trees[1].spec)
     _check(robot, built, wanted.get("mass", {}))
     if offsets and "mass" not in wanted:  # which move the whole's, too
         check_coms(robot, built, offsets)
@@ -98,64 +96,17 @@ def _add_offsets(
         offsets.setdefault(joint, np.zeros(3))[AXES.index(named.kind)] += offset
 
 
-def _scale_urdf(tree: UrdfTree, robot: Robot, kind: str, joint: str, factor: float) -> None:
-    if kind in BODIES:
-        for link in tree.fixed_group(tree.moved_links.get(joint, robot.base)):
-            inertial = tree.links[link].inertial
-            if inertial is None:
-                continue
-            if kind == "mass":
-                _times(inertial.find("mass"), "value", factor)
-            for entry in INERTIA_ENTRIES:
-                _times(inertial.find("inertia"), entry, factor)
+def _scale(tree: ModelTree, link: str, kind: str, joint: str, factor: float, robot: Robot) -> None:
+    """Scales a number in one of a robot's files; what is fixed to a link scales with it."""
+    if kind not in BODIES:
+        tree.scale(joint, BY_KIND.get(kind) or BY_MJCF[kind], factor)
         return
-    attribute = BY_KIND.get(kind) or BY_MJCF[kind]
-    text = tree.joints[joint].stated(attribute)
-    if text is not None:
-        tree.joints[joint].state(attribute, float(text) * float(factor))
-
-
-def _times(element: etree._Element | None, attribute: str, factor: float) -> None:
-    text = None if element is None else element.get(attribute)
-    if element is not None and text is not None:
-        element.set(attribute, repr(float(text) * float(factor)))
-
-
-def _scale_mjcf(spec: mujoco.MjSpec, robot: Robot, kind: str, joint: str, factor: float) -> None:
-    if kind in BODIES:
-        name = bodies_of(robot)[joint] if joint else robot.mj_base
-        for body in welded_to(spec.body(name)):
-            _scale_body(body, kind, factor, robot)
-        return
-    element = spec.joint(joint)
-    if kind == "effort":
-        element.actfrcrange = np.array(element.actfrcrange) * factor
-        for actuator in spec.actuators:
-            if actuator.target == joint:
-                actuator.forcerange = np.array(actuator.forcerange) * factor
-                if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # a motor's command is force
-                    actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
-    else:
-        value = getattr(element, kind)
-        setattr(element, kind, np.array(value) * factor if np.ndim(value) else value * factor)
-
-
-def _scale_body(body: mujoco.MjsBody, kind: str, factor: float, robot: Robot) -> None:
-    if body.explicitinertial:
-        if kind == "mass":
-            body.mass = factor * body.mass
-        body.inertia = factor * np.array(body.inertia)
-        body.fullinertia = factor * np.array(body.fullinertia)
-        return
-    if kind == "inertia" and list(body.geoms):
-        raise ModelError(
-            robot.description.mjcf_source,
-            diagnose("inertia-follows-geoms", body=body.name),
-        )
-    for geom in body.geoms:
-        geom.density = factor * geom.density
-        if not math.isnan(geom.mass):
-            geom.mass = factor * geom.mass
+    for one in tree.fixed_group(link):
+        try:
+            (tree.scale_mass if kind == "mass" else tree.scale_inertia)(one, factor)
+        except ValueError as error:
+            told = diagnose("inertia-follows-geoms", body=one)
+            raise ModelError(robot.description.mjcf_source, told) from error
 
 
 def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
