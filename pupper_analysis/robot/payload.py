@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import checked, length, real_array
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
@@ -54,13 +55,14 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     if mass == 0.0:
         return robot
     robot.check_floating()
-    trees, name = robot.description.trees(), _NAME
-    while any(name in tree.names for tree in trees):
+    (urdf, mjcf), name = robot.description.trees(), _NAME
+    sides: tuple[tuple[ModelTree, str], ...] = ((urdf, robot.base), (mjcf, robot.mj_base))
+    while any(name in tree.names for tree, _ in sides):
         name += "_"
     weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
-    for tree, base in zip(trees, (robot.base, robot.mj_base), strict=True):
+    for tree, base in sides:
         tree.add_link(name, base, f"{name}_weld", place, weight)
-    built = rebuilt(robot, urdf=to_text(trees[0].root), mjcf=trees[1].spec)
+    built = rebuilt(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
     model = robot.pin_model.copy()
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]

@@ -70,15 +70,15 @@ def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
                 own[joint] = own.get(joint, 1.0) * factor
     if not wanted and not offsets:
         return robot
-    trees = robot.description.trees()
-    sides: tuple[tuple[ModelTree, str], ...] = ((trees[0], robot.base), (trees[1], robot.mj_base))
+    urdf, mjcf = robot.description.trees()
+    sides: tuple[tuple[ModelTree, str], ...] = ((urdf, robot.base), (mjcf, robot.mj_base))
     for kind, joints in wanted.items():
         for joint, factor in joints.items():
             for tree, base in sides:
                 _scale(tree, tree.moved_by(joint) or base, kind, joint, factor, robot)
     if offsets:
-        move_coms(robot, trees, offsets)
-    built = rebuilt(robot, urdf=to_text(trees[0].root), mjcf=trees[1].spec)
+        move_coms(robot, (urdf, mjcf), offsets)
+    built = rebuilt(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
     _check(robot, built, wanted.get("mass", {}))
     if offsets and "mass" not in wanted:  # which move the whole's, too
         check_coms(robot, built, offsets)
