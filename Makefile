@@ -63,9 +63,10 @@ benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peer
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree
 	$(BIN)/python benchmarks/run.py --quick
 
-lint: $(VENV)/.ready-dev ## check style and format
+lint: $(VENV)/.ready-dev ## check style, format and who imports whom
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/lint-imports --no-logo
 
 types: $(VENV)/.ready-dev ## check the types
 	$(BIN)/mypy

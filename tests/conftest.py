@@ -6,6 +6,7 @@ import hypothesis
 import pytest
 
 import pupper_analysis as pa
+from tests.support.durations import Recorder, mark_slow
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
 
@@ -22,12 +23,23 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("suite")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--record-durations", action="store_true", help="write tests/durations.json anew"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--record-durations"):
+        for name in NAMES:  # what is loaded once is no test's own
+            stand_of(name)
+        config.pluginmanager.register(Recorder())
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks the longest as slow, before any are chosen by their marks."""
-    for item in items:
-        if item.get_closest_marker("longest"):
-            item.add_marker(pytest.mark.slow)
+    """Marks what is slow, before any are chosen by their marks."""
+    mark_slow(items)
 
 
 @pytest.fixture(scope="session", params=NAMES)

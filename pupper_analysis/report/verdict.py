@@ -151,7 +151,7 @@ def _published(published: Published | None) -> Iterator[Clause]:
         yield Clause(False, told_cause(cause))
 
 
-def told_cause(cause: Cause) -> Diagnostic:
+def told_cause(cause: Cause) -> Diagnostic:  # noqa: C901 - one case for each cause
     """Tells what makes a file differ from what is computed.
 
     Raises:

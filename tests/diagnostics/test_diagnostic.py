@@ -8,6 +8,7 @@ import pickle
 import re
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from string import Formatter
@@ -15,7 +16,6 @@ from string import Formatter
 import numpy as np
 import pytest
 
-import pupper_analysis
 from pupper_analysis import errors
 from pupper_analysis.diagnostics import (
     LANGUAGES,
@@ -37,8 +37,8 @@ from pupper_analysis.diagnostics.record import record, restored
 from pupper_analysis.diagnostics.templates import fill
 from pupper_analysis.errors import ModelError
 from pupper_analysis.results import to_json
+from tests.support.rooms import PACKAGE, trees
 
-PACKAGE = Path(pupper_analysis.__file__).parent
 CATALOGUE = sorted(Path(str(files("pupper_analysis.diagnostics"))).joinpath("catalogue").iterdir())
 CODES = sorted(codes())
 HAN = re.compile("[\u4e00-\u9fff]")
@@ -51,20 +51,26 @@ def uses(template: str) -> set[str]:
     return {*optional, *holes}
 
 
-def walked() -> tuple[list[tuple[str, ast.Call]], set[str]]:
-    """All calls in the package, each with its module, and all texts: walked through once."""
-    made, texts = [], set()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        module = str(path.relative_to(PACKAGE))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Call):
-                made.append((module, node))
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                texts.add(node.value)
-    return made, texts
+@cache
+def made_calls() -> tuple[tuple[str, ast.Call], ...]:
+    """All calls in the package, each with its module."""
+    return tuple(
+        (module, node)
+        for module, tree in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+    )
 
 
-MADE, WRITTEN = walked()
+@cache
+def written() -> frozenset[str]:
+    """All texts that stand in the package's code."""
+    return frozenset(
+        node.value
+        for tree in trees().values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    )
 
 
 def calls() -> Iterator[tuple[str, str, set[str] | None]]:
@@ -72,7 +78,7 @@ def calls() -> Iterator[tuple[str, str, set[str] | None]]:
 
     Codes stand in the call as literals, so that they can be found; a choice of literals will do.
     """
-    for module, node in MADE:
+    for module, node in made_calls():
         if getattr(node.func, "id", None) != "diagnose":
             continue
         named = {word.arg for word in node.keywords if word.arg}
@@ -92,26 +98,16 @@ def literals(node: ast.expr, where: str) -> Iterator[str]:
         yield str(node.value)
 
 
-CALLS = list(calls())
-
-
-@pytest.mark.parametrize("file", CATALOGUE, ids=lambda file: file.name)
-def test_the_tables_are_those_that_toml_reads(file: Path) -> None:
-    read = tomllib.loads(file.read_text(encoding="utf-8"))
-    if file.name not in LINED:
-        assert set(read) <= set(CODES)
+def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
+    found = []
+    for file in CATALOGUE:
+        if file.name in LINED:
+            continue
+        read = tomllib.loads(file.read_text(encoding="utf-8"))
+        found += list(read)
         for code, stated in read.items():
             assert set(stated) <= {"severity", "group", *LANGUAGES}, code
             assert dict(entry(code).templates) == {one: stated[one] for one in LANGUAGES}
-
-
-def test_no_code_is_in_two_files() -> None:
-    found = [
-        code
-        for file in CATALOGUE
-        if file.name not in LINED
-        for code in tomllib.loads(file.read_text(encoding="utf-8"))
-    ]
     assert sorted(found) == CODES
 
 
@@ -127,15 +123,18 @@ def test_every_code_is_said_in_both_languages() -> None:
 
 
 def test_every_code_that_is_used_is_in_the_catalogue_and_the_other_way_round() -> None:
-    used = {code for _, code, _ in CALLS}
+    used = {code for _, code, _ in calls()}
     assert used - set(CODES) == set()
     assert set(CODES) - used == set()
 
 
-@pytest.mark.parametrize(("where", "code", "given"), CALLS, ids=[f"{w} {c}" for w, c, _ in CALLS])
-def test_every_template_gets_its_values(where: str, code: str, given: set[str] | None) -> None:
-    if given is not None:
-        assert uses(entry(code).templates["en"]) <= given, where
+def test_every_template_gets_its_values() -> None:
+    lacking = {
+        f"{where} {code}": missing
+        for where, code, given in calls()
+        if given is not None and (missing := uses(entry(code).templates["en"]) - given)
+    }
+    assert lacking == {}
 
 
 def test_terms_are_said_in_both_languages() -> None:
@@ -164,7 +163,7 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
     """No error of the package's is made of words that stand in the code."""
     made = {name for name, one in vars(errors).items() if name.endswith("Error")}
     found, kinds = set(), set()
-    for module, node in MADE:
+    for module, node in made_calls():
         name = getattr(node.func, "id", None)
         if name == "UnknownNameError":
             kinds |= {one.value for one in node.args[1:2] if isinstance(one, ast.Constant)}

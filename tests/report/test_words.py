@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics.catalogue import LINED, lines
 from pupper_analysis.report.document import Name
 from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.study.measures import MEASURES
-from tests.diagnostics.test_diagnostic import CATALOGUE, HAN, MADE, WRITTEN, uses
+from tests.diagnostics.test_diagnostic import CATALOGUE, HAN, made_calls, uses, written
 
 FOLDER = CATALOGUE[0].parent
 TEXTS = tomllib.loads((FOLDER / "texts.toml").read_text(encoding="utf-8"))
@@ -26,7 +26,7 @@ SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\
 
 def said() -> Iterator[tuple[str, str, set[str] | None]]:
     """(where, key, values that are given) of each text that is asked for by a literal."""
-    for module, node in MADE:
+    for module, node in made_calls():
         by_attribute = getattr(node.func, "attr", "") in ("say", "_say")
         if not node.args or (
             not by_attribute and getattr(node.func, "id", "") not in ("text", "say")
@@ -71,7 +71,7 @@ def test_every_text_that_is_asked_for_is_there_and_gets_its_values() -> None:
 
 def test_no_text_is_left_over() -> None:
     measures = {f"measure-{name.replace('_', '-')}" for name in MEASURES}
-    assert set(TEXTS) - WRITTEN == measures
+    assert set(TEXTS) - written() == measures
 
 
 def test_a_text_that_is_not_there_is_refused() -> None:

@@ -8,8 +8,8 @@ from types import ModuleType
 
 import pytest
 
-from tests.repository.test_layers import FLOOR
 from tests.support.repository import script
+from tests.support.rooms import FLOOR
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.repository.test_layers import FLOOR
 from tests.support.repository import ROOT
+from tests.support.rooms import FLOOR
 
 PACKAGE = ROOT / "pupper_analysis"
 PAGES = sorted(

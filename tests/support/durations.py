@@ -1,0 +1,124 @@
+"""How long each test takes, as it was recorded, and which of them are slow because of it.
+
+`make durations` runs the tests and writes ``tests/durations.json``: seconds of processor of each
+test function, all its cases together, with what they start. A fixture that several share is paid
+by all of them alike; what nobody has recorded is quick. Nobody marks a test as slow by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FILE = Path(__file__).resolve().parents[1] / "durations.json"
+
+SLOW = 0.6
+"""Seconds of processor from which a function is slow: at most some hundred seconds are left."""
+
+LEAST = 0.05
+"""What takes less is not written down: it changes from run to run."""
+
+_SPENT = pytest.StashKey[float]()
+_FIXTURES = pytest.StashKey[dict[str, float]]()
+
+
+def processor() -> float:
+    """The processor time of this process, its threads, and the children that have ended (s)."""
+    return sum(os.times()[:4])
+
+
+def function_of(nodeid: str) -> tuple[str, str]:
+    """The file and the name of the function of a test."""
+    file, _, name = nodeid.partition("::")
+    return file, name.partition("[")[0]
+
+
+def recorded() -> dict[str, dict[str, float]]:
+    return json.loads(FILE.read_text()) if FILE.exists() else {}
+
+
+def mark_slow(items: list[pytest.Item]) -> None:
+    """Marks what is slow by the record, or the longest by hand."""
+    seconds = recorded()
+    for item in items:
+        file, name = function_of(item.nodeid)
+        if item.get_closest_marker("longest") or seconds.get(file, {}).get(name, 0.0) >= SLOW:
+            item.add_marker(pytest.mark.slow)
+
+
+class Recorder:
+    """Measures in the process that runs the tests, and adds up in the one that reports them."""
+
+    def __init__(self) -> None:
+        self.own: dict[tuple[str, str], float] = defaultdict(float)
+        self.shared: dict[str, float] = defaultdict(float)
+        self.users: dict[str, set[tuple[str, str]]] = defaultdict(set)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> Iterator[Any]:
+        made = request._pyfuncitem.stash.setdefault(_FIXTURES, {})
+        begin, before = processor(), sum(made.values())
+        try:
+            return (yield)
+        finally:
+            if fixturedef.scope != "function":
+                parameter = getattr(request, "param_index", 0)
+                name = f"{fixturedef.baseid}::{fixturedef.argname}[{parameter}]"
+                made[name] = processor() - begin - (sum(made.values()) - before)
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[Any]:
+        item.stash[_FIXTURES] = {}
+        item.stash[_SPENT] = processor()
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item: pytest.Item) -> Iterator[Any]:
+        report = yield
+        now = processor()
+        report.processor = now - item.stash[_SPENT]
+        report.fixtures = dict(item.stash[_FIXTURES]) if report.when == "setup" else {}
+        report.used = list(getattr(item, "fixturenames", ()))
+        item.stash[_SPENT] = now
+        return report
+
+    def pytest_runtest_logreport(self, report: Any) -> None:
+        function = function_of(report.nodeid)
+        self.own[function] += report.processor - sum(report.fixtures.values())
+        for name, seconds in report.fixtures.items():
+            self.shared[name] += seconds
+        for name in report.used:
+            self.users[name].add(function)
+
+    def totals(self) -> dict[tuple[str, str], float]:
+        """Seconds of each function, with its share of the fixtures that it uses."""
+        total = dict(self.own)
+        for fixture, seconds in self.shared.items():
+            base, _, name = fixture.partition("::")
+            those = {one for one in self.users[name.partition("[")[0]] if one[0].startswith(base)}
+            for one in those:
+                total[one] += seconds / len(those)
+        return total
+
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        if hasattr(session.config, "workerinput"):
+            return
+        found = recorded()
+        kept = {
+            file: {
+                name: seconds for name, seconds in functions.items() if (file, name) not in self.own
+            }
+            for file, functions in found.items()
+            if (FILE.parents[1] / file).exists()
+        }
+        for (file, name), seconds in self.totals().items():
+            if seconds >= LEAST:
+                kept.setdefault(file, {})[name] = round(seconds, 2)
+        lines = {file: dict(sorted(kept[file].items())) for file in sorted(kept) if kept[file]}
+        FILE.write_text(json.dumps(lines, indent=1) + "\n")
