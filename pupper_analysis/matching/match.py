@@ -191,14 +191,11 @@ def match(
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit
     opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
-    ways = removable((UrdfTree(root), SpecTree(spec)), only_urdf, only_mjcf)
+    sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
+    ways = removable(sides, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
-    parts = (
-        []
-        if complete
-        else take_off((UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path), ways, pairs)
-    )
+    parts = [] if complete else take_off(sides, paths, ways, pairs)
     unstated = {} if strict else _take_unstated(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
