@@ -29,12 +29,21 @@ MAX_COPIES: Final = 10_000
 
 @dataclass(frozen=True)
 class Node:
-    """An element of an MJCF with its includes put in."""
+    """An element of an MJCF with its includes put in.
+
+    Attributes:
+        tag: Its tag.
+        attributes: As they are written.
+        place: Where it stands.
+        children: Those below it.
+        childclass: The default class that reaches it from the bodies around it.
+    """
 
     tag: str
     attributes: Mapping[str, str]
     place: Place
     children: list[Node]
+    childclass: str | None = None
 
 
 # The product of the whole numbers in these attributes has a limit: MuJoCo would hang, or take all
@@ -95,10 +104,17 @@ class Tree:
             raise refusal(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
 
     def _node(
-        self, element: etree._Element, path: Path, within: tuple[Path, ...], depth: int
+        self,
+        element: etree._Element,
+        path: Path,
+        within: tuple[Path, ...],
+        depth: int,
+        childclass: str | None = None,
     ) -> Node:
         attributes = {str(name): str(value) for name, value in element.attrib.items()}
-        node = Node(str(element.tag), attributes, Place(path, line_of(element)), [])
+        place = Place(path, line_of(element))
+        node = Node(str(element.tag), attributes, place, [], childclass)
+        childclass = attributes.get("childclass", childclass)
         self._count += 1
         if self._count > MAX_ELEMENTS:
             raise refusal(
@@ -118,7 +134,7 @@ class Tree:
                 opened = (*inside, included.resolve())
                 pending.extend((below, included, opened) for below in reversed(top))
             else:
-                node.children.append(self._node(child, file, inside, depth + 1))
+                node.children.append(self._node(child, file, inside, depth + 1, childclass))
         return node
 
     def _include(
@@ -254,24 +270,12 @@ def stating(root: Node, node: Node, attributes: Collection[str]) -> Node | None:
     """
     if set(attributes) & set(node.attributes):
         return node
-    name = node.attributes.get("class") or _childclass(root, node)
+    name = node.attributes.get("class") or node.childclass
     nested = _classes(root, name)
     for default in reversed(nested):
         for child in default.children:
             if child.tag == node.tag and set(attributes) & set(child.attributes):
                 return child
-    return None
-
-
-def _childclass(root: Node, node: Node) -> str | None:
-    """Returns the childclass that reaches an element."""
-    pending: list[tuple[Node, str | None]] = [(root, None)]
-    while pending:
-        here, inherited = pending.pop()
-        if here is node:
-            return inherited
-        inherited = here.attributes.get("childclass", inherited)
-        pending.extend((child, inherited) for child in here.children)
     return None
 
 

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 import numpy as np
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.models.attributes import IN_A_TREE, PASSIVE
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -68,9 +69,8 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         for original, copied in zip(file.spec.bodies, spec.bodies, strict=True)
         if original.explicitinertial and file.spec.compiler.inertiafromgeom != 1
     }
-    raw_axes = {
-        copied.id: np.array(original.axis)
-        for original, copied in zip(file.spec.joints, spec.joints, strict=True)
+    written = {
+        copied.id: original for original, copied in zip(file.spec.joints, spec.joints, strict=True)
     }
     ranges = switched_off_ranges(file.spec, spec)
     frames: dict[int, list[Frame]] = {}
@@ -86,7 +86,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             parent=names[parent] if parent else None,
             pose=pose,
             joints=tuple(
-                _joint(model, data, joint, names, to_base, raw_axes, ranges)
+                _joint(file, model, data, joint, names, to_base, written.get(joint), ranges)
                 for joint in _range(model.body_jntadr[body], model.body_jntnum[body])
             ),
             inertial=_inertial(model, body, stated.get(body)),
@@ -159,12 +159,13 @@ def _world_pose(data: mujoco.MjData, body: int) -> Pose:
 
 
 def _joint(
+    file: MjcfFile,
     model: mujoco.MjModel,
     data: mujoco.MjData,
     joint: int,
     names: list[str],
     to_base: Pose,
-    raw_axes: dict[int, Array],
+    written: mujoco.MjsJoint | None,
     ranges: dict[int, tuple[float, float]],
 ) -> Joint:
     body = int(model.jnt_bodyid[joint])
@@ -173,6 +174,7 @@ def _joint(
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
     if joint in ranges:
         lower, upper = ranges[joint]
+    limits = {"lower": float(lower), "upper": float(upper), "effort": effort_limit(model, joint)}
     return Joint(
         name=joint_name(model, joint),
         kind=kind,
@@ -180,11 +182,25 @@ def _joint(
         child=names[body],
         position=to_base.point(data.xanchor[joint]),
         axis=to_base.rotation @ data.xaxis[joint] if kind in (HINGE, SLIDE) else np.zeros(3),
-        raw_axis=raw_axes.get(joint, np.array(model.jnt_axis[joint])),
-        lower=float(lower),
-        upper=float(upper),
-        effort=effort_limit(model, joint),
+        raw_axis=np.array(model.jnt_axis[joint] if written is None else written.axis),
+        stated=_stated(file, names[body], written, limits),
+        **limits,
     )
+
+
+def _stated(
+    file: MjcfFile, body: str, joint: mujoco.MjsJoint | None, limits: Mapping[str, float]
+) -> dict[str, float]:
+    """Returns what a file states of a joint; zero is stated where an element or a class says so."""
+    found = {one.kind: limits[one.field] for one in IN_A_TREE if one.field in limits}
+    found = {kind: value for kind, value in found.items() if math.isfinite(value)}
+    if joint is None:
+        return found
+    for one in PASSIVE:
+        value = float(np.atleast_1d(getattr(joint, one.mjcf[0]))[0])
+        if value or file.stated("joint", joint.name or body, one.mjcf) is not None:
+            found[one.kind] = value
+    return found
 
 
 def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -> Inertial | None:

@@ -5,7 +5,7 @@ Unlike in an engine's model, links that are fixed to others are kept apart, as i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -80,6 +81,9 @@ class Joint:
         position: (3,) at zero angles, in the base frame (m).
         axis: (3,) unit vector at zero angles, in the base frame; (0, 0, 0) where it has none.
         raw_axis: (3,) as written.
+        stated: {kind of a number: its value} of what the file states of it, as in `attributes`: in
+            the unit of the format's joints, an effort as it acts at the joint. What it does not
+            state is not there: unknown is not zero.
         lower: rad or m; -inf if unlimited.
         upper: rad or m.
         effort: N m or N; inf if unlimited.
@@ -92,6 +96,7 @@ class Joint:
     position: Array
     axis: Array
     raw_axis: Array
+    stated: Mapping[str, float]
     lower: float
     upper: float
     effort: float
@@ -192,6 +197,12 @@ class RobotModel:
     def inertial_part(self, part: str) -> str:
         """Returns where the mass, origin or inertia of a body stands below it in the format."""
         return f"inertial/{part}" if self.format == "urdf" else "inertial"
+
+    def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
+        """Returns what a joint's number is called in the format, and where it is below a joint."""
+        if self.format == "urdf" and attribute.urdf is not None:
+            return " ".join(attribute.urdf), attribute.urdf[0]
+        return (attribute.mjcf or (attribute.kind,))[0], None
 
     def children(self, name: str) -> list[Link]:
         """Returns the bodies whose parent is the one named."""

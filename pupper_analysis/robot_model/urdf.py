@@ -11,6 +11,7 @@ import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
 from pupper_analysis.robot_model.geometry import mesh_vertices
@@ -85,10 +86,16 @@ def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
         position=pose.position,
         axis=pose.rotation @ raw / length if length > 0 else np.zeros(3),
         raw_axis=raw,
+        stated=_stated(joint),
         lower=number(limit, "lower", 0.0) if limited else -math.inf,
         upper=number(limit, "upper", 0.0) if limited else math.inf,
         effort=number(limit, "effort", math.inf),
     )
+
+
+def _stated(joint: UrdfJoint) -> dict[str, float]:
+    texts = {one.kind: joint.stated(one) for one in JOINT_ATTRIBUTES}
+    return {kind: float(text) for kind, text in texts.items() if text is not None}
 
 
 def _body(

@@ -31,26 +31,16 @@ def value_impossible(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
     A cylinder of length 0 is a disc, and a capsule of length 0 a ball. Of MuJoCo's polynomials the
     first coefficient is looked at, which is what counts at small speeds.
     """
+    for joint in robot.joints.values():
+        for one in JOINT_ATTRIBUTES:
+            value = joint.stated.get(one.kind, 0.0)
+            if value < 0 and not one.signed:
+                word, child = robot.words(one)
+                told = diagnose("value-impossible", attribute=word, value=value)
+                yield Found("joint", joint.name, told, child)
     if isinstance(robot, UrdfModel):
         yield from _impossible_sizes(robot)
-        for name, joint in robot.file.tree.joints.items():
-            for attribute in JOINT_ATTRIBUTES:
-                if attribute.urdf is None or attribute.signed:
-                    continue
-                tag, word = attribute.urdf
-                value = number(joint.element.find(tag), word, 0.0)
-                if value < 0:
-                    told = diagnose("value-impossible", attribute=f"{tag} {word}", value=value)
-                    yield Found("joint", name, told, tag)
         return
-    for joint in robot.file.spec.joints:
-        around = line_of(robot.file, joint, joint.parent.name)
-        for word in _PASSIVE:
-            value = float(np.atleast_1d(getattr(joint, word))[0])
-            if value < 0:
-                place = None if joint.name else around
-                told = diagnose("value-impossible", attribute=word, value=value)
-                yield Found("joint", joint.name, told, place=place)
     for at, tendon in enumerate(robot.file.spec.tendons):
         for word in _PASSIVE:
             value = float(np.atleast_1d(getattr(tendon, word))[0])
