@@ -1,0 +1,149 @@
+"""A joint's numbers: what one file states is what both engines, and the other file, get."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE, JointAttribute
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mujoco_tree import MujocoTree
+from pupper_analysis.models.parameters import from_pinocchio, to_pinocchio
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
+from pupper_analysis.robot_model.mjcf import read_mjcf_model
+from pupper_analysis.robot_model.urdf import read_urdf_model
+
+# No two alike: a swapped column is seen.
+VALUES = {
+    "lower limit": -0.5,
+    "upper limit": 0.75,
+    "effort": 3.5,
+    "velocity": 11.0,
+    "damping": 0.125,
+    "friction": 0.0625,
+    "armature": 0.03,
+    "spring": 0.7,
+}
+
+URDF = (
+    '<robot name="r"><link name="a"><inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" '
+    'ixy="0" ixz="0" iyz="0"/></inertial></link><link name="b"><inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>'
+    "</joint></robot>"
+)
+
+MJCF = (
+    '<mujoco><compiler angle="radian"/><worldbody><body name="a"><freejoint/>'
+    '<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/><body name="b">'
+    '<joint name="j" axis="0 1 0" range="-0.5 0.75" damping="0.125" frictionloss="0.0625" '
+    'armature="0.03" stiffness="0.7" actuatorfrcrange="-3.5 3.5"/>'
+    '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></body></worldbody></mujoco>'
+)
+
+
+def stated_urdf() -> UrdfTree:
+    tree = UrdfTree.of(URDF)
+    for one in JOINT_ATTRIBUTES:
+        if one.urdf is not None:
+            tree.joints["j"].state(one, VALUES[one.kind])
+    return tree
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[Path, Path]:
+    urdf, mjcf = tmp_path / "r.urdf", tmp_path / "r.xml"
+    urdf.write_text(to_text(stated_urdf().root))
+    mjcf.write_text(MJCF)
+    return urdf, mjcf
+
+
+def test_both_models_state_what_their_files_do(files: tuple[Path, Path]) -> None:
+    one = read_urdf_model(read_urdf(files[0])).joints["j"].stated
+    two = read_mjcf_model(read_mjcf(files[1])).joints["j"].stated
+    assert one == {a.kind: VALUES[a.kind] for a in JOINT_ATTRIBUTES if a.urdf}
+    assert two == {a.kind: VALUES[a.kind] for a in JOINT_ATTRIBUTES if a.mjcf}
+
+
+def test_what_is_not_stated_is_unknown_and_zero_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "r.xml"
+    bare = MJCF.replace('damping="0.125" frictionloss="0.0625"', 'damping="0"')
+    path.write_text(bare.replace('armature="0.03"', "").replace('stiffness="0.7"', ""))
+    stated = read_mjcf_model(read_mjcf(path)).joints["j"].stated
+    assert stated["damping"] == 0.0
+    assert not {"friction", "armature", "spring"} & set(stated)
+    default = '<default><joint armature="0"/></default><worldbody>'
+    path.write_text(path.read_text().replace("<worldbody>", default))
+    assert read_mjcf_model(read_mjcf(path)).joints["j"].stated["armature"] == 0.0
+
+
+def test_engines_read_what_the_files_state(files: tuple[Path, Path]) -> None:
+    model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
+    tree = from_pinocchio(model, "a", ["j"], {})
+    for one in IN_A_TREE:
+        wanted = VALUES[one.kind] if one.urdf else 0.0
+        assert getattr(tree.joints["j"], one.field) == wanted, one.kind
+    compiled = mujoco.MjModel.from_xml_path(str(files[1]))
+    for one in PASSIVE:
+        if one.mujoco:
+            assert getattr(compiled, one.mujoco)[6] == VALUES[one.kind], one.kind
+
+
+def test_a_tree_becomes_models_of_both_engines_and_back(files: tuple[Path, Path]) -> None:
+    model = pin.buildModelFromUrdf(str(files[0]), pin.JointModelFreeFlyer())
+    tree = from_pinocchio(model, "a", ["j"], {})
+    numbers = {one.field: VALUES[one.kind] for one in IN_A_TREE}
+    joint = replace(tree.joints["j"], **numbers)  # type: ignore[arg-type]
+    tree = replace(tree, joints={"j": joint})
+    back = from_pinocchio(to_pinocchio(tree), "a", ["j"], {}).joints["j"]
+    assert {field: getattr(back, field) for field in numbers} == numbers
+    compiled = MujocoTree(tree).model
+    for one in IN_A_TREE:
+        if one.mujoco:
+            np.testing.assert_array_equal(getattr(compiled, one.mujoco)[-1], VALUES[one.kind])
+
+
+@pytest.mark.parametrize("attribute", JOINT_ATTRIBUTES, ids=lambda one: one.kind)
+def test_a_factor_is_on_that_number_alone(
+    attribute: JointAttribute, files: tuple[Path, Path]
+) -> None:
+    urdf, mjcf = stated_urdf(), SpecTree(read_mjcf(files[1]).spec.copy())
+    before = {one.kind: urdf.joints["j"].stated(one) for one in JOINT_ATTRIBUTES}
+    urdf.scale("j", attribute, 2.0)
+    after = {one.kind: urdf.joints["j"].stated(one) for one in JOINT_ATTRIBUTES}
+    changed = {kind for kind in before if before[kind] != after[kind]}
+    assert changed == ({attribute.kind} if attribute.urdf else set())
+    if attribute not in PASSIVE:
+        return
+    old = mjcf.spec.copy().compile()
+    mjcf.scale("j", attribute, 2.0)
+    new = mjcf.spec.compile()
+    for one in PASSIVE:
+        name = one.mujoco or "jnt_stiffness"
+        ratio = 2.0 if one == attribute else 1.0
+        assert getattr(new, name)[-1] == ratio * getattr(old, name)[-1], one.kind
+
+
+def test_a_comparison_names_each_number_that_differs(files: tuple[Path, Path]) -> None:
+    for one in IN_A_TREE:
+        if not one.in_both:
+            continue
+        tree = stated_urdf()
+        tree.joints["j"].state(one, 0.9 * VALUES[one.kind])
+        files[0].write_text(to_text(tree.root))
+        found = pa.compare_models(*files, configurations=1).differences
+        kinds = [d.kind for d in found if d.kind != "spring"]
+        assert kinds == [one.kind]
+        difference = next(d for d in found if d.kind == one.kind)
+        assert difference.urdf == pytest.approx(0.9 * VALUES[one.kind])
+        assert difference.mjcf == VALUES[one.kind]
+        assert difference.unit == one.unit(slides=False)
