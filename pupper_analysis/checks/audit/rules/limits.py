@@ -10,9 +10,9 @@ import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.robot_model.mjcf import line_of
-from pupper_analysis.robot_model.model import HINGE, MjcfModel, RobotModel, UrdfModel
-from pupper_analysis.robot_model.urdf import number
+from pupper_analysis.robot_model.model import HINGE, Joint, MjcfModel, RobotModel, UrdfModel
 
 
 @rule
@@ -61,7 +61,7 @@ def limit_missing(robot: RobotModel) -> Iterator[Found]:
     """
     for joint in robot.joints.values():
         if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
-            ignored = _limits_without_effect(robot, joint.name)
+            ignored = _limits_without_effect(joint)
             if ignored is not None:
                 yield Found("joint", joint.name, ignored, "limit")
                 continue
@@ -69,15 +69,10 @@ def limit_missing(robot: RobotModel) -> Iterator[Found]:
             yield Found("joint", joint.name, told)
 
 
-def _limits_without_effect(robot: RobotModel, name: str) -> Diagnostic | None:
-    """Says so if a joint of type continuous states limits all the same."""
-    if not isinstance(robot, UrdfModel):
-        return None
-    limit = robot.file.root.find(f"joint[@name='{name}']/limit") if "'" not in name else None
-    if limit is None or limit.get("lower") is None or limit.get("upper") is None:
-        return None
-    lower, upper = number(limit, "lower", 0.0), number(limit, "upper", 0.0)
-    if lower >= upper:
+def _limits_without_effect(joint: Joint) -> Diagnostic | None:
+    """Says so if a joint without limits states some all the same: one of type continuous."""
+    lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
+    if not lower < upper:
         return None
     return diagnose(
         "limits-without-effect", lower=Quantity(lower, "rad"), upper=Quantity(upper, "rad")
@@ -117,19 +112,18 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
 @rule
 def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
     """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
-    for joint in robot.file.tree.joints.values():
-        limit = joint.element.find("limit")
-        if limit is None or joint.is_fixed or joint.mimic is not None:
+    for name, joint in robot.file.tree.joints.items():
+        if joint.is_fixed or joint.mimic is not None:
             continue
-        zero = {what: number(limit, what, 1.0) for what in ("effort", "velocity")}
-        zero = {what: value for what, value in zero.items() if value <= 0}
+        stated = robot.joints[name].stated
+        zero = {what: stated[what] for what in ("effort", "velocity") if stated.get(what, 1.0) <= 0}
         if zero:
-            units = ("N", "m/s") if joint.kind == "prismatic" else ("N m", "rad/s")
+            slides = joint.kind == "prismatic"
             effort, velocity = (
-                Quantity(zero[what], unit) if what in zero else None
-                for what, unit in zip(("effort", "velocity"), units, strict=True)
+                Quantity(zero[what], BY_KIND[what].unit(slides)) if what in zero else None
+                for what in ("effort", "velocity")
             )
             told = diagnose(
                 "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
             )
-            yield Found("joint", joint.name, told, "limit")
+            yield Found("joint", name, told, "limit")
