@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from pupper_analysis.checks.behaviour import Behaviour
-from pupper_analysis.checks.differences import Armature, Difference, Judge
+from pupper_analysis.checks.differences import Armature, Difference, RelativeError
 from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 
 _ALIKE = 1.25
 """Of two legs one carries no more than this of what the other does below a joint: front and hind
@@ -21,7 +21,7 @@ _AWAY = 0.01  # m: nor is the joint further from the one above it
 
 
 def armature_differences(
-    values: Parameters, behaviour: Behaviour, judge: Judge
+    values: MultibodyTree, behaviour: Behaviour, judge: RelativeError
 ) -> list[Difference]:
     """Returns armatures of no rotor, and unlike those of the other legs.
 
@@ -53,7 +53,7 @@ def armature_differences(
     return differences
 
 
-def _unusual_armatures(values: Parameters) -> dict[str, float]:
+def _unusual_armatures(values: MultibodyTree) -> dict[str, float]:
     """Returns the joints whose armature differs from that of most at the same place of a leg.
 
     Joints are at the same place if as many joints are above as below them, and they carry about as
@@ -87,7 +87,7 @@ def _unusual_armatures(values: Parameters) -> dict[str, float]:
 
 
 def _alike(
-    names: list[str], carried: Mapping[str, float], values: Parameters
+    names: list[str], carried: Mapping[str, float], values: MultibodyTree
 ) -> Iterator[list[str]]:
     """Yields joints in groups of those that carry about as much, as far from the joint above."""
     left = sorted(names, key=carried.__getitem__)
@@ -104,7 +104,7 @@ def _alike(
 
 
 def armature_of(
-    names: Iterable[str], values: Parameters, behaviour: Behaviour, judge: Judge
+    names: Iterable[str], values: MultibodyTree, behaviour: Behaviour, judge: RelativeError
 ) -> Armature:
     """Returns every joint's armature, and what leaving it out of the URDF's model does."""
     without_it = {name: replace(joint, armature=0.0) for name, joint in values.joints.items()}

@@ -12,7 +12,7 @@ from pupper_analysis.checks.armature import armature_differences, armature_of
 from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_acting
 from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.convention_changes import convention_changes
-from pupper_analysis.checks.differences import Difference, Effect, Explanation, Judge
+from pupper_analysis.checks.differences import Difference, Effect, Explanation, RelativeError
 from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
 from pupper_analysis.checks.passive.find import extras
 from pupper_analysis.checks.passive.mimics import split_mimics
@@ -26,7 +26,7 @@ from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def explain(
     mjcf = mujoco_sees(without(reference.model, coupled))
     bare = without(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
-    judge = Judge(urdf, mjcf)
+    judge = RelativeError(urdf, mjcf)
     differences = []
     for convention, undone in convention_changes(conventions or Conventions(), first):
         effects = judge.effects(urdf, behaviour(undone))
@@ -123,7 +123,7 @@ def explain(
 
 
 def _left(
-    judge: Judge, patched: Mapping[str, Array], stripped: Mapping[str, Array]
+    judge: RelativeError, patched: Mapping[str, Array], stripped: Mapping[str, Array]
 ) -> dict[str, float]:
     """Returns {quantity: by how much two evaluations deviate, relative to its scale}.
 
@@ -144,7 +144,7 @@ def _left(
     return left
 
 
-def _entries(robot: Robot, urdf: Parameters, reference: Reference) -> Entries:
+def _entries(robot: Robot, urdf: MultibodyTree, reference: Reference) -> Entries:
     """Returns the elements that the mass matrix of either file can have."""
     tree = MujocoTree(urdf).model
     own = Reference(tree, tree, robot.joint_names, urdf.base)
@@ -152,7 +152,7 @@ def _entries(robot: Robot, urdf: Parameters, reference: Reference) -> Entries:
     return Entries(robot.nv, models)
 
 
-def _undamped(values: Parameters, names: Collection[str]) -> Parameters:
+def _undamped(values: MultibodyTree, names: Collection[str]) -> MultibodyTree:
     bare = {name: replace(values.joints[name], damping=0.0) for name in names}
     return replace(values, joints={**values.joints, **bare})
 

@@ -14,11 +14,11 @@ from pupper_analysis.checks.size import Entries
 from pupper_analysis.checks.states import States
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.reference import Reference
-from pupper_analysis.models import parameters
+from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mujoco_tree import MujocoTree
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.feet import foot_site
@@ -192,11 +192,11 @@ class Behaviour:
         self._tree: MujocoTree | None = None
         self._in_tree: MujocoBehaviour | None = None
 
-    def __call__(self, values: Parameters) -> dict[str, Array]:
+    def __call__(self, values: MultibodyTree) -> dict[str, Array]:
         """Evaluates the quantities that differences are judged by, at all states."""
         return self._in_pinocchio(values) if self._entries is None else self._in_mujoco(values)
 
-    def _in_mujoco(self, values: Parameters) -> dict[str, Array]:
+    def _in_mujoco(self, values: MultibodyTree) -> dict[str, Array]:
         if self._tree is None or self._in_tree is None or not self._tree.fits(values):
             self._tree = MujocoTree(values)
             model = self._tree.model
@@ -209,8 +209,8 @@ class Behaviour:
             self._tree.take(values)
         return self._in_tree(self._tree.model)
 
-    def _in_pinocchio(self, values: Parameters) -> dict[str, Array]:
-        model = parameters.to_pinocchio(values)
+    def _in_pinocchio(self, values: MultibodyTree) -> dict[str, Array]:
+        model = multibody.to_pinocchio(values)
         robot = replace(
             self._robot,
             pin_model=model,
@@ -244,7 +244,7 @@ class Behaviour:
         return {name: np.array(values) for name, values in rows.items()}
 
 
-def _alike(values: Parameters) -> object:
+def _alike(values: MultibodyTree) -> object:
     """Returns what is the same for trees whose models can share Pinocchio's data.
 
     The data hold the joints' axes, and who is whose parent; all other numbers stay in the model.

@@ -24,7 +24,7 @@ from pupper_analysis.checks.words import (
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.attributes import IN_A_TREE
-from pupper_analysis.models.parameters import Body, Joint, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
 
@@ -32,7 +32,7 @@ from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 class Change(Stated):
     """A difference between two sets of parameters, and how to take it over."""
 
-    apply: Callable[[Parameters, Parameters], Parameters]
+    apply: Callable[[MultibodyTree, MultibodyTree], MultibodyTree]
     felt: bool  # by the dynamics
 
     def difference(self, effects: dict[str, Effect]) -> Difference:
@@ -46,7 +46,7 @@ NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
 
 
 def changes_between(
-    one: Parameters, two: Parameters, tolerances: Tolerances, sides: Sides = FORMATS
+    one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: Sides = FORMATS
 ) -> Iterable[Change]:
     """Yields the differences of two sets of parameters.
 
@@ -91,7 +91,9 @@ def changes_between(
         yield Change("frame", name, position, other, "m", told, _take_frame(name), felt=True)
 
 
-def patched_with(first: Parameters, second: Parameters, sides: Sides = FORMATS) -> Parameters:
+def patched_with(
+    first: MultibodyTree, second: MultibodyTree, sides: Sides = FORMATS
+) -> MultibodyTree:
     """Returns the first parameters with the second's value for every difference.
 
     What is within the tolerance is taken over as well, so that only what was overlooked is left.
@@ -103,7 +105,7 @@ def patched_with(first: Parameters, second: Parameters, sides: Sides = FORMATS) 
 
 
 def body_changes(
-    name: str, one: Body, two: Body, tolerances: Tolerances, sides: Sides = FORMATS
+    name: str, one: TreeBody, two: TreeBody, tolerances: Tolerances, sides: Sides = FORMATS
 ) -> Iterable[Change]:
     """Yields the differences of two bodies."""
     body = ("body", name)
@@ -149,7 +151,7 @@ def body_changes(
         )
 
 
-def _turned(one: Body, two: Body) -> Diagnostic | None:
+def _turned(one: TreeBody, two: TreeBody) -> Diagnostic | None:
     """Says so if two tensors have the same principal moments."""
     moments = np.linalg.eigvalsh(one.inertia), np.linalg.eigvalsh(two.inertia)
     off = np.abs(one.inertia - np.diag(np.diag(one.inertia))).max()
@@ -161,7 +163,7 @@ def _turned(one: Body, two: Body) -> Diagnostic | None:
 
 
 def _joint_changes(
-    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
 ) -> Iterable[Change]:
     yield from _kinds_of_joints(name, one, two, sides)
     yield from _placements(name, one, two, tolerances, sides)
@@ -169,7 +171,7 @@ def _joint_changes(
     yield from _joint_numbers(name, one, two, tolerances, sides)
 
 
-def _kinds_of_joints(name: str, one: Joint, two: Joint, sides: Sides) -> Iterable[Change]:
+def _kinds_of_joints(name: str, one: TreeJoint, two: TreeJoint, sides: Sides) -> Iterable[Change]:
     """Yields another parent, and another type."""
     if one.parent != two.parent:
         both = {"one": one.parent, "two": two.parent, **sides.named}
@@ -194,7 +196,7 @@ def _kinds_of_joints(name: str, one: Joint, two: Joint, sides: Sides) -> Iterabl
 
 
 def _placements(
-    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
 ) -> Iterable[Change]:
     """Yields another position or orientation in the parent's frame."""
     apart = float(np.linalg.norm(two.position - one.position))
@@ -242,7 +244,7 @@ def _placements(
 
 
 def _axes(
-    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
 ) -> Iterable[Change]:
     """Yields another axis."""
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
@@ -261,7 +263,7 @@ def _axes(
 
 
 def _joint_numbers(
-    name: str, one: Joint, two: Joint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
 ) -> Iterable[Change]:
     """Yields other limits, damping and friction; and armature, where both can state it."""
     for attribute in IN_A_TREE:
@@ -296,27 +298,27 @@ def _joint_numbers(
         yield Change(kind, name, a, b, unit, told, take, felt=attribute.felt)
 
 
-def _take_body(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:
-    def apply(one: Parameters, two: Parameters) -> Parameters:
+def _take_body(name: str, field: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
+    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
         body = replace(one.bodies[name], **{field: getattr(two.bodies[name], field)})
         return replace(one, bodies={**one.bodies, name: body})
 
     return apply
 
 
-def _take_joint(name: str, field: str) -> Callable[[Parameters, Parameters], Parameters]:
-    def apply(one: Parameters, two: Parameters) -> Parameters:
+def _take_joint(name: str, field: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
+    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
         joint = replace(one.joints[name], **{field: getattr(two.joints[name], field)})
         return replace(one, joints={**one.joints, name: joint})
 
     return apply
 
 
-def _take_parent(name: str) -> Callable[[Parameters, Parameters], Parameters]:
+def _take_parent(name: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
     """Takes one parent over; all of them, where that one alone would close a ring of joints."""
     alone = _take_joint(name, "parent")
 
-    def apply(one: Parameters, two: Parameters) -> Parameters:
+    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
         taken = alone(one, two)
         if len(taken.parents_first()) == len(taken.joints):
             return taken
@@ -333,22 +335,22 @@ def _whole(
     kind: str,
     element: str,
     field: str,
-    one: Parameters,
-    two: Parameters,
+    one: MultibodyTree,
+    two: MultibodyTree,
     unit: str,
     told: Diagnostic,
 ) -> Change:
     """Returns the change of a number that belongs to the robot as a whole."""
 
-    def apply(first: Parameters, second: Parameters) -> Parameters:
+    def apply(first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
         return replace(first, **{field: getattr(second, field)})
 
     values = getattr(one, field), getattr(two, field)
     return Change(kind, element, *values, unit, told, apply, felt=True)
 
 
-def _take_frame(name: str) -> Callable[[Parameters, Parameters], Parameters]:
-    def apply(one: Parameters, two: Parameters) -> Parameters:
+def _take_frame(name: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
+    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
         return replace(one, frames={**one.frames, name: two.frames[name]})
 
     return apply

@@ -11,12 +11,12 @@ from pupper_analysis.checks.words import FORMATS, Sides
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import Conventions, pose_told, with_zero
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 
 
 def convention_changes(
-    found: Conventions, first: Parameters, sides: Sides = FORMATS
-) -> Iterator[tuple[Difference, Parameters]]:
+    found: Conventions, first: MultibodyTree, sides: Sides = FORMATS
+) -> Iterator[tuple[Difference, MultibodyTree]]:
     """Yields each convention as a difference, and the first robot without that change.
 
     Args:

@@ -220,7 +220,7 @@ class Explanation(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class RelativeError:
     """Weighs deviations against the quantities of the first model, and against the whole.
 
     Attributes:

@@ -39,7 +39,7 @@ from pupper_analysis.matching.reference import Reference
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mujoco_tree import MujocoTree
-from pupper_analysis.models.parameters import from_pinocchio
+from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.coordinates import PinocchioConvention

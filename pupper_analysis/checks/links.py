@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.matching.places import poses_at_zero
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.parameters import Body, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of
 from pupper_analysis.robot.robot import Robot
 
@@ -35,7 +35,7 @@ class Link:
     """
 
     name: str
-    body: Body
+    body: TreeBody
     axes: Array
 
 
@@ -62,7 +62,7 @@ def urdf_links(robot: Robot) -> Links:
     return {mover: tuple(links) for mover, links in found.items()}
 
 
-def mjcf_links(robot: Robot, raw: Parameters, aligned: Parameters) -> Links:
+def mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Links:
     """Returns the links of the MJCF's bodies, in the frames to which its tree was aligned.
 
     Args:
@@ -80,7 +80,7 @@ def mjcf_links(robot: Robot, raw: Parameters, aligned: Parameters) -> Links:
         pose = there[mover].actInv(here[mover]) * frame.placement
         turn = pin.Quaternion(*mujoco_model.body_iquat[index]).toRotationMatrix()
         inertia = turn @ np.diag(mujoco_model.body_inertia[index]) @ turn.T
-        own = Body(
+        own = TreeBody(
             float(mujoco_model.body_mass[index]), np.array(mujoco_model.body_ipos[index]), inertia
         )
         found.setdefault(mover, []).append(Link(name, _placed(own, pose), np.array(pose.rotation)))
@@ -93,28 +93,28 @@ def _mover(robot: Robot, model: pin.Model, joint: int) -> str:
     return name if name in robot.joint_names else robot.base
 
 
-def _stated(inertial: etree._Element) -> Body:
+def _stated(inertial: etree._Element) -> TreeBody:
     """Reads a URDF's inertial, in its link's frame."""
     mass, entries, pose = inertial.find("mass"), inertial.find("inertia"), origin_of(inertial)
     tensor = np.zeros((3, 3))
     if entries is not None:
         tensor = inertia_tensor(float(entries.get(label) or 0.0) for label in INERTIA_ENTRIES)
-    body = Body(0.0 if mass is None else float(mass.get("value")), np.zeros(3), tensor)
+    body = TreeBody(0.0 if mass is None else float(mass.get("value")), np.zeros(3), tensor)
     return _placed(body, pose)
 
 
-def _placed(body: Body, pose: pin.SE3) -> Body:
+def _placed(body: TreeBody, pose: pin.SE3) -> TreeBody:
     """Returns a body in the frame in which its own stands in a pose."""
     turn = np.array(pose.rotation)
     return replace(body, com=np.array(pose.act(body.com)), inertia=turn @ body.inertia @ turn.T)
 
 
-def fold(*bodies: Body) -> Body:
+def fold(*bodies: TreeBody) -> TreeBody:
     """Returns one body that is made of some, all in the same frame."""
     return from_moments(sum((moments(body) for body in bodies), start=np.zeros(10)))
 
 
-def moments(body: Body) -> Array:
+def moments(body: TreeBody) -> Array:
     """Returns a body's mass, first and second moments about its frame's origin (10,).
 
     They add up when bodies are put together: the mass (kg), the first moments (kg m), and the six
@@ -126,9 +126,9 @@ def moments(body: Body) -> Array:
     return np.array([body.mass, *(body.mass * c), *entries])
 
 
-def from_moments(values: Array) -> Body:
+def from_moments(values: Array) -> TreeBody:
     """Returns the body of some moments, which `moments` returns."""
     mass = float(values[0])
     com = values[1:4] / mass if mass else np.zeros(3)
     shift = mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
-    return Body(mass, com, inertia_tensor(values[4:]) - shift)
+    return TreeBody(mass, com, inertia_tensor(values[4:]) - shift)

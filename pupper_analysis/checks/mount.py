@@ -18,7 +18,7 @@ from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.places import poses_at_zero
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import base_pose, trees
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.results import Result
 
@@ -81,7 +81,7 @@ def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mo
     return Mount(tilt, {name: (first[name], second[name]) for name in names}, unit)
 
 
-def gravity_torques(tree: Parameters, gravity: Array) -> dict[str, float]:
+def gravity_torques(tree: MultibodyTree, gravity: Array) -> dict[str, float]:
     """Returns {joint: what it needs to hold against gravity at zero angles (N m; N)}.
 
     Args:

@@ -17,7 +17,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.models.parameters import Body, Joint, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 
 Array = NDArray[np.float64]
 
@@ -34,13 +34,13 @@ class Alignment:
             without those that stayed.
     """
 
-    values: Parameters
+    values: MultibodyTree
     moved: Mapping[str, Array]
 
 
 def aligned(
-    second: Parameters,
-    first: Parameters,
+    second: MultibodyTree,
+    first: MultibodyTree,
     tolerances: Tolerances,
     fixed: Collection[str] = (),
     only: Iterable[str] | None = None,
@@ -65,8 +65,8 @@ def aligned(
 
 
 def _aligned(
-    second: Parameters,
-    first: Parameters,
+    second: MultibodyTree,
+    first: MultibodyTree,
     tolerances: Tolerances,
     fixed: Collection[str],
     names: Iterable[str],
@@ -109,7 +109,7 @@ def _aligned(
 
 
 def _better(
-    first: Parameters, nearest: Alignment, whole: Alignment, tolerances: Tolerances
+    first: MultibodyTree, nearest: Alignment, whole: Alignment, tolerances: Tolerances
 ) -> Alignment:
     """Takes each branch from the alignment that tells less about it in all.
 
@@ -163,7 +163,7 @@ def digits(size: float, tolerance: float) -> float:
     return math.log2(1.0 + size / tolerance) if size > tolerance else 0.0
 
 
-def digits_of(one: Parameters, two: Parameters, name: str, tolerances: Tolerances) -> float:
+def digits_of(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tolerances) -> float:
     """Says how many digits tell the differences of a joint, its body, and what that carries."""
     total = _of_joint(one, two, name, tolerances)
     for child in one.children(name):
@@ -173,14 +173,17 @@ def digits_of(one: Parameters, two: Parameters, name: str, tolerances: Tolerance
 
 
 def digits_in_all(
-    one: Parameters, two: Parameters, tolerances: Tolerances, names: Iterable[str] | None = None
+    one: MultibodyTree,
+    two: MultibodyTree,
+    tolerances: Tolerances,
+    names: Iterable[str] | None = None,
 ) -> float:
     """Says how many digits tell the differences of joints and their bodies, by default of all."""
     joints = one.joints if names is None else names
     return sum(_of_joint(one, two, name, tolerances) for name in joints)
 
 
-def _of_joint(one: Parameters, two: Parameters, name: str, tolerances: Tolerances) -> float:
+def _of_joint(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tolerances) -> float:
     """Says how many digits tell the differences of a joint, its body and its frames."""
     total = _of_place(one.joints[name], two.joints[name], tolerances)
     total += digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
@@ -193,7 +196,7 @@ def _of_joint(one: Parameters, two: Parameters, name: str, tolerances: Tolerance
     return total
 
 
-def digits_of_body(one: Body, two: Body, tolerances: Tolerances) -> float:
+def digits_of_body(one: TreeBody, two: TreeBody, tolerances: Tolerances) -> float:
     """Says how many digits tell the differences of two coms and inertias; none without mass."""
     if not (one.mass and two.mass):
         return 0.0
@@ -203,7 +206,7 @@ def digits_of_body(one: Body, two: Body, tolerances: Tolerances) -> float:
     return total + digits(apart, tolerances.inertia)
 
 
-def _of_place(one: Joint, two: Joint, tolerances: Tolerances) -> float:
+def _of_place(one: TreeJoint, two: TreeJoint, tolerances: Tolerances) -> float:
     apart = float(np.linalg.norm(two.position - one.position))
     angle = float(np.linalg.norm(pin.log3(one.rotation.T @ two.rotation)))
     return digits(apart, tolerances.position) + digits(angle, tolerances.rotation)
@@ -213,7 +216,7 @@ def _angle(one: Array, two: Array) -> float:
     return math.atan2(float(np.linalg.norm(np.cross(one, two))), float(one @ two))
 
 
-def _turns(first: Parameters, second: Parameters, name: str) -> Iterator[Array]:
+def _turns(first: MultibodyTree, second: MultibodyTree, name: str) -> Iterator[Array]:
     """Yields the turns of a body's frame that come into question.
 
     None; that to the other's frame; and, where the zero angles differ, that to a frame which
@@ -238,7 +241,9 @@ def _turns(first: Parameters, second: Parameters, name: str) -> Iterator[Array]:
         yield pin.exp3(math.atan2(sine, cosine) * one.axis) @ full
 
 
-def _points(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[Array, Array]]:
+def _points(
+    first: MultibodyTree, second: MultibodyTree, name: str
+) -> Iterator[tuple[Array, Array]]:
     """Yields what is fixed to a body, in both: coms, children's places and axes, frames."""
     yield from _places(first, second, name)
     for child in first.children(name):
@@ -248,7 +253,9 @@ def _points(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[
             yield length * one.rotation @ one.axis, length * two.rotation @ two.axis
 
 
-def _places(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[Array, Array]]:
+def _places(
+    first: MultibodyTree, second: MultibodyTree, name: str
+) -> Iterator[tuple[Array, Array]]:
     """Yields places on a body, in both: coms, children's places, frames."""
     yield first.bodies[name].com, second.bodies[name].com
     for child in first.children(name):
@@ -260,7 +267,7 @@ def _places(first: Parameters, second: Parameters, name: str) -> Iterator[tuple[
             yield first.frames[frame][1], position
 
 
-def offset_of_limits(one: Joint, two: Joint) -> float:
+def offset_of_limits(one: TreeJoint, two: TreeJoint) -> float:
     """Returns by how much the first's limits are above the second's; 0 if not both by the same."""
     lower, upper = one.lower - two.lower, one.upper - two.upper
     if not (math.isfinite(lower) and math.isfinite(upper)):
@@ -268,7 +275,9 @@ def offset_of_limits(one: Joint, two: Joint) -> float:
     return lower if math.isclose(lower, upper, rel_tol=1e-3, abs_tol=1e-4) else 0.0
 
 
-def _steps(first: Parameters, second: Parameters, name: str, *, still: bool) -> Iterator[Array]:
+def _steps(
+    first: MultibodyTree, second: MultibodyTree, name: str, *, still: bool
+) -> Iterator[Array]:
     """Yields how far the origin of a joint may be moved, in the axes of its body.
 
     That of a hinge along its own axis, of a slide anywhere: to where the other's is, or so that
@@ -287,7 +296,7 @@ def _steps(first: Parameters, second: Parameters, name: str, *, still: bool) -> 
         yield apart - float(two.axis @ apart) * two.axis
 
 
-def in_axes(values: Parameters, name: str, turn: Array) -> Parameters:
+def in_axes(values: MultibodyTree, name: str, turn: Array) -> MultibodyTree:
     """Describes the body that a joint moves in other axes: x' = turn x."""
     joint, body = values.joints[name], values.bodies[name]
     joints = dict(values.joints)
@@ -296,7 +305,7 @@ def in_axes(values: Parameters, name: str, turn: Array) -> Parameters:
     return _carried(changed, values.children(name), name, body, turn, np.zeros(3))
 
 
-def with_origin(values: Parameters, name: str, step: Array) -> Parameters:
+def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
     """Describes the body that a joint moves from another origin, by a step in its own axes."""
     if not step.any():
         return values
@@ -308,8 +317,13 @@ def with_origin(values: Parameters, name: str, step: Array) -> Parameters:
 
 
 def _carried(
-    values: Parameters, children: Iterable[str], name: str, body: Body, turn: Array, shift: Array
-) -> Parameters:
+    values: MultibodyTree,
+    children: Iterable[str],
+    name: str,
+    body: TreeBody,
+    turn: Array,
+    shift: Array,
+) -> MultibodyTree:
     """Describes what a body carries in a new frame of it: x' = turn x + shift."""
     joints = dict(values.joints)
     for child in children:
@@ -326,7 +340,7 @@ def _carried(
     return replace(values, joints=joints, bodies=bodies, frames=frames)
 
 
-def with_base(values: Parameters, pose: pin.SE3) -> Parameters:
+def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
     """Describes a robot from another frame of its base: x' = pose x."""
     body = values.bodies[values.base]
     turn, shift = np.array(pose.rotation), np.array(pose.translation)

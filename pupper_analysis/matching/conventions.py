@@ -28,7 +28,7 @@ from pupper_analysis.matching.alignment import (
     with_base,
 )
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Conventions:
     shown: bool = True
     zeros: Mapping[str, float] = field(default_factory=dict)
 
-    def done(self, values: Parameters) -> Parameters:
+    def done(self, values: MultibodyTree) -> MultibodyTree:
         """Returns a robot, given in the URDF's conventions, in the MJCF's."""
         if self.base is not None:
             values = with_base(values, self.base)
@@ -63,7 +63,7 @@ class Conventions:
             values = with_zero(values, name, offset)
         return values
 
-    def undone(self, values: Parameters) -> Parameters:
+    def undone(self, values: MultibodyTree) -> MultibodyTree:
         """Returns a robot, given in the MJCF's conventions, in the URDF's."""
         for name, offset in self.zeros.items():
             values = with_zero(values, name, -offset)
@@ -71,7 +71,7 @@ class Conventions:
 
 
 def conventions(
-    first: Parameters, second: Parameters, tolerances: Tolerances, *, fixed: bool
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> Conventions:
     """Finds how the conventions of two trees differ.
 
@@ -100,7 +100,7 @@ def conventions(
     return Conventions(base, _shown(first, second, tolerances), zeros)
 
 
-def _shown(first: Parameters, second: Parameters, tolerances: Tolerances) -> bool:
+def _shown(first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances) -> bool:
     """Tells whether it is the base's frame that is elsewhere, and not the zero of a joint on it."""
     names = first.children(first.base)
     bodies = first.bodies[first.base], second.bodies[second.base]
@@ -112,7 +112,7 @@ def _shown(first: Parameters, second: Parameters, tolerances: Tolerances) -> boo
     return bool(one.upper - one.lower < 2 * math.pi and apart <= tolerances.limit)
 
 
-def _zero(first: Parameters, second: Parameters, name: str, tolerances: Tolerances) -> float:
+def _zero(first: MultibodyTree, second: MultibodyTree, name: str, tolerances: Tolerances) -> float:
     """Returns how far a joint's zero is off if its limits are off by as much; else 0."""
     one, two = first.joints[name], second.joints[name]
     if one.slides != two.slides or float(one.axis @ two.axis) < 1 - tolerances.axis:
@@ -136,7 +136,7 @@ def _zero(first: Parameters, second: Parameters, name: str, tolerances: Toleranc
     return offset + turns if shift and abs(shift - offset - turns) <= tolerances.limit else 0.0
 
 
-def with_zero(values: Parameters, name: str, offset: float) -> Parameters:
+def with_zero(values: MultibodyTree, name: str, offset: float) -> MultibodyTree:
     """Describes a robot with a coordinate that is smaller by an offset, in the same pose."""
     joint = values.joints[name]
     position, rotation = joint.position, joint.rotation
@@ -155,7 +155,7 @@ def with_zero(values: Parameters, name: str, offset: float) -> Parameters:
 
 
 def _base(
-    first: Parameters, second: Parameters, tolerances: Tolerances, *, fixed: bool
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> pin.SE3 | None:
     """Returns the pose of the first's base frame in the second's, if they are not the same."""
     names = first.children(first.base)
@@ -186,7 +186,7 @@ def _base(
 
 
 def _digits_at_base(
-    first: Parameters, second: Parameters, tolerances: Tolerances
+    first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances
 ) -> tuple[float, list[float]]:
     """Says how many digits tell the differences of the base's body, and of each joint on it."""
     body = digits_of_body(first.bodies[first.base], second.bodies[second.base], tolerances)
@@ -199,7 +199,7 @@ def _is_quarter(rotation: Array) -> bool:
     return bool(np.allclose(np.abs(rotation).max(axis=0), 1.0, atol=1e-6))
 
 
-def _poses(first: Parameters, second: Parameters) -> Iterator[pin.SE3]:
+def _poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
     """Yields where the first's base frame may be in the second's."""
     names = first.children(first.base)
     for name in names[:_TRIED]:
@@ -222,7 +222,7 @@ def _poses(first: Parameters, second: Parameters) -> Iterator[pin.SE3]:
         yield pin.SE3(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
 
 
-def _coms(values: Parameters, names: list[str]) -> Array:
+def _coms(values: MultibodyTree, names: list[str]) -> Array:
     """Returns the coms of the base and of some bodies on it, at zero, in the base's frame."""
     points = [values.bodies[values.base].com]
     for name in names:
@@ -261,7 +261,7 @@ def quarters() -> Iterator[Array]:
                 yield matrix
 
 
-def rewrite(root: etree._Element, link: str, found: Conventions, first: Parameters) -> None:
+def rewrite(root: etree._Element, link: str, found: Conventions, first: MultibodyTree) -> None:
     """Gives a URDF the MJCF's conventions, in place: another base frame, other zeros.
 
     Args:

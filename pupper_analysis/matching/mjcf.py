@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.names import without_affixes
-from pupper_analysis.models import parameters
+from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.free_base import delete_joint
 from pupper_analysis.models.joint_kinds import JointKind
@@ -158,7 +158,7 @@ def bodies_of(robot: Robot) -> dict[str, str]:
 
 def mjcf_tree(
     spec: mujoco.MjSpec, source: Path, base: str = "", frames: Iterable[str] = ()
-) -> parameters.Parameters:
+) -> multibody.MultibodyTree:
     """Returns the parameters of an MJCF's joints and bodies, in the frame of its base.
 
     Args:
@@ -173,7 +173,7 @@ def mjcf_tree(
     compiled = compile_spec(spec.copy(), source)
     model = pinocchio_from_mujoco(compiled)
     names = [joint.name for joint in spec.joints if joint.type != JointKind.FREE]
-    tree = parameters.from_pinocchio(model, base, names, {name: name for name in frames})
+    tree = multibody.from_pinocchio(model, base, names, {name: name for name in frames})
     if tree.floating or not names:
         return tree
     body = int(compiled.jnt_bodyid[compiled.joint(names[0]).id])

@@ -6,12 +6,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.models import parameters
+from pupper_analysis.models import multibody
 
 Array = NDArray[np.float64]
 
 
-def poses_at_zero(tree: parameters.Parameters) -> dict[str, pin.SE3]:
+def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
     """Returns where each body's frame is at zero angles, in the base's."""
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
@@ -20,7 +20,7 @@ def poses_at_zero(tree: parameters.Parameters) -> dict[str, pin.SE3]:
     return poses
 
 
-def at_zero(tree: parameters.Parameters) -> dict[str, tuple[Array, Array]]:
+def at_zero(tree: multibody.MultibodyTree) -> dict[str, tuple[Array, Array]]:
     """Returns where each joint is at zero, and its axis, both in the base's frame."""
     poses = poses_at_zero(tree)
     return {

@@ -17,7 +17,7 @@ from pupper_analysis.matching.conventions import quarters
 from pupper_analysis.matching.mjcf import mjcf_tree
 from pupper_analysis.matching.places import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 _PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
@@ -88,7 +88,7 @@ def guess(
     return guess_of_trees(urdf_tree(root, urdf), mjcf_tree(spec, mjcf), pairs)
 
 
-def guess_of_trees(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> Guess:
+def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
     """Matches the joints of two trees, likewise; ``pairs`` are those that have a partner."""
     free, rest = len(set(one.joints) - set(pairs)), len(set(two.joints) - set(pairs.values()))
     if not free or not rest:
@@ -135,7 +135,9 @@ def _exchanges_sides(pairs: Mapping[str, str]) -> bool:
     )
 
 
-def _in_place(one: Parameters, two: Parameters, pairs: Mapping[str, str]) -> tuple[Guess, float]:
+def _in_place(
+    one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]
+) -> tuple[Guess, float]:
     """Matches the joints of two trees where they are; returns how far they are apart, too.
 
     The distance is relative to the robot's size, and the greatest of all pairs.

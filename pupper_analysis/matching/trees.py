@@ -6,22 +6,22 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.models import parameters
+from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot
 
 
-def trees(robot: Robot) -> tuple[Parameters, Parameters]:
+def trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
     """Returns the parameters of the URDF and of the MJCF; of a fixed base, in the world's frame."""
     frames = {**robot.description.feet, **robot.description.frames}
-    urdf = parameters.from_pinocchio(
+    urdf = multibody.from_pinocchio(
         robot.pin_model,
         robot.base,
         robot.joint_names,
         {name: pair[0] for name, pair in frames.items()},
     )
-    mjcf = parameters.from_pinocchio(
+    mjcf = multibody.from_pinocchio(
         pinocchio_from_mujoco(robot.mj_model),
         robot.base,
         robot.joint_names,

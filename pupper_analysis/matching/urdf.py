@@ -12,7 +12,7 @@ from lxml import etree
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.places import at_zero
-from pupper_analysis.models import parameters
+from pupper_analysis.models import multibody
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -27,7 +27,7 @@ def without_shapes(urdf: etree._Element) -> etree._Element:
 
 
 def strip_roots(
-    root: etree._Element, source: Path, other: parameters.Parameters
+    root: etree._Element, source: Path, other: multibody.MultibodyTree
 ) -> tuple[etree._Element, list[Diagnostic]]:
     """Takes out root links without mass, as long as they carry one fixed or floating joint.
 
@@ -110,7 +110,7 @@ def links_of(root: etree._Element, robot: Robot) -> dict[str, str]:
 
 def urdf_tree(
     root: etree._Element, source: Path, base: str = "", frames: Iterable[str] = ()
-) -> parameters.Parameters:
+) -> multibody.MultibodyTree:
     """Returns the parameters of a URDF's joints and bodies, with a free base.
 
     Args:
@@ -128,4 +128,4 @@ def urdf_tree(
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
     names = list(model.names)[2:]
-    return parameters.from_pinocchio(model, base, names, {name: name for name in frames})
+    return multibody.from_pinocchio(model, base, names, {name: name for name in frames})

@@ -19,7 +19,7 @@ class JointAttribute:
 
     Attributes:
         kind: What a difference in it is called; a term of the catalogue.
-        field: The attribute of `parameters.Joint`; "" of what no tree of joints has.
+        field: The attribute of `multibody.TreeJoint`; "" of what no tree of joints has.
         units: Its unit for a hinge, and for a slide.
         tolerance: Of `Tolerances`.
         relative: Whether the tolerance is relative.

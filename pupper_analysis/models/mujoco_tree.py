@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.parameters import Body, Joint, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -32,7 +32,7 @@ class MujocoTree:
         model: The model.
     """
 
-    def __init__(self, parameters: Parameters) -> None:
+    def __init__(self, parameters: MultibodyTree) -> None:
         """Compiles the model, and gives it the numbers."""
         self.model = _compiled(parameters)
         self._structure = _structure(parameters)
@@ -43,11 +43,11 @@ class MujocoTree:
         self._taken = replace(parameters, bodies={}, joints={})
         self.take(parameters)
 
-    def fits(self, parameters: Parameters) -> bool:
+    def fits(self, parameters: MultibodyTree) -> bool:
         """Says whether other parameters have this structure."""
         return self._structure == _structure(parameters)
 
-    def take(self, parameters: Parameters) -> None:
+    def take(self, parameters: MultibodyTree) -> None:
         """Gives the model the numbers of other parameters of its structure."""
         model, before = self.model, self._taken
         bodies = _new(parameters.bodies, before.bodies)
@@ -71,13 +71,13 @@ def _new(values: Mapping[str, _T], before: Mapping[str, _T]) -> dict[str, _T]:
     return {name: value for name, value in values.items() if value is not before.get(name)}
 
 
-def _structure(parameters: Parameters) -> tuple[object, ...]:
+def _structure(parameters: MultibodyTree) -> tuple[object, ...]:
     joints = tuple((name, joint.parent, joint.slides) for name, joint in parameters.joints.items())
     frames = tuple((name, owner) for name, (owner, _) in parameters.frames.items())
     return parameters.base, parameters.floating, joints, tuple(parameters.bodies), frames
 
 
-def _compiled(parameters: Parameters) -> mujoco.MjModel:
+def _compiled(parameters: MultibodyTree) -> mujoco.MjModel:
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     bodies = {parameters.base: spec.worldbody.add_body(name=parameters.base)}
@@ -99,7 +99,7 @@ def _compiled(parameters: Parameters) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Body]) -> None:
+def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[TreeBody]) -> None:
     # Of tensors that no body has, too: a file may state them.
     moments, axes = np.linalg.eigh(np.array([body.inertia for body in bodies]))
     axes[..., 0] *= np.sign(np.linalg.det(axes))[:, None]
@@ -113,7 +113,7 @@ def _take_bodies(model: mujoco.MjModel, ids: Sequence[int], bodies: Sequence[Bod
     model.body_subtreemass[:] = total
 
 
-def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[Joint]) -> None:
+def _take_joints(model: mujoco.MjModel, ids: Sequence[int], joints: Sequence[TreeJoint]) -> None:
     bodies, dofs = model.jnt_bodyid[ids], model.jnt_dofadr[ids]
     model.body_pos[bodies] = [joint.position for joint in joints]
     model.body_quat[bodies] = [_quaternion(joint.rotation) for joint in joints]

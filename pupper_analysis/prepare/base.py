@@ -15,7 +15,7 @@ from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.parameters import Body, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_file import UrdfFile
 
 Array = NDArray[np.float64]
@@ -81,7 +81,7 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[D
     return freed, [diagnose("base-added", subject=("link", name), mass=mass)]
 
 
-def _apart(tree: Parameters, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
+def _apart(tree: MultibodyTree, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
     """Returns how far the limbs are from where the URDF has them (3,): its base is off by as much.
 
     The frame of the world may be that of any of the links that were fused with it.
@@ -94,7 +94,7 @@ def _apart(tree: Parameters, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
     return np.asarray(np.median(apart, axis=0))
 
 
-def _weigh(body: mujoco.MjsBody, inertial: Body, apart: Array) -> None:
+def _weigh(body: mujoco.MjsBody, inertial: TreeBody, apart: Array) -> None:
     """Gives a body a mass, a com and an inertia."""
     tensor = inertial.inertia
     body.mass, body.explicitinertial = inertial.mass, True

@@ -21,7 +21,7 @@ from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.conversion import gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
-from pupper_analysis.models.parameters import joint_placements
+from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.robot import contact

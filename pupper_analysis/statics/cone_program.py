@@ -275,7 +275,7 @@ class Balance:
         coordinates = np.array(solver.solve().x) * scale
         if not np.abs(coordinates).max(initial=0.0) < 1e9 * scale:
             return None  # the certificate of an infeasible problem
-        # Judge the answer itself, not the solver's opinion of it.
+        # RelativeError the answer itself, not the solver's opinion of it.
         excess = self._violation(particular + free @ coordinates, friction)
         return coordinates if excess <= 1e-9 * scale else None
 

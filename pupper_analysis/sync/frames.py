@@ -15,7 +15,7 @@ from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.trees import base_pose, trees
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.parameters import Body, Joint, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 from pupper_analysis.sync.inertia import Mass
 
 Array = NDArray[np.float64]
@@ -48,14 +48,14 @@ class Sides:
     """
 
     matched: Match
-    urdf: Parameters
-    mjcf: Parameters
-    own: Parameters
+    urdf: MultibodyTree
+    mjcf: MultibodyTree
+    own: MultibodyTree
     urdf_frames: Mapping[str, pin.SE3]
     mjcf_frames: Mapping[str, pin.SE3]
     bodies: Mapping[str, pin.SE3]
 
-    def wanted(self, side: str, taken: Collection[Key]) -> Parameters:
+    def wanted(self, side: str, taken: Collection[Key]) -> MultibodyTree:
         """Returns what one side shall be, with what is taken from the other.
 
         Args:
@@ -111,17 +111,17 @@ def sides(matched: Match, alignment: Alignment) -> Sides:
     )
 
 
-def placement(joint: Joint) -> pin.SE3:
+def placement(joint: TreeJoint) -> pin.SE3:
     """Returns where a joint is in the frame of the body that carries it."""
     return pin.SE3(joint.rotation, joint.position)
 
 
-def mass_of(body: Body) -> Mass:
+def mass_of(body: TreeBody) -> Mass:
     """Returns a body's mass."""
     return Mass(body.mass, body.com, body.inertia)
 
 
-def _gauges(own: Parameters, moved: Parameters) -> dict[str, pin.SE3]:
+def _gauges(own: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
     """Returns {base or joint: its frame after from that before}, for one robot in two frames."""
     gauges = {own.base: pin.SE3.Identity()}
     waiting = own.children(own.base)

@@ -4,7 +4,7 @@
 from dataclasses import dataclass, field
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, Sides
 
@@ -22,7 +22,7 @@ class Side:
     """
 
     sides: Sides
-    wanted: Parameters
+    wanted: MultibodyTree
     digits: Digits
     left: dict[Key, Diagnostic] = field(default_factory=dict)
     notes: dict[Key, Diagnostic] = field(default_factory=dict)

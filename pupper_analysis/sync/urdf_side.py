@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.parameters import Joint
+from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.sync.digits import SAME, Digits
 from pupper_analysis.sync.frames import Key, mass_of, placement
 from pupper_analysis.sync.inertia import (
@@ -155,7 +155,7 @@ class UrdfSide(Side):
         if name not in self.wanted.joints:
             self.left[key] = diagnose("base-without-joint")
             return
-        joint: Joint = self.wanted.joints[name]
+        joint: TreeJoint = self.wanted.joints[name]
         value = float(getattr(joint, kind))
         if not math.isfinite(value):
             self.left[key] = diagnose("urdf-number-unlimited", kind=Term(kind))

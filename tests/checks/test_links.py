@@ -12,7 +12,7 @@ import pytest
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.links import fold, moments
 from pupper_analysis.checks.patterns.links import by_pattern
-from pupper_analysis.models.parameters import Body
+from pupper_analysis.models.multibody import TreeBody
 from tests.report.test_comparison import lines
 from tests.support.robots import (
     Part,
@@ -194,9 +194,9 @@ def test_moments_add_up_as_in_mujoco() -> None:
         "</mujoco>"
     )
 
-    def box(mass: float, half: tuple[float, ...], place: tuple[float, ...]) -> Body:
+    def box(mass: float, half: tuple[float, ...], place: tuple[float, ...]) -> TreeBody:
         x, y, z = np.square(half)
-        return Body(mass, np.array(place), np.diag([y + z, x + z, x + y]) * mass / 3)
+        return TreeBody(mass, np.array(place), np.diag([y + z, x + z, x + y]) * mass / 3)
 
     both = fold(
         box(2.0, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0)), box(3.0, (0.05, 0.1, 0.02), (0.4, -0.1, 0.2))

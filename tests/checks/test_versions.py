@@ -22,7 +22,7 @@ from pupper_analysis import cli
 from pupper_analysis.checks.versions.behaviour import Trial
 from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.git import refuse_uncommitted
-from pupper_analysis.models.parameters import from_pinocchio, renamed, to_pinocchio, with_fixed
+from pupper_analysis.models.multibody import from_pinocchio, renamed, to_pinocchio, with_fixed
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import (

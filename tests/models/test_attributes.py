@@ -14,7 +14,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE, JointAttribute
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.mujoco_tree import MujocoTree
-from pupper_analysis.models.parameters import from_pinocchio, to_pinocchio
+from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree

@@ -13,7 +13,7 @@ from pupper_analysis.checks.backends.quantities import (
     state_quantities,
 )
 from pupper_analysis.checks.states import States
-from pupper_analysis.models.parameters import joint_placements
+from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 

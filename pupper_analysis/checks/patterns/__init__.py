@@ -22,7 +22,7 @@ from pupper_analysis.checks.patterns.units import other_units
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import trees
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -59,7 +59,7 @@ class Cause(Result):
 
 def causes(
     robot: Robot,
-    second: Parameters,
+    second: MultibodyTree,
     differences: Sequence[Difference],
     tolerances: Tolerances,
 ) -> tuple[Cause, ...]:

@@ -13,7 +13,7 @@ from pupper_analysis.checks.links import Links
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.alignment import aligned
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -38,9 +38,9 @@ class Case:
     """
 
     robot: Robot
-    first: Parameters
-    raw: Parameters
-    second: Parameters
+    first: MultibodyTree
+    raw: MultibodyTree
+    second: MultibodyTree
     keys: Sequence[Key]
     tolerances: Tolerances
     urdf: Links
@@ -52,7 +52,7 @@ class Case:
         """The differences that no cause explains yet."""
         return [key for key in self.keys if key not in self.taken]
 
-    def left(self, second: Parameters, only: Collection[str] | None = None) -> set[Key]:
+    def left(self, second: MultibodyTree, only: Collection[str] | None = None) -> set[Key]:
         """Returns the differences to another tree in place of the MJCF's.
 
         Args:
@@ -74,7 +74,7 @@ class Case:
         greatest = self.tolerances.mass
         return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
 
-    def gone(self, second: Parameters) -> set[Key]:
+    def gone(self, second: MultibodyTree) -> set[Key]:
         """Returns the differences that another tree in place of the MJCF's does not have.
 
         None if it has others instead, or if most of them are left.

@@ -12,7 +12,7 @@ from pupper_analysis.checks.changes import body_changes
 from pupper_analysis.checks.links import Link, fold
 from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def _is_diagonal(inertia: Array) -> bool:
     return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
 
 
-def dropped_coms(words: str, one: Parameters, keys: Sequence[Key]) -> Found:
+def dropped_coms(words: str, one: MultibodyTree, keys: Sequence[Key]) -> Found:
     """Finds that one file has the coms of many bodies where their links' origins are.
 
     Args:

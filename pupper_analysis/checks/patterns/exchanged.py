@@ -8,7 +8,7 @@ from itertools import combinations, islice
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 
 
 def exchanged(case: Case) -> Found:
@@ -54,7 +54,7 @@ _EXCHANGES = 300
 """Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""
 
 
-def _renamed(values: Parameters, names: Mapping[str, str]) -> Parameters:
+def _renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
     """Exchanges joints of a tree, with all that they move."""
     new = {**names, **{two: one for one, two in names.items()}}
     joints = {

@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
 from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.models.parameters import Joint, Parameters
+from pupper_analysis.models.multibody import MultibodyTree, TreeJoint
 
 _PARALLEL = 1e-9  # sine of an angle
 
@@ -43,7 +43,7 @@ def other_lines(case: Case) -> Found:
         )
 
 
-def with_line_of(values: Parameters, other: Parameters, name: str) -> Parameters:
+def with_line_of(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
     """Returns a robot in which a joint turns about another's axis; its body stays at zero.
 
     Args:
@@ -76,7 +76,7 @@ def with_line_of(values: Parameters, other: Parameters, name: str) -> Parameters
     return replace(values, joints=joints, bodies={**values.bodies, name: turned}, frames=frames)
 
 
-def _apart(one: Joint, two: Joint) -> tuple[float, float]:
+def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:
     """Returns the distance (m) of two joints' axes, and the angle (rad) between them.
 
     In the frame of the parent, at zero; an axis of the opposite sign is the same line.

@@ -22,7 +22,7 @@ from pupper_analysis.checks.differences import OF_INERTIALS
 from pupper_analysis.checks.links import Link, from_moments, moments
 from pupper_analysis.checks.patterns.case import Case, Finding, Found
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.models.parameters import Body
+from pupper_analysis.models.multibody import TreeBody
 
 Array = NDArray[np.float64]
 
@@ -100,7 +100,7 @@ def _slip(case: Case, name: str) -> _Slip | None:
         factor = 1.0 - float(apart[0]) / link.body.mass
         if factor <= 0:
             continue
-        changed = Body(
+        changed = TreeBody(
             factor * link.body.mass,
             link.body.com,
             (factor if inertia else 1.0) * link.body.inertia,
@@ -130,7 +130,7 @@ def _subsets(links: Sequence[Link], mass: float) -> Iterator[tuple[Link, ...]]:
             yield tuple(chosen)
 
 
-def _is_it(case: Case, name: str, one: Body, two: Body, extra: Array, apart: Array) -> bool:
+def _is_it(case: Case, name: str, one: TreeBody, two: TreeBody, extra: Array, apart: Array) -> bool:
     """Tells whether two bodies are the same, and what was undone is what they differed by.
 
     But for an inertia that another cause explains already: what is left of it says nothing.
@@ -147,7 +147,7 @@ def _is_it(case: Case, name: str, one: Body, two: Body, extra: Array, apart: Arr
     return left <= _LEFT * whole
 
 
-def _scale(one: Body, two: Body) -> Array:
+def _scale(one: TreeBody, two: TreeBody) -> Array:
     """Returns what moments are weighed by (10,): lengths by a body's radius of gyration."""
     mass = max(one.mass, two.mass)
     turning = max(float(np.trace(body.inertia)) for body in (one, two))

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.models.parameters import Parameters, to_pinocchio
+from pupper_analysis.models.multibody import MultibodyTree, to_pinocchio
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class Trial:
         values: Whose limits the joints keep.
     """
 
-    values: Parameters
+    values: MultibodyTree
 
     @cached_property
     def undefined(self) -> tuple[str, ...]:
@@ -72,12 +72,12 @@ class Trial:
         places = np.hstack([rng.uniform(-1, 1, (_COUNT, 3)), turns])
         return places, rng.normal(size=(_COUNT, 6))
 
-    def behaviour(self, values: Parameters) -> dict[str, Array]:
+    def behaviour(self, values: MultibodyTree) -> dict[str, Array]:
         """Evaluates a tree of the same joints at all states, without what is undefined."""
         found = self._evaluated(values)
         return {name: value for name, value in found.items() if name not in self.undefined}
 
-    def _evaluated(self, values: Parameters) -> dict[str, Array]:
+    def _evaluated(self, values: MultibodyTree) -> dict[str, Array]:
         model = to_pinocchio(values)
         data, order = model.createData(), _dofs(model, values)
         rows: dict[str, list[Array]] = {}
@@ -103,7 +103,7 @@ class Trial:
                 rows.setdefault(name, []).append(np.array(value))
         return {name: np.array(found) for name, found in rows.items()}
 
-    def holding_torques(self, values: Parameters) -> dict[str, float]:
+    def holding_torques(self, values: MultibodyTree) -> dict[str, float]:
         """Returns {joint: the greatest torque (N m) or force (N) against gravity}.
 
         With the base level and held, at the positions of the states: what a motor must give to
@@ -122,7 +122,7 @@ class Trial:
         return greatest
 
     def _state(
-        self, model: pin.Model, values: Parameters, number: int
+        self, model: pin.Model, values: MultibodyTree, number: int
     ) -> tuple[Array, Array, Array]:
         """Returns q, v and the generalised force of the motors, in the model's order."""
         q, v, tau = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
@@ -136,7 +136,7 @@ class Trial:
         return q, v, tau
 
 
-def _dofs(model: pin.Model, values: Parameters) -> list[int]:
+def _dofs(model: pin.Model, values: MultibodyTree) -> list[int]:
     """Returns where the base's and the joints' velocities are: in the order of the values."""
     base = list(range(6)) if values.floating else []
     return base + [model.joints[model.getJointId(name)].idx_v for name in values.joints]

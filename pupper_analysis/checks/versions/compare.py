@@ -11,7 +11,7 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.checks.attribution import EXPLAINED
 from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.convention_changes import convention_changes
-from pupper_analysis.checks.differences import Difference, Effect, Judge
+from pupper_analysis.checks.differences import Difference, Effect, RelativeError
 from pupper_analysis.checks.versions.behaviour import Trial
 from pupper_analysis.checks.versions.revision import Source, opened
 from pupper_analysis.checks.versions.version import Version, version_of
@@ -24,7 +24,7 @@ from pupper_analysis.matching.structure import guess_of_trees
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.parameters import Parameters, renamed, with_fixed
+from pupper_analysis.models.multibody import MultibodyTree, renamed, with_fixed
 from pupper_analysis.results import Result
 
 
@@ -151,7 +151,9 @@ class _Comparison:
         self.old_name = {new: old for old, new in self.new_name.items()}
         self.first, self.second = self._alike(one.tree, second)
 
-    def _pairs(self, one: Parameters, two: Parameters, names: Mapping[str, str]) -> dict[str, str]:
+    def _pairs(
+        self, one: MultibodyTree, two: MultibodyTree, names: Mapping[str, str]
+    ) -> dict[str, str]:
         """Returns {old name: new name} of the joints that both have."""
         for old, new in names.items():
             for name, tree, source in ((old, one, 0), (new, two, 1)):
@@ -163,7 +165,7 @@ class _Comparison:
         pairs |= {name: name for name in free}
         return pairs | dict(guess_of_trees(one, two, pairs).pairs)
 
-    def _alike(self, one: Parameters, two: Parameters) -> tuple[Parameters, Parameters]:
+    def _alike(self, one: MultibodyTree, two: MultibodyTree) -> tuple[MultibodyTree, MultibodyTree]:
         """Fixes the joints that one version lacks, and gives the new one the old names."""
         if one.joints and two.joints and not self.pairs:
             told = diagnose("no-joint-in-common", other=self.sources[0].name)
@@ -207,7 +209,7 @@ class _Comparison:
         second = aligned(second, first, tolerances).values
         trial = Trial(first)
         before, after = trial.behaviour(first), trial.behaviour(second)
-        judge = Judge(before, after)
+        judge = RelativeError(before, after)
         for convention, undone in convention_changes(meant, first, VERSIONS):
             effects = judge.effects(before, trial.behaviour(undone))
             self.differences.append(replace(convention, effects=effects))
@@ -277,7 +279,7 @@ def _undefined(trial: Trial) -> Iterator[Diagnostic]:
         yield diagnose("quantity-undefined", subject=("quantity", name), what=Term(name))
 
 
-def _mass(values: Parameters) -> float:
+def _mass(values: MultibodyTree) -> float:
     return float(sum(body.mass for body in values.bodies.values()))
 
 

@@ -25,7 +25,7 @@ from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.parameters import Parameters
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -45,7 +45,7 @@ class Version:
     """
 
     file: UrdfFile | MjcfFile
-    tree: Parameters
+    tree: MultibodyTree
     others: Mapping[tuple[str, str], Any]
     sources: Sources
     notes: tuple[Diagnostic, ...]

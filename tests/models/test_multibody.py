@@ -19,7 +19,7 @@ from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import trees
-from pupper_analysis.models import parameters
+from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.robot.coordinates import PinocchioConvention
@@ -45,10 +45,10 @@ from tests.support.variants import NAMES, load
 
 def rebuilt(robot: pa.Robot) -> pa.Robot:
     """The robot with the URDF's model taken apart and put together again."""
-    values = parameters.from_pinocchio(
+    values = multibody.from_pinocchio(
         robot.pin_model, robot.base, robot.joint_names, robot.foot_frames
     )
-    model = parameters.to_pinocchio(values)
+    model = multibody.to_pinocchio(values)
     convention = PinocchioConvention.of(model, robot.joint_names)
     frames = {foot: foot for foot in robot.foot_frames}
     return replace(robot, pin_model=model, pin_convention=convention, foot_frames=frames)
@@ -113,16 +113,16 @@ def test_the_free_joints_own_damping_and_armature_are_kept(tmp_path: Path) -> No
     text = mjcf_text(quadruped()).replace("<freejoint/>", free)
     robot = matched(write(tmp_path, urdf_text(quadruped()), text)).robot
     model = pinocchio_from_mujoco(robot.mj_model)
-    values = parameters.from_pinocchio(model, "base", robot.joint_names, {})
+    values = multibody.from_pinocchio(model, "base", robot.joint_names, {})
     assert (values.base_damping, values.base_armature) == (0.5, 0.3)
-    again = parameters.to_pinocchio(values)
+    again = multibody.to_pinocchio(values)
     np.testing.assert_array_equal(again.damping[:6], np.full(6, 0.5))
     np.testing.assert_array_equal(again.armature[:6], np.full(6, 0.3))
     assert again.armature[6:].tolist() == [0.01, 0.02] * 4
 
 
 def test_joints_are_read_as_they_are_written(tiny: pa.Robot) -> None:
-    values = parameters.from_pinocchio(tiny.pin_model, "base", tiny.joint_names, {"f": "foot"})
+    values = multibody.from_pinocchio(tiny.pin_model, "base", tiny.joint_names, {"f": "foot"})
     turn, bend, push = (values.joints[name] for name in ("turn", "bend", "push"))
     assert (turn.parent, bend.parent, push.parent) == ("base", "turn", "base")
     assert (turn.slides, bend.slides, push.slides) == (False, False, True)

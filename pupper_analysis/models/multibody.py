@@ -1,4 +1,4 @@
-"""The parameters of a tree of joints, as both files share them: and how those of two files differ.
+"""A tree of joints and the bodies that they move, as two files share it: joints, inertias, frames.
 
 Fixed children are folded into the body that carries them. Frames of bodies are a matter of choice:
 two files can describe one robot with different link frames. `matching.alignment` brings the frames
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class TreeBody:
     """A moving body.
 
     Attributes:
@@ -38,7 +38,7 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
+class TreeJoint:
     """A joint, and how the body that it moves is attached to its parent.
 
     Attributes:
@@ -71,8 +71,8 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Parameters:
-    """All parameters of a robot.
+class MultibodyTree:
+    """A robot as a tree of joints.
 
     Attributes:
         base: The base's name.
@@ -88,8 +88,8 @@ class Parameters:
 
     base: str
     floating: bool
-    bodies: Mapping[str, Body]
-    joints: Mapping[str, Joint]
+    bodies: Mapping[str, TreeBody]
+    joints: Mapping[str, TreeJoint]
     frames: Mapping[str, tuple[str, Array]]
     gravity: Array
     base_damping: float = 0.0
@@ -130,7 +130,7 @@ class Parameters:
             waiting += self.children(order[-1])[::-1]
         return order
 
-    def part(self, names: Collection[str]) -> Parameters:
+    def part(self, names: Collection[str]) -> MultibodyTree:
         """Returns some joints alone, the bodies that they move, and the frames on those."""
         frames = [frame for name in names for frame in self.carried_by(name)]
         return replace(
@@ -146,7 +146,7 @@ _OF_PINOCCHIO = tuple(one for one in JOINT_ATTRIBUTES if one.pinocchio)
 
 def from_pinocchio(
     model: pin.Model, base: str, joint_names: Iterable[str], frames: Mapping[str, str]
-) -> Parameters:
+) -> MultibodyTree:
     """Reads the parameters of a Pinocchio model.
 
     Args:
@@ -165,7 +165,7 @@ def from_pinocchio(
     root = 1 if floating else 0
     owner = {0: base, root: base}
     bodies = {base: _body(model.inertias[root])}
-    joints: dict[str, Joint] = {}
+    joints: dict[str, TreeJoint] = {}
     for index in range(root + 1, model.njoints):
         name = str(model.names[index])
         owner[index] = name
@@ -175,7 +175,7 @@ def from_pinocchio(
         slides = not motion[3:].any()
         q, v = kind.idx_q, kind.idx_v
         bounded = kind.nq == 1
-        joints[name] = Joint(
+        joints[name] = TreeJoint(
             parent=owner[int(model.parents[index])],
             position=np.array(model.jointPlacements[index].translation),
             rotation=np.array(model.jointPlacements[index].rotation),
@@ -190,7 +190,7 @@ def from_pinocchio(
     for name, frame in frames.items():
         found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
         places[name] = (owner[int(found.parentJoint)], np.array(found.placement.translation))
-    return Parameters(
+    return MultibodyTree(
         base=base,
         floating=floating,
         bodies=bodies,
@@ -217,11 +217,11 @@ def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
     return placements
 
 
-def _body(inertia: pin.Inertia) -> Body:
-    return Body(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+def _body(inertia: pin.Inertia) -> TreeBody:
+    return TreeBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
 
 
-def to_pinocchio(parameters: Parameters) -> pin.Model:
+def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
     """Builds a Pinocchio model of the parameters; frames are of type BODY."""
     model = pin.Model()
     model.gravity = pin.Motion(parameters.gravity, np.zeros(3))
@@ -262,18 +262,18 @@ def to_pinocchio(parameters: Parameters) -> pin.Model:
     return model
 
 
-def _append(model: pin.Model, joint: int, body: Body) -> None:
+def _append(model: pin.Model, joint: int, body: TreeBody) -> None:
     model.appendBodyToJoint(joint, _inertia(body), pin.SE3.Identity())
 
 
-def _inertia(body: Body) -> pin.Inertia:
+def _inertia(body: TreeBody) -> pin.Inertia:
     inertia = pin.Inertia.Zero()
     # One by one: the constructor refuses what no body has, which a file may state all the same.
     inertia.mass, inertia.lever, inertia.inertia = body.mass, body.com, body.inertia
     return inertia
 
 
-def renamed(values: Parameters, names: Mapping[str, str]) -> Parameters:
+def renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
     """Returns the same robot with other names of joints, {name: new name}; others stay."""
 
     def new(name: str) -> str:
@@ -290,7 +290,7 @@ def renamed(values: Parameters, names: Mapping[str, str]) -> Parameters:
     )
 
 
-def with_fixed(values: Parameters, name: str) -> Parameters:
+def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
     """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
     joint = values.joints[name]
     pose = pin.SE3(joint.rotation, joint.position)
