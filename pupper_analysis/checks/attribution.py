@@ -13,9 +13,9 @@ from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_a
 from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, RelativeError
-from pupper_analysis.checks.passive.extra import Extra, as_it_is, without
-from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.mimics import split_mimics
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without
+from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.size import Entries, affordable, is_large
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.diagnostics import diagnose
@@ -79,7 +79,7 @@ def explain(
         first = replace(first, gravity=_GRAVITY)
     alignment = alignment or align(robot, tolerances)
     second = replace(alignment.values, gravity=raw.gravity)
-    found = extras(reference)
+    found = mjcf_only_effects(reference)
     coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
     found = [extra for extra in found if extra not in coupled]
     states = random_states(robot, affordable(robot, _STATES), seed=0)
@@ -168,7 +168,7 @@ def align(robot: Robot, tolerances: Tolerances) -> Alignment:
     return aligned(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
 
 
-def _extra(extra: Extra, effects: dict[str, Effect]) -> Difference:
+def _extra(extra: MjcfOnlyEffect, effects: dict[str, Effect]) -> Difference:
     return Difference(
         extra.kind, extra.element, None, extra.value, extra.unit, extra.diagnostic, effects
     )

@@ -84,8 +84,8 @@ class Stated:
             `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
             URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
-            `passive.extra.Extra`. Of two versions of a file also ``joint``, that one of them lacks,
-            and ``motor``.
+            `mjcf_only.effect.MjcfOnlyEffect`. Of two versions of a file also ``joint``, that one
+            of them lacks, and ``motor``.
         element: The joint, the body (named by the joint that moves it, or the base) or the frame;
             of what the MJCF alone has, its name there, or ``#3``.
         urdf: The URDF's value, in the URDF's frames; None where it has none.

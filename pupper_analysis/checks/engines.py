@@ -27,9 +27,9 @@ from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
 from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
 from pupper_analysis.checks.backends.quantities import Evaluation, Quantity
 from pupper_analysis.checks.backends.yourdfpy import yourdfpy_evaluation
-from pupper_analysis.checks.passive.extra import as_it_is, without
-from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.mimics import split_mimics
+from pupper_analysis.checks.mjcf_only.effect import as_it_is, without
+from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.size import affordable, is_large, size_notes, some_of
 from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.diagnostics import Diagnostic, diagnose
@@ -178,7 +178,7 @@ def cross_check(
     configurations, asked = affordable(robot, configurations), configurations
     states = random_states(robot, configurations, seed)
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
-    found = extras(reference)
+    found = mjcf_only_effects(reference)
     if mimics is None:
         mimics = urdf_mimics(parse_text(robot.description.urdf))
     coupled, _ = split_mimics(found, reference, mimics, tolerance)

@@ -10,7 +10,7 @@ import pytest
 
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.engines import EXTRAS
-from pupper_analysis.checks.passive import find as extras
+from pupper_analysis.checks.mjcf_only import find as extras
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.report.comparison import cases, remarks
 from pupper_analysis.report.documents.comparison import SHORT, SHOWN

@@ -9,8 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.scene import Scene
+from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.checks.mjcf_only.named_model import NamedModel
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.mimics import urdf_mimics
 from pupper_analysis.matching.mjcf import drop_other_objects, hinges, mjcf_tree, name_all
@@ -101,12 +101,12 @@ def _of_mjcf(file: MjcfFile) -> Version:
     base = _base(model, names)
     reference = Reference(whole if joined else file.compile(), whole, names, base)
     others: dict[tuple[str, str], Any] = {
-        (extra.kind, extra.element): extra.value for extra in extras(reference)
+        (extra.kind, extra.element): extra.value for extra in mjcf_only_effects(reference)
     }
     return Version(
         file=file,
         tree=mjcf_tree(spec, file.path, base, frames),
-        others={**others, **_motors(Scene(reference))},
+        others={**others, **_motors(NamedModel(reference))},
         sources=MjcfSources(file, model, {base: base, **carriers}, {}, (base,)),
         notes=tuple(notes),
     )
@@ -120,7 +120,7 @@ def _base(model: mujoco.MjModel, names: list[str]) -> str:
     return str(model.body(body).name)
 
 
-def _motors(scene: Scene) -> dict[tuple[str, str], Any]:
+def _motors(scene: NamedModel) -> dict[tuple[str, str], Any]:
     """Returns what commands make motors do, {("motor", name): numbers}; limits are the joints'."""
     model, found = scene.model, {}
     for motor in range(model.nactuator):
@@ -139,7 +139,7 @@ def _motors(scene: Scene) -> dict[tuple[str, str], Any]:
     return found
 
 
-def _target(scene: Scene, motor: int) -> str:
+def _target(scene: NamedModel, motor: int) -> str:
     """Says what a motor acts on, by kind and name."""
     kind = mujoco.mjtTrn(int(scene.model.actuator_trntype[motor])).name.removeprefix("mjTRN_")
     target = int(scene.model.actuator_trnid[motor, 0])

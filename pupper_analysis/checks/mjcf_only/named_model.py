@@ -10,7 +10,7 @@ from pupper_analysis.models.joint_kinds import JointKind
 DISABLE = mujoco.mjtDisableBit
 
 
-class Scene:
+class NamedModel:
     """One reference, and what asking it takes: its names, units and switches."""
 
     def __init__(self, reference: Reference) -> None:

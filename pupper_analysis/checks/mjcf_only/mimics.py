@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import mujoco
 
-from pupper_analysis.checks.passive.extra import Extra
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
 from pupper_analysis.matching.mimics import Mimics
 from pupper_analysis.matching.reference import Reference
 
@@ -14,29 +14,29 @@ EQUALITY = mujoco.mjtEq
 
 
 def split_mimics(
-    found: Sequence[Extra], reference: Reference, mimics: Mimics, tolerance: float
-) -> tuple[list[Extra], list[str]]:
-    """Tells which joint equalities say the same as a URDF's ``<mimic>``, and are no extras.
+    found: Sequence[MjcfOnlyEffect], reference: Reference, mimics: Mimics, tolerance: float
+) -> tuple[list[MjcfOnlyEffect], list[str]]:
+    """Tells which joint equalities say the same as a URDF's ``<mimic>``, and are no effects.
 
     Both state q = m q_other + c. MuJoCo's polynomial is of the coordinates less their ``qpos0``:
     q - q0 = a0 + a1 (q_other - q0_other), so that m = a1 and c = a0 + q0 - a1 q0_other.
 
     Args:
-        found: The extras of the reference.
+        found: The effects of the reference.
         reference: The MJCF.
         mimics: The URDF's, by the reference's names.
         tolerance: How far offsets (rad or m), and multipliers relative to 1, may differ.
 
     Returns:
-        The extras that are the URDF's, too; and the joints whose mimic no equality states.
+        The effects that are the URDF's, too; and the joints whose mimic no equality states.
     """
     model = reference.model
-    same: list[Extra] = []
+    same: list[MjcfOnlyEffect] = []
     left = dict(mimics)
-    for extra in found:
-        if extra.kind != "equality":
+    for effect in found:
+        if effect.kind != "equality":
             continue
-        index = int(extra.slots[0][1])  # type: ignore[arg-type]
+        index = int(effect.slots[0][1])  # type: ignore[arg-type]
         data, ids = model.eq_data[index], (model.eq_obj1id[index], model.eq_obj2id[index])
         if model.eq_type[index] != EQUALITY.mjEQ_JOINT.value or min(ids) < 0 or data[2:5].any():
             continue
@@ -51,7 +51,7 @@ def split_mimics(
             leader, wanted, shift = left.get(joint, ("", 0.0, 0.0))
             near = abs(multiplier - wanted) <= tolerance * max(1.0, abs(wanted))
             if leader == other and near and abs(constant - shift) <= tolerance:
-                same.append(extra)
+                same.append(effect)
                 del left[joint]
                 break
     return same, list(left)

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.passive.extra import Extra, Slot, acts_without_command
-from pupper_analysis.checks.passive.scene import DISABLE, Scene
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, Slot, acts_without_command
+from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
-def tendons(scene: Scene) -> Iterator[Extra]:
+def tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the tendons that pull at the robot, as far as they act without command."""
     model = scene.model
     for tendon in range(model.ntendon):
@@ -27,11 +27,11 @@ def tendons(scene: Scene) -> Iterator[Extra]:
         arrays = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature")
         slots = tuple((f"tendon_{array}", tendon) for array in arrays) if acts else ()
         told = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
-        yield Extra("tendon", name, value, "", told, slots)
+        yield MjcfOnlyEffect("tendon", name, value, "", told, slots)
 
 
 def _tendon_terms(
-    scene: Scene, tendon: int, force: str, length: str
+    scene: NamedModel, tendon: int, force: str, length: str
 ) -> tuple[dict[str, object], list[Diagnostic], bool]:
     """A tendon's numbers, told too, and whether it acts without limits and friction."""
     model = scene.model
@@ -70,7 +70,7 @@ def _tendon_terms(
     return value, terms, acts
 
 
-def wraps(scene: Scene, tendon: int) -> set[int]:
+def wraps(scene: NamedModel, tendon: int) -> set[int]:
     """The bodies that a tendon pulls at."""
     model = scene.model
     wrap = mujoco.mjtWrap
@@ -87,7 +87,7 @@ def wraps(scene: Scene, tendon: int) -> set[int]:
     return bodies
 
 
-def _tendon_units(scene: Scene, tendon: int) -> tuple[str, str]:
+def _tendon_units(scene: NamedModel, tendon: int) -> tuple[str, str]:
     """The units of a tendon's force and length; a fixed one adds up its joints' coordinates."""
     model, first = scene.model, int(scene.model.tendon_adr[tendon])
     if model.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT.value:
@@ -97,7 +97,7 @@ def _tendon_units(scene: Scene, tendon: int) -> tuple[str, str]:
     return units.pop() if len(units) == 1 else ("", "unit of its length")
 
 
-def actuators(scene: Scene) -> Iterator[Extra]:
+def actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Inertia and damping of motors; at one joint, the linear ones count as the joint's."""
     model = scene.model
     for motor in range(model.nactuator):
@@ -122,7 +122,7 @@ def actuators(scene: Scene) -> Iterator[Extra]:
         if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
             told = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
             group = ("actuator_group", motor)  # 0 is off in `as_it_is`
-            yield Extra("actuator", name, "DC motor", "", told, (group,))
+            yield MjcfOnlyEffect("actuator", name, "DC motor", "", told, (group,))
         if value:
             told = diagnose(
                 "actuator-terms-of-the-mjcf-alone",
@@ -132,10 +132,10 @@ def actuators(scene: Scene) -> Iterator[Extra]:
                 higher=Vector(tuple(higher), "1") if higher.any() else None,
                 gear=Vector(tuple(actuator_gear(model, motor)), "1"),
             )
-            yield Extra("actuator", name, value, "", told, tuple(slots))
+            yield MjcfOnlyEffect("actuator", name, value, "", told, tuple(slots))
 
 
-def _drives(scene: Scene, motor: int) -> set[int]:
+def _drives(scene: NamedModel, motor: int) -> set[int]:
     """The bodies that a motor acts on."""
     model = scene.model
     kind, (target, other) = int(model.actuator_trntype[motor]), model.actuator_trnid[motor]

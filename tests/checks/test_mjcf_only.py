@@ -17,10 +17,10 @@ from pupper_analysis.checks.attribution import explain
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Effect
 from pupper_analysis.checks.engines import EXTRAS, cross_check
-from pupper_analysis.checks.passive import find as extras_module
-from pupper_analysis.checks.passive.extra import as_it_is, without
-from pupper_analysis.checks.passive.find import extras
-from pupper_analysis.checks.passive.mimics import split_mimics
+from pupper_analysis.checks.mjcf_only import find as extras_module
+from pupper_analysis.checks.mjcf_only.effect import as_it_is, without
+from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.tolerances import Tolerances
@@ -516,7 +516,9 @@ def test_the_offset_of_an_equality_is_about_the_rest_position(tmp_path: Path) ->
     data.qpos[:] = 0.7, multiplier * 0.7 + offset
     mujoco.mj_forward(model, data)
     assert data.efc_pos[0] == pytest.approx(0, abs=1e-12)
-    same, left = split_mimics(extras(reference), reference, {"b": ("a", multiplier, offset)}, 1e-9)
+    same, left = split_mimics(
+        mjcf_only_effects(reference), reference, {"b": ("a", multiplier, offset)}, 1e-9
+    )
     assert (len(same), left) == (1, [])
 
 
@@ -624,14 +626,17 @@ def test_taking_away_all_extras_leaves_a_bare_tree() -> None:
     model = mujoco.MjModel.from_xml_string(text)
     names = [f"{part}{leg}" for leg in range(4) for part in ("hip", "knee")]
     reference = Reference(model, model, names, "base")
-    for bare, zero in ((without(model, extras(reference)), True), (as_it_is(model), False)):
+    for bare, zero in (
+        (without(model, mjcf_only_effects(reference)), True),
+        (as_it_is(model), False),
+    ):
         data = mujoco.MjData(bare)
         data.qpos[7:], data.qvel[:] = 0.3, 1.0
         mujoco.mj_forward(bare, data)
         damping = -bare.dof_damping * data.qvel
         assert np.allclose(data.qfrc_passive, damping, rtol=0, atol=1e-15) == zero
     assert model.opt.viscosity == 2.0
-    assert len(extras(reference)) == 4
+    assert len(mjcf_only_effects(reference)) == 4
 
 
 def test_what_no_body_has_is_compared_without_a_traceback(tmp_path: Path) -> None:

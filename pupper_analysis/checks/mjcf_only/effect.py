@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.passive.scene import DISABLE
+from pupper_analysis.checks.mjcf_only.named_model import DISABLE
 from pupper_analysis.diagnostics import Diagnostic
 
 Slot = tuple[str, int | slice]
@@ -17,7 +17,7 @@ Slot = tuple[str, int | slice]
 
 
 @dataclass(frozen=True, eq=False)
-class Extra:
+class MjcfOnlyEffect:
     """An element of an MJCF that a URDF cannot state.
 
     Attributes:
@@ -80,9 +80,9 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
     return bool(dc) and not controlled and not switched_off
 
 
-def without(model: mujoco.MjModel, extras: Iterable[Extra]) -> mujoco.MjModel:
-    """Returns ``as_it_is(model)`` with some extras taken away."""
+def without(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
+    """Returns ``as_it_is(model)`` with some effects taken away."""
     result = as_it_is(model)
-    for extra in extras:
-        extra.switch(result, None)
+    for effect in effects:
+        effect.switch(result, None)
     return result

@@ -13,22 +13,22 @@ arrays are those of ``mjModel``.
 
 from __future__ import annotations
 
-from pupper_analysis.checks.passive.extra import Extra
-from pupper_analysis.checks.passive.joints import (
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
+from pupper_analysis.checks.mjcf_only.joints import (
     damping_polynomials,
     free_joint_friction,
     gravity_compensation,
     springs,
 )
-from pupper_analysis.checks.passive.others import equalities, flags, flexes, fluid, plugins
-from pupper_analysis.checks.passive.scene import Scene
-from pupper_analysis.checks.passive.transmissions import actuators, tendons
+from pupper_analysis.checks.mjcf_only.named_model import NamedModel
+from pupper_analysis.checks.mjcf_only.others import equalities, flags, flexes, fluid, plugins
+from pupper_analysis.checks.mjcf_only.transmissions import actuators, tendons
 from pupper_analysis.matching.reference import Reference
 
 
-def extras(reference: Reference) -> list[Extra]:
+def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
     """Finds all that acts on the robot and that a URDF cannot state."""
-    scene = Scene(reference)
+    scene = NamedModel(reference)
     return [
         *springs(scene),
         *damping_polynomials(scene),

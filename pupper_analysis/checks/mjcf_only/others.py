@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.passive.extra import Extra, Slot
-from pupper_analysis.checks.passive.mimics import EQUALITY
-from pupper_analysis.checks.passive.scene import DISABLE, Scene
-from pupper_analysis.checks.passive.transmissions import wraps
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, Slot
+from pupper_analysis.checks.mjcf_only.mimics import EQUALITY
+from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
+from pupper_analysis.checks.mjcf_only.transmissions import wraps
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 
 
-def fluid(scene: Scene) -> Iterator[Extra]:
+def fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the medium, if it has density or viscosity."""
     option = scene.model.opt
     if option.density or option.viscosity:
@@ -27,10 +27,10 @@ def fluid(scene: Scene) -> Iterator[Extra]:
             wind=Vector(tuple(wind), "m/s"),
         )
         slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
-        yield Extra("fluid", "option", value, "", told, slots)
+        yield MjcfOnlyEffect("fluid", "option", value, "", told, slots)
 
 
-def equalities(scene: Scene) -> Iterator[Extra]:
+def equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the equality constraints that are on at the start and hold the robot."""
     model = scene.model
     if scene.off(DISABLE.mjDSBL_CONSTRAINT) or scene.off(DISABLE.mjDSBL_EQUALITY):
@@ -46,7 +46,7 @@ def equalities(scene: Scene) -> Iterator[Extra]:
         kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
         one, two = (_end_name(scene, *end) for end in ends)
         subject = ("equality", name)
-        yield Extra(
+        yield MjcfOnlyEffect(
             "equality",
             name,
             [float(each) for each in model.eq_data[index]],
@@ -58,14 +58,14 @@ def equalities(scene: Scene) -> Iterator[Extra]:
         )
 
 
-def _ends(scene: Scene, index: int) -> list[tuple[mujoco.mjtObj, int]]:
+def _ends(scene: NamedModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
     """The kinds and ids of the two objects of an equality; -1 where it has one only."""
     model = scene.model
     what = _ENDS.get(int(model.eq_type[index])) or mujoco.mjtObj(int(model.eq_objtype[index]))
     return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
 
 
-def _end_bodies(scene: Scene, what: mujoco.mjtObj, target: int) -> set[int] | None:
+def _end_bodies(scene: NamedModel, what: mujoco.mjtObj, target: int) -> set[int] | None:
     """The bodies that an equality holds at one end; None where it is not known."""
     model, kinds = scene.model, mujoco.mjtObj
     if target < 0:
@@ -83,7 +83,7 @@ def _end_bodies(scene: Scene, what: mujoco.mjtObj, target: int) -> set[int] | No
     return None if carrier is None else {int(carrier[target])}
 
 
-def _end_name(scene: Scene, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
+def _end_name(scene: NamedModel, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
     """An end's kind and name."""
     if target < 0:
         return Term("a constant")
@@ -101,7 +101,7 @@ def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
     return found
 
 
-def flexes(scene: Scene) -> Iterator[Extra]:
+def flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the deformable bodies, as one, if they are fixed to the robot."""
     model = scene.model
     if not model.nflex:
@@ -114,24 +114,24 @@ def flexes(scene: Scene) -> Iterator[Extra]:
         name = scene.name("flex", 0)
         told = diagnose("flex-of-the-mjcf-alone", subject=("flex", name))
         slots = tuple((array, everything) for array in filled)
-        yield Extra("flex", name, model.nflex, "", told, slots)
+        yield MjcfOnlyEffect("flex", name, model.nflex, "", told, slots)
 
 
-def plugins(scene: Scene) -> Iterator[Extra]:
+def plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Plugins of bodies; they cannot be switched off in a compiled model."""
     for body in sorted(scene.bodies):
         if scene.model.body_plugin[body] >= 0:
             name = scene.name("body", body)
             told = diagnose("plugin-of-the-mjcf-alone", subject=("body", name))
-            yield Extra("plugin", name, int(scene.model.body_plugin[body]), "", told)
+            yield MjcfOnlyEffect("plugin", name, int(scene.model.body_plugin[body]), "", told)
 
 
-def flags(scene: Scene) -> Iterator[Extra]:
+def flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """What the file states and switches off again; springs and damping are 0 then."""
     for bit, word, what in _FLAGS:
         if scene.off(bit):
             told = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
-            yield Extra("flag", word, "disable", "", told)
+            yield MjcfOnlyEffect("flag", word, "disable", "", told)
 
 
 # MuJoCo's eq_objtype is for constraints that take bodies or sites.

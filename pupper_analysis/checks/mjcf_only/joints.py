@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pupper_analysis.checks.passive.extra import Extra
-from pupper_analysis.checks.passive.scene import DISABLE, Scene
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
+from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 
 
-def springs(scene: Scene) -> Iterator[Extra]:
+def springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the springs of the robot's joints."""
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_SPRING) else ():
@@ -36,7 +36,7 @@ def springs(scene: Scene) -> Iterator[Extra]:
             free=free,
             yielding=value.get("yield"),
         )
-        yield Extra(
+        yield MjcfOnlyEffect(
             "spring",
             name,
             value,
@@ -46,7 +46,7 @@ def springs(scene: Scene) -> Iterator[Extra]:
         )
 
 
-def damping_polynomials(scene: Scene) -> Iterator[Extra]:
+def damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields damping in higher powers of a joint's speed."""
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_DAMPER) else ():
@@ -59,10 +59,10 @@ def damping_polynomials(scene: Scene) -> Iterator[Extra]:
             powers = Vector(tuple(values), "1")
             told = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
             slots = (("dof_dampingpoly", dofs),)
-            yield Extra("damping polynomial", name, values, "", told, slots)
+            yield MjcfOnlyEffect("damping polynomial", name, values, "", told, slots)
 
 
-def gravity_compensation(scene: Scene) -> Iterator[Extra]:
+def gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the bodies whose weight is (partly) carried by nothing."""
     model = scene.model
     for body in sorted(scene.bodies):
@@ -75,10 +75,10 @@ def gravity_compensation(scene: Scene) -> Iterator[Extra]:
                 share=Quantity(share, "1"),
             )
             slots = (("body_gravcomp", body),)
-            yield Extra("gravity compensation", name, share, "", told, slots)
+            yield MjcfOnlyEffect("gravity compensation", name, share, "", told, slots)
 
 
-def free_joint_friction(scene: Scene) -> Iterator[Extra]:
+def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields dry friction of the robot's free joint, which a default class may give it."""
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_FRICTIONLOSS) else ():
@@ -87,4 +87,4 @@ def free_joint_friction(scene: Scene) -> Iterator[Extra]:
             name = scene.joint_name(joint)
             friction = Quantity(value, "N and N m")
             told = diagnose("free-joint-friction", subject=("body", name), friction=friction)
-            yield Extra("dry friction", name, value, "", told)
+            yield MjcfOnlyEffect("dry friction", name, value, "", told)
