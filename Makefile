@@ -23,6 +23,8 @@ MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyprojec
 # What else is installed on the machine stays out of the way.
 export PYTHONNOUSERSITE := 1
 unexport PYTHONPATH PYTHONHOME
+# Tests start many processes: each would compile the package anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .PHONY: help setup analyze test test-slow test-lowest test-longest mutate fuzz coverage benchmark benchmark-quick lint types docs wheel clean

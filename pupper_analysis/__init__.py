@@ -16,7 +16,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from pupper_analysis.drivers import forgive_drivers
+from pupper_analysis.drivers import import_mujoco
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis, analyze_variant
@@ -110,7 +110,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-forgive_drivers()
+import_mujoco()
 
 _HOME = {
     "Analysis": "analysis.robot",

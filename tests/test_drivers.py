@@ -59,6 +59,14 @@ def test_pictures_are_drawn_without(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "variants.png").is_file()
 
 
+def test_a_process_of_a_study_needs_no_opengl(tmp_path: Path) -> None:
+    """What is imported past the package's door, as by who unpickles a robot."""
+    broken = BROKEN.partition("sys.argv")[0]
+    code = "import os, pupper_analysis.robot.robot, mujoco; print(os.environ['MUJOCO_GL'])"
+    result = run("-c", broken + code, folder=tmp_path, gl="osmesa")
+    assert (result.stdout, result.stderr) == ("osmesa\n", "")
+
+
 def test_what_works_is_left_alone(tmp_path: Path) -> None:
     code = "import pupper_analysis, mujoco; print(mujoco.MjModel.__name__)"
     result = run("-c", code, folder=tmp_path, gl="disable")

@@ -46,7 +46,7 @@ def test_unknown_name_is_an_attribute_error() -> None:
 
 def run(code: str, folder: Path) -> str:
     """Runs Python in a fresh process, from another folder, warnings being errors."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "MUJOCO_GL": ""}
     result = subprocess.run(
         [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c", code],
         capture_output=True,
@@ -78,6 +78,14 @@ HEAVY = (
 def test_import_loads_nothing_heavy(tmp_path: Path) -> None:
     code = "import pupper_analysis; " + LOADED.format(names=(*HEAVY, "mujoco", "pinocchio"))
     assert run(code, tmp_path) == "[]"
+
+
+def test_import_installs_nothing_into_the_interpreter(tmp_path: Path) -> None:
+    code = (
+        "import sys; kept = sys.meta_path[:], sys.path_hooks[:], sys.path[:]; "
+        "import pupper_analysis; print(kept == (sys.meta_path, sys.path_hooks, sys.path))"
+    )
+    assert run(code, tmp_path) == "True"
 
 
 def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path) -> None:
