@@ -27,7 +27,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest mutate fuzz coverage benchmark benchmark-quick lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest durations mutate fuzz coverage benchmark benchmark-quick lint types docs wheel clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -38,7 +38,7 @@ analyze: $(VENV)/.ready ## analyse all variants; figures go to output/
 	$(BIN)/python scripts/analyze_variant.py
 
 test: $(VENV)/.ready ## run the tests, without the long proofs
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest
 
 test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m "slow and not longest"
@@ -49,6 +49,9 @@ test-longest: $(VENV)/.ready ## run the longest proofs: some four minutes
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
 
+durations: $(VENV)/.ready ## run all but the longest, and write how long each takes: sets what is slow
+	$(BIN)/python -m pytest -m "not longest" --record-durations
+
 mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each ROOM; does a test notice?
 	$(BIN)/python tests/mutate.py $(ROOM) --sample $(SAMPLE) $(MUTATE)
 
@@ -56,7 +59,7 @@ fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost f
 	$(BIN)/python tests/fuzz.py $(N) $(FUZZ)
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out
-	$(BIN)/python -m pytest --cov --cov-report=term-missing:skip-covered
+	$(BIN)/python -m pytest -m "slow or not slow" --cov --cov-report=term-missing:skip-covered
 
 benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peers
 	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --page docs/benchmarks.md \

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -135,8 +137,42 @@ def test_the_workflow_runs_what_ci_runs() -> None:
 def test_hooks_are_the_projects_own_tools() -> None:
     text = (ROOT / ".pre-commit-config.yaml").read_text()
     assert re.findall(r"repo: (\S+)", text) == ["local"]
-    entries = re.findall(r"entry: (.+)$", text, re.M)
-    assert {entry.split()[0] for entry in entries} == {".venv/bin/ruff", ".venv/bin/mypy"}
+    entries = [entry.split()[:2] for entry in re.findall(r"entry: (.+)$", text, re.M)]
+    assert {runner for runner, _ in entries} == {".ci/tool"}
+    assert {tool for _, tool in entries} == {"ruff", "mypy", "lint-imports"}
+
+
+def test_hooks_find_their_tools_in_an_environment_of_any_name(tmp_path: Path) -> None:
+    """The active one, then that from which pre-commit was installed, then .venv."""
+    tool, folder = str(ROOT / ".ci" / "tool"), tmp_path / "checkout"
+    for name in ("active", "installed", "checkout/.venv"):
+        program = tmp_path / name / "bin" / "ruff"
+        program.parent.mkdir(parents=True)
+        program.write_text(f"#!/bin/sh\necho {name} $*\n")
+        program.chmod(0o755)
+    clean = {key: os.environ[key] for key in ("PATH", "HOME") if key in os.environ}
+
+    def said(**environment: str) -> str:
+        run = subprocess.run(
+            [tool, "ruff", "check"],
+            cwd=folder,
+            env=clean | environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        return run.stdout.strip()
+
+    subprocess.run(["git", "init", "-q"], cwd=folder, check=True)
+    assert said() == "checkout/.venv check"
+    hook = folder / ".git" / "hooks" / "pre-commit"
+    hook.parent.mkdir(exist_ok=True)
+    hook.write_text(f"#!/usr/bin/env bash\nINSTALL_PYTHON={tmp_path}/installed/bin/python\n")
+    assert said() == "installed check"
+    assert said(VIRTUAL_ENV=str(tmp_path / "active")) == "active check"
+    with pytest.raises(subprocess.CalledProcessError) as failed:
+        subprocess.run([tool, "no-such"], env=clean, capture_output=True, text=True, check=True)
+    assert "make lint" in failed.value.stderr
 
 
 def test_examples_and_scripts_are_documented() -> None:
