@@ -53,7 +53,7 @@ WORDS = {
     "wear-over-time": ("Wear over time", "磨损随时间的变化"),
 }
 IMPORTS = """
-from test_new_result import FootWear
+from tests.report.test_new_result import FootWear
 from pupper_analysis.report import document as doc, plots
 from pupper_analysis.report.documents.registry import build
 from pupper_analysis.report.words import text
