@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -27,6 +28,9 @@ TRIED = 0.95
 floor or hand is exact to a percent."""
 
 
+FINE = 0.02
+"""To what part a mass is found that bears nudges, where that of the equilibrium does not."""
+
 NEAR = (0.8, 0.95, 1.0, 1.05, 1.2)
 """Parts of the servos' limit for which it is told how fast the stand buckles: friction that creeps
 leaves no sharp edge there."""
@@ -39,9 +43,13 @@ class LoadedStance(Result):
     Attributes:
         name: The robot's name.
         stand: The solved stand, without payload.
-        payload: The greatest mass.
-        trial: The simulation with ``TRIED`` of that mass on the robot; None where that is nothing,
+        payload: The greatest mass in equilibrium.
+        mass: The greatest that bears nudges, too: that of ``payload``, or less where ``TRIED`` of
+            that falls (kg).
+        trial: The simulation with ``TRIED`` of ``mass`` on the robot; None where that is nothing,
             or without limit.
+        fell: The simulation with ``TRIED`` of the ``payload`` where a nudge made it fall; None
+            where it did not.
         buckling: How fast it buckles with ``NEAR`` of what the servos' stiffness holds; empty where
             something else gives way there.
         servos: The servos that all are of.
@@ -50,14 +58,16 @@ class LoadedStance(Result):
     name: str
     stand: Stand
     payload: PayloadLimit
+    mass: float
     trial: PayloadTrial | None
+    fell: PayloadTrial | None
     buckling: tuple[Buckling, ...]
     servos: ServosUsed
 
     @property
     def passed(self) -> bool:
         """Whether it carries anything, and stays up with it."""
-        return self.payload.mass > 0 and (self.trial is None or self.trial.held)
+        return self.mass > 0 and (self.trial is None or self.trial.held)
 
 
 def study_payload(
@@ -96,10 +106,16 @@ def try_payload(
     kd: ArrayLike | None = None,
 ) -> LoadedStance:
     """Simulates a stand with almost the greatest payload; see ``study_payload``."""
-    trial = None
-    if 0 < payload.mass < math.inf:
+    mass, trial, fell = payload.mass, None, None
+    if 0 < mass < math.inf:
         point = payload.point.tolist()
-        trial = payload_trial(robot, stand, TRIED * payload.mass, point, kp=kp, kd=kd)
+
+        def tried(mass: float) -> PayloadTrial:
+            return payload_trial(robot, stand, TRIED * mass, point, kp=kp, kd=kd)
+
+        trial = tried(mass)
+        if not trial.held:
+            fell, (mass, trial) = trial, _bisected(tried, trial, mass)
     buckling: tuple[Buckling, ...] = ()
     if payload.servos.failure is Failure.BUCKLING and payload.servos.mass > 0:
         masses = (share * payload.servos.mass for share in NEAR)
@@ -107,4 +123,29 @@ def try_payload(
             payload_buckling(robot, stand, mass, payload.point.tolist(), kp=kp, kd=kd)
             for mass in masses
         )
-    return LoadedStance(robot.name, stand, payload, trial, buckling, servos_used(robot, kp, kd))
+    used = servos_used(robot, kp, kd)
+    return LoadedStance(robot.name, stand, payload, mass, trial, fell, buckling, used)
+
+
+def _bisected(
+    tried: Callable[[float], PayloadTrial], trial: PayloadTrial, high: float
+) -> tuple[float, PayloadTrial]:
+    """Returns the greatest mass (kg) whose trial holds, to ``FINE``, and that trial.
+
+    What equilibria say is exact for a stand that is let alone; how far a nudge takes feet that
+    lift, soles that pivot and motors that saturate, simulation alone tells.
+
+    Args:
+        tried: Makes a mass's trial.
+        trial: That of ``high``, which falls.
+        high: A mass.
+    """
+    low, least = 0.0, FINE * high
+    while high - low > least:
+        middle = (low + high) / 2
+        found = tried(middle)
+        if found.held:
+            low, trial = middle, found
+        else:
+            high, trial = middle, trial if low else found
+    return low, trial

@@ -13,7 +13,6 @@ from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.payload.limit import PayloadLimit
 
 _MORE = 1.001
 """Times what motors bear: legs that share a load bear more."""
@@ -22,7 +21,7 @@ _MORE = 1.001
 @build.register(LoadedStance)
 def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Document:
     """Returns what a stance can carry; see ``build``."""
-    limit = payload_text(loaded.payload)
+    limit = payload_text(loaded)
     return doc.Document(
         text("payload-title"),
         doc.Name(loaded.name),
@@ -40,15 +39,19 @@ def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Do
     )
 
 
-def payload_text(payload: PayloadLimit) -> doc.Text:
+def payload_text(loaded: LoadedStance) -> doc.Text:
     """Returns the greatest mass, where it is, and what gives way beyond it."""
-    failure: doc.Words = word(payload.failure.value)
-    if payload.where:
-        failure = text("failure-where", failure=failure, where=", ".join(payload.where))
+    payload, fell = loaded.payload, loaded.fell
+    beyond, where = payload.failure, payload.where
+    if fell is not None and fell.failure is not None:
+        beyond, where = fell.failure, fell.where
+    failure: doc.Words = word(beyond.value)
+    if where:
+        failure = text("failure-where", failure=failure, where=", ".join(where))
     return text(
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in payload.point),
-        mass=kilograms(payload.mass),
+        mass=kilograms(loaded.mass),
         failure=failure,
     )
 
@@ -64,6 +67,8 @@ def payload_table(loaded: LoadedStance) -> doc.Table:
     shared = payload.shared
     if shared is not None and payload.motors.mass * _MORE < shared.mass < math.inf:
         bounds.insert(1, ("motors-if-the-legs-share", shared.mass))
+    if loaded.fell is not None:
+        bounds.append(("payload-nudged", loaded.mass))
     notes: list[doc.Words] = [text("payload-is-static")]
     if payload.unlimited:
         notes.append(

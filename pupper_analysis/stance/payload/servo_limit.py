@@ -25,7 +25,13 @@ from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.payload.nudge import lost
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
-from pupper_analysis.stance.sag.steady_state import SteadyState, check_request, pose_at, settle
+from pupper_analysis.stance.sag.steady_state import (
+    SteadyState,
+    check_request,
+    lasting,
+    pose_at,
+    settle,
+)
 from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.sunk import loaded_stand
@@ -156,19 +162,21 @@ def servo_limit(
     def judge(mass: float) -> LoadedPose | Bound:
         return loaded_pose(robot, stand, mass, point, command=command, kp=kp, kd=kd)
 
+    failed: dict[float, tuple[Failure, tuple[str, ...]]] = {}
+
     def fails(mass: float) -> bool:
         found = judge(mass)
-        return isinstance(found, Bound) or found.failure is not None
+        if found.failure is not None:
+            failed[mass] = found.failure, found.where
+        return found.failure is not None
 
     ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
     start = _guess(robot, stand, point, servos(robot, kp, None if kp is None else 0.0).kp) / 4
     mass = 0.0 if fails(0.0) else first_failing(fails, min(start, most), ceiling)
     if mass >= ceiling:
         return Bound(math.inf, Failure.NOTHING, ())
-    above = judge(mass * (1 + 2 * RESOLUTION) if mass else 0.0)
-    failure = above.failure
-    assert failure is not None
-    return Bound(mass, failure, above.where)
+    failure, where = failed[min(tried for tried in failed if tried >= mass)]
+    return Bound(mass, failure, where)
 
 
 def _guess(robot: Robot, stand: Stand, point: ArrayLike, kp: Array) -> float:
@@ -271,7 +279,16 @@ def loaded_pose(
     why, where = _judge(loaded, sunk, pose, target)
     if why is None and (weak := lost(way, damping)):
         why, where = Failure.MOTOR, weak
+    # Feet that are pressed against each other, as soles that are twisted are, creep from there.
+    if why is None and command is Command.LOADED and math.isfinite(lasting(way, pose)):
+        why, where = Failure.SLIDING, _creeping(pose)
     return LoadedPose(loaded, sunk, target, start, pose, why, where)
+
+
+def _creeping(pose: SteadyState) -> tuple[str, ...]:
+    """Returns the feet that creep at half the speed of the fastest, or more."""
+    fastest = max(pose.foot_creep.values())
+    return tuple(foot for foot, speed in pose.foot_creep.items() if speed >= fastest / 2)
 
 
 def _way(robot: Robot, stand: Stand, kp: ArrayLike | None, target: Array | None = None) -> Way:

@@ -158,19 +158,27 @@ def steady_state(
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     way = Way(Equilibrium(robot, stand, kp, feet), exact=feedforward)
     pose = settle(way, feedforward=feedforward, seconds=seconds)
-    moves = abs(pose.height_drift) * LASTING > HARDLY * float(stand.qpos[2])
-    if pose.failures or feet == "sliding" or not moves:
-        return pose
-    lasts = _lasts(way, seconds)
-    if math.isinf(lasts):
+    if pose.failures or math.isinf(lasts := lasting(way, pose)):
         return pose
     return replace(
         pose, lasts=lasts, failures=(diagnose("creep-ends-it", after=Quantity(lasts, "s")),)
     )
 
 
-def _lasts(way: Way, begun: float) -> float:
-    """Lets feet creep for ``LASTING`` more; returns how long the robot stands (s)."""
+def lasting(way: Way, pose: SteadyState) -> float:
+    """Lets pinned feet creep for ``LASTING`` more, if that moves the base.
+
+    Args:
+        way: Whose end is ``pose``; it goes on.
+        pose: An equilibrium that is stable.
+
+    Returns:
+        How long the robot stands (s); infinite if longer.
+    """
+    moves = abs(pose.height_drift) * LASTING > HARDLY * float(way.system.stand.qpos[2])
+    if pose.feet == "sliding" or not moves:
+        return math.inf
+    begun = way.crept
     with contextlib.suppress(NoEquilibriumError):
         for _ in range(CREEP_STEPS):
             way.creep_step(LASTING / CREEP_STEPS)
