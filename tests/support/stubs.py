@@ -310,7 +310,9 @@ def loaded(*unlimited: str) -> Any:
         passed=True,
         stand=STAND,
         payload=payload,
+        mass=payload.mass,
         trial=trial,
+        fell=None,
         buckling=buckling,
         servos=SERVOS,
     )
