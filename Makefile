@@ -27,7 +27,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest durations mutate fuzz coverage benchmark benchmark-quick lint types docs wheel clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest durations mutate fuzz coverage benchmark benchmark-quick lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -62,8 +62,8 @@ coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave ou
 	$(BIN)/python -m pytest -m "slow or not slow" --cov --cov-report=term-missing:skip-covered
 
 benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peers
-	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --page docs/benchmarks.md \
-	  --figure docs/growth.png $(BENCHMARK)
+	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --tables docs/data \
+	  --figure docs/images/growth.png $(BENCHMARK)
 
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree
 	$(BIN)/python benchmarks/run.py --quick
@@ -76,11 +76,17 @@ lint: $(VENV)/.ready-dev ## check style, format and who imports whom
 types: $(VENV)/.ready-dev ## check the types
 	$(BIN)/mypy
 
-docs: $(VENV)/.ready-docs ## build the API reference into build/docs/
-	$(BIN)/python docs/build_api.py build/docs
+docs: $(VENV)/.ready-docs ## build the site into build/docs/, in English and Chinese
+	$(BIN)/python docs/build.py build/docs
+
+docs-links: $(VENV)/.ready-docs ## build the site, and ask the web for all addresses in it
+	$(BIN)/python docs/build.py build/docs --links
 
 wheel: $(VENV)/.ready-dev ## build the wheel into dist/
 	$(BIN)/python -m build --wheel
+
+dist: $(VENV)/.ready-dev ## build wheel and source distribution into dist/, as a release does
+	$(BIN)/python -m build
 
 clean: ## delete the virtual environment and all that was made
 	rm -rf $(VENV) $(LOWEST) build dist output .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -40,6 +40,7 @@ from pupper_analysis.models.mjcf import quiet
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
 from one_slip import audited, base, judge_mjcf, judge_urdf, wrong
+from tables import write_csv
 
 from tests.support.legged import Pair
 
@@ -398,20 +399,19 @@ def letter(result: dict[str, Any]) -> str:
     return "d" if result["bare"] == "taken" and result.get("crosscheck") == "DISAGREE" else "."
 
 
-def table(found: list[tuple[str, dict[str, Any]]]) -> list[str]:
-    """Returns a line for each element."""
+def table(found: list[tuple[str, dict[str, Any]]]) -> list[tuple[str, str, str]]:
+    """Returns (element, letters, attributes of which they are) for all that was tried."""
     rows: dict[str, dict[str, str]] = {}
     for key, result in found:
         path, name, _ = key.split("@")
         row = rows.setdefault(path, {})
         row[name] = row.get(name, "") + letter(result)
-    lines = ["| element | attributes |", "|---|---|"]
+    lines = []
     for path, names in rows.items():
         alike: dict[str, list[str]] = {}
         for name, letters in names.items():
             alike.setdefault(letters, []).append(name)
-        words = "; ".join(f"{', '.join(names)} `{letters}`" for letters, names in alike.items())
-        lines.append(f"| {path} | {words} |")
+        lines += [(path, letters, ", ".join(names)) for letters, names in alike.items()]
     return lines
 
 
@@ -419,8 +419,8 @@ def table(found: list[tuple[str, dict[str, Any]]]) -> list[str]:
 @click.argument("paths", nargs=-1)
 @click.option("--again", is_flag=True, help="Run those anew of which something is said wrongly.")
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/attributes"))
-@click.option("--page", type=click.Path(path_type=Path), help="Write the table here.")
-def main(paths: tuple[str, ...], again: bool, folder: Path, page: Path | None) -> None:
+@click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the table here.")
+def main(paths: tuple[str, ...], again: bool, folder: Path, to: Path | None) -> None:
     """Puts values into attributes, of all elements or those of the PATHS; resumes."""
     folder.mkdir(parents=True, exist_ok=True)
     asked = cases(str(folder), paths)
@@ -430,11 +430,9 @@ def main(paths: tuple[str, ...], again: bool, folder: Path, page: Path | None) -
     results = guarded.run(case, asked, folder / "attributes.jsonl")
     found = [(key, result) for (key, _), result in zip(asked, results, strict=True)]
     lines = table(found)
-    click.echo("\n".join(lines))
-    if page is not None:
-        about = (__doc__ or "").partition("\n\n")[2].strip()
-        top = "# Attributes of MJCF and URDF\n\nWritten by `python benchmarks/attributes.py`.\n\n"
-        page.write_text(f"{top}{about}\n\n" + "\n".join(lines) + "\n")
+    click.echo("\n".join(" | ".join(line) for line in lines))
+    if to is not None:
+        write_csv(to, ("element", "outcomes", "attributes"), lines)
     bad = [(key, result) for key, result in found if wrong(result)]
     for key, result in bad:
         click.echo(f"WRONG {key} {result}")

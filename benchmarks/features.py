@@ -20,6 +20,7 @@ from pathlib import Path
 import click
 import mujoco
 import numpy as np
+from tables import write_csv
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
@@ -371,29 +372,26 @@ def rows(names: tuple[str, ...]) -> Iterator[Row]:
                 yield row(name, edit, robot, stand, folder)
 
 
+COLUMNS = ("feature", "predicted (mm)", "bare MuJoCo (mm)", "stand", "audit", "crosscheck")
+
+
 def millimetres(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{1e3 * value:.2f}"
 
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--page", type=click.Path(path_type=Path), help="Write the table here, in Markdown.")
-def main(names: tuple[str, ...], page: Path | None) -> None:
+@click.option("--csv", "path", type=click.Path(path_type=Path), help="Write the table here.")
+def main(names: tuple[str, ...], path: Path | None) -> None:
     """Make one file per feature, and say what is made of it."""
-    head = (
-        "| feature of the MJCF | predicted (mm) | bare MuJoCo (mm) | stand | audit | crosscheck |"
-    )
-    lines, silent = [head, "|---|---|---|---|---|---|"], []
+    lines, silent = [], []
     for one in rows(names):
-        words = one.verdict.replace("|", "\\|")
-        numbers = f"{millimetres(one.predicted)} | {millimetres(one.bare)}"
-        lines.append(f"| {one.name} | {numbers} | {words} | {one.audit} | {one.crosscheck} |")
-        click.echo(("SILENT " if one.silent else "") + lines[-1])
+        numbers = (millimetres(one.predicted), millimetres(one.bare))
+        lines.append((one.name, *numbers, one.verdict, one.audit, one.crosscheck))
+        click.echo(("SILENT " if one.silent else "") + " | ".join(lines[-1]))
         silent += [one.name] if one.silent else []
-    if page is not None:
-        about = (__doc__ or "").partition("\n\n")[2].strip()
-        top = "# Features and slips of an MJCF\n\nWritten by `python benchmarks/features.py`.\n\n"
-        page.write_text(top + about + "\n\n" + "\n".join(lines) + "\n")
+    if path is not None:
+        write_csv(path, COLUMNS, lines)
     if silent:
         raise SystemExit(f"silent: {', '.join(silent)}")
 

@@ -32,6 +32,7 @@ from pupper_analysis.models.mjcf import quiet
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
+from tables import write_csv
 
 from tests.support.bases import BASES, FALLS, by_itself, standing
 from tests.support.legged import Pair
@@ -286,18 +287,20 @@ def _urdf_differs(new: pin.Model | None, plain: Path) -> str:
     return ""
 
 
-def counted(results: list[dict[str, Any]]) -> list[str]:
-    """Returns a table of what came of the slips."""
-    lines = ["| robot | slips | refused | falls | stands | of the URDF | said wrongly |"]
-    lines.append("|" + "---|" * 7)
+COLUMNS = ("robot", "slips", "refused", "falls", "stands", "of the URDF", "said wrongly")
+
+
+def counted(results: list[dict[str, Any]]) -> list[tuple[object, ...]]:
+    """Returns a row of `COLUMNS` for each robot, and for all: what came of the slips."""
+    lines = []
     names = [name for name in BASES if any(result.get("robot") == name for result in results)]
     for name in [*names, "all"]:
         own = [result for result in results if name in ("all", result.get("robot"))]
         kinds = Counter(result.get("bare") for result in own if result.get("file") == "mjcf")
         urdf = sum(result.get("file") == "urdf" for result in own)
         bad = sum(wrong(result) for result in own)
-        row = (len(own), kinds["refused"], kinds["falls"], kinds["stands"], urdf, bad)
-        lines.append(f"| {name} | " + " | ".join(map(str, row)) + " |")
+        bare = (kinds["refused"], kinds["falls"], kinds["stands"])
+        lines.append((name, len(own), *bare, urdf, bad))
     return lines
 
 
@@ -313,7 +316,7 @@ def wrong(result: dict[str, Any]) -> bool:
 @click.option("--robot", multiple=True, type=click.Choice(list(BASES)))
 @click.option("--again", is_flag=True, help="Run those anew of which something is said wrongly.")
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/slips"))
-@click.option("--page", type=click.Path(path_type=Path), help="Write the counts here.")
+@click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the counts here.")
 def main(
     count: int,
     seed: int,
@@ -321,7 +324,7 @@ def main(
     robot: tuple[str, ...],
     again: bool,
     folder: Path,
-    page: Path | None,
+    to: Path | None,
 ) -> None:
     """Makes slips, and counts what is said of them; resumes where it was stopped."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -336,12 +339,10 @@ def main(
         guarded.forget(folder / "slips.jsonl", wrong)
     results = guarded.run(case, cases, folder / "slips.jsonl")
     lines = counted(results)
-    click.echo("\n".join(lines))
-    if page is not None:
-        about = (__doc__ or "").partition("\n\n")[2].strip()
-        command = f"python benchmarks/one_slip.py --count {count} --seed {seed} --first {first}"
-        top = f"# One plausible slip\n\nWritten by `{command}`.\n\n"
-        page.write_text(f"{top}{about}\n\n" + "\n".join(lines) + "\n")
+    for line in [COLUMNS, *lines]:
+        click.echo(" | ".join(map(str, line)))
+    if to is not None:
+        write_csv(to, COLUMNS, lines)
     bad = [result for result in results if wrong(result)]
     for one in bad:
         click.echo(f"BAD {one}")

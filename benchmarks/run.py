@@ -1,6 +1,6 @@
 """Measures the package against the bare engines and its peers, in one interleaved run.
 
-`make benchmark` prints the tables, writes them into `docs/benchmarks.md`, and all of it with
+`make benchmark` prints the tables, writes them into `docs/data` as CSV, and all of it with
 versions and machine into `build/benchmarks.json`; `--compare OLD.json` tells what has changed.
 `--quick` is for a machine whose times mean nothing: it fails if an answer is not exact.
 """
@@ -8,6 +8,7 @@ versions and machine into `build/benchmarks.json`; `--compare OLD.json` tells wh
 from __future__ import annotations
 
 import os
+import re
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -22,11 +23,13 @@ import whole
 from measure import Row, measured, setting
 from rich.console import Console
 from rich.table import Table
+from tables import write_csv
 
 import pupper_analysis as pa
 
 TABLE = ("job", "ours", "bare engine", "ratio", "goal", "peers", "accuracy reached")
-BEGIN, END = "<!-- measured by make benchmark -->", "<!-- end of what was measured -->"
+FILES = {"where-the-time-of-a-call-goes": "stages", "how-time-grows": "growth"}
+"""Names of files that do not follow from their tables' titles."""
 
 
 def clock(seconds: float) -> str:
@@ -54,7 +57,7 @@ def cells(row: Row) -> tuple[str, ...]:
 def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, ...]]]:
     """All tables, {title: rows of text, the first of which is the header}."""
     made: dict[str, list[tuple[str, ...]]] = {
-        f"{found['variant']}: medians of calls by turns": [TABLE, *map(cells, rows)]
+        f"Calls: medians by turns, of {found['variant']}": [TABLE, *map(cells, rows)]
     }
     if "start-up" in found:
         made["Start-up"] = [
@@ -72,7 +75,7 @@ def tables(found: dict[str, Any], rows: list[Row]) -> dict[str, list[tuple[str, 
         ]
     if "default run" in found:
         parts = found["default run"]
-        made[f"The default run by stage, {len(pa.VARIANTS)} variants"] = [
+        made[f"Default run: stages, {len(pa.VARIANTS)} variants"] = [
             ("stage", "time", "share"),
             *((n, clock(t), f"{t / sum(parts.values()):.0%}") for n, t in parts.items()),
             ("together", clock(sum(parts.values())), ""),
@@ -126,27 +129,24 @@ def show(title: str, rows: list[tuple[str, ...]]) -> None:
     Console(width=None if sys.stdout.isatty() else 160).print(table)
 
 
-def page(found: dict[str, Any], made: dict[str, list[tuple[str, ...]]]) -> str:
-    """The tables in Markdown, with the setting."""
+def setting_rows(found: dict[str, Any]) -> list[tuple[str, str]]:
+    """When and where it was measured, and with which versions."""
     where = found["setting"]
-    versions = ", ".join(f"{name} {number}" for name, number in where["versions"].items())
-    lines = [
-        f"Measured {where['time']} on {where['processor']} ({where['cores']} cores, load "
-        f"{where['load'][0]:.1f} at the start), with {versions}.",
+    return [
+        ("what", "value"),
+        ("time", where["time"]),
+        ("processor", where["processor"]),
+        ("cores", str(where["cores"])),
+        ("load at the start", f"{where['load'][0]:.1f}"),
+        *where["versions"].items(),
     ]
+
+
+def write_tables(folder: Path, made: dict[str, list[tuple[str, ...]]]) -> None:
+    """Writes a file for each table, named after it: ``benchmarks-start-up.csv``."""
     for title, (header, *rows) in made.items():
-        lines += ["", f"### {title}", "", f"| {' | '.join(header)} |", "|---" * len(header) + "|"]
-        lines += [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join(lines)
-
-
-def write_page(path: Path, text: str) -> None:
-    """Puts what was measured into its place in a page."""
-    before, begin, rest = path.read_text().partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise click.ClickException(f"{path} has no {BEGIN} ... {END}")
-    path.write_text(f"{before}{BEGIN}\n\n{text}\n\n{END}{after}")
+        name = re.sub(r"[^a-z]+", "-", title.partition(":")[0].lower()).strip("-")
+        write_csv(folder / f"benchmarks-{FILES.get(name, name)}.csv", header, rows)
 
 
 @click.command()
@@ -157,7 +157,7 @@ def write_page(path: Path, text: str) -> None:
 )
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results.")
 @click.option("--compare", type=click.Path(path_type=Path, exists=True), help="An older JSON.")
-@click.option("--page", "page_path", type=click.Path(path_type=Path, exists=True))
+@click.option("--tables", "folder", type=click.Path(path_type=Path), help="Write CSV files here.")
 @click.option("--figure", type=click.Path(path_type=Path), help="Draw how time grows.")
 def main(
     variant: str,
@@ -165,7 +165,7 @@ def main(
     quick: bool,
     json_path: Path | None,
     compare: Path | None,
-    page_path: Path | None,
+    folder: Path | None,
     figure: Path | None,
 ) -> None:
     """Measure the package against the bare engines and its peers."""
@@ -191,8 +191,8 @@ def main(
     if json_path is not None:
         json_path.parent.mkdir(parents=True, exist_ok=True)
         json_path.write_bytes(orjson.dumps(found, option=orjson.OPT_INDENT_2))
-    if page_path is not None:
-        write_page(page_path, page(found, made))
+    if folder is not None:
+        write_tables(folder, {"setting": setting_rows(found)} | made)
     if figure is not None and "growth" in found:
         growth.draw(found["growth"], figure)
     wrong = [row for row in rows if not row.exact]

@@ -1,9 +1,9 @@
 """Measures how time and memory of crosscheck and audit grow with the number of links.
 
 Each in a process of its own, start-up included; the time is the processors', on all threads, which
-other work on the machine hardly changes. Draws docs/size.png with ``--figure``::
+other work on the machine hardly changes. Draws docs/images/size.png with ``--figure``::
 
-    python benchmarks/size.py --figure docs/size.png
+    python benchmarks/size.py --figure docs/images/size.png
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How fast studies are, how they grow, and what survives kills; docs/studies.md has the results.
+"""How fast studies are, how they grow, and what survives kills: docs/data/study-speed.csv.
 
     python benchmarks/studies.py speed 10000       # statics and sag of v3, on two processes
     python benchmarks/studies.py growth 10000      # how it grows with their number, as a figure

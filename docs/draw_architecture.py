@@ -1,4 +1,4 @@
-"""Draws docs/architecture.svg from the code: the rooms by floor, and who imports whom.
+"""Draws docs/images/architecture.svg from the code: the rooms by floor, and who imports whom.
 
     python docs/draw_architecture.py
 
@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pupper_analysis"
-PICTURE = Path(__file__).resolve().parent / "architecture.svg"
+PICTURE = Path(__file__).resolve().parent / "images" / "architecture.svg"
 
 SHARED = "shared"
 """What the modules at the package's top are called together."""

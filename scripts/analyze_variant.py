@@ -1,6 +1,6 @@
 """Analyses variants of Pupper: ``pupper-analysis analyze`` as a script."""
 
-from pupper_analysis.cli import analyze, run
+from environment import run
 
 if __name__ == "__main__":
-    run(analyze)
+    run("analyze")

@@ -95,7 +95,7 @@ def test_links_are_followed(tmp_path: Path) -> None:
 
 
 def test_a_hard_link_keeps_the_old_file(tmp_path: Path) -> None:
-    """As docs/output.md says: a file takes the place of the name that was given, in one step."""
+    """A file takes the place of the name that was given, in one step: docs/how-to/output.md."""
     given, other = tmp_path / "given", tmp_path / "other"
     given.write_text("old")
     other.hardlink_to(given)

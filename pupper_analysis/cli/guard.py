@@ -44,7 +44,7 @@ def check_command(
 
     What the baseline has with the same value is known, and passes: so an old robot can be guarded
     from today on, and only a difference or finding that is new, or has changed, fails. Paths are
-    relative to the file. docs/guard.md has all its keys, the GitHub Action and the hook.
+    relative to the file. docs/how-to/check.md has an example, the GitHub Action and the hook.
 
     \b
     The least pupper-analysis.toml:

@@ -20,7 +20,7 @@ _PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log
 
 _HEAD: Final = """\
 # What pupper-analysis check checks. Models of one robot stand together, and are compared: those
-# that share a file's name were put together here. docs/guard.md has all keys.
+# that share a file's name were put together here. docs/data/config-keys.csv has all keys.
 """
 
 

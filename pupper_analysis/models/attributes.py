@@ -1,7 +1,7 @@
 """The numbers of a joint: what each is called in a URDF, in an MJCF and in both engines.
 
-Reading, audit, comparison, `sync` and conversion go through this one table. `docs/architecture.md`
-shows how to add a row.
+Reading, audit, comparison, `sync` and conversion go through this one table;
+`docs/explanation/architecture.md` shows how to add a row.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Samples of the two sweeps: one plausible slip in files that stand, and attributes at their ends.
 
 All of them: `benchmarks/one_slip.py` and `benchmarks/attributes.py`; what came of them is in
-docs/slips.md and docs/attributes.md.
+docs/data/slips.csv and attributes.csv.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ OWN = [name for name in BASES if name not in ("go1", "anymal", "hyq")]
 @pytest.mark.longest
 @pytest.mark.parametrize("name", OWN)
 def test_of_one_plausible_slip_nothing_is_said_that_is_not_so(name: str, tmp_path: Path) -> None:
-    for number in range(5):  # none of those in docs/slips.md, whose seed is 0
+    for number in range(5):  # none of those in docs/data/slips.csv, whose seed is 0
         result = one_slip.case((name, 1, number, str(tmp_path)))
         assert not one_slip.wrong(result), result
 

@@ -245,7 +245,7 @@ def test_colors_are_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_shell_completes() -> None:
-    """As docs/output.md says: click answers to this variable, whatever the shell."""
+    """As docs/how-to/output.md says: click answers to this variable, whatever the shell."""
     done = subprocess.run(
         [str(Path(sys.executable).with_name("pupper-analysis"))],
         env={

@@ -1,4 +1,4 @@
-"""A result that is added as ``docs/architecture.md`` says is shown everywhere, in two languages."""
+"""A result that is added as the page on architecture says is shown everywhere, in two languages."""
 
 from __future__ import annotations
 
@@ -64,8 +64,8 @@ from pupper_analysis.robot.robot import Robot
 @pytest.fixture
 def wear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FootWear]:
     """A result whose builder is the example, in the module that has its name."""
-    (code,) = re.findall(r"```python\n(# report/documents/.*?)```",
-                         (ROOT / "docs/architecture.md").read_text(), re.DOTALL)  # fmt: skip
+    page = (ROOT / "docs/explanation/architecture.md").read_text()
+    (code,) = re.findall(r"```python\n(# report/documents/.*?)```", page, re.DOTALL)
     path, name = re.findall(r"^# (report/documents/(\w+)\.py)", code)[0]
     assert path == "report/documents/foot_wear.py"
     (tmp_path / f"{name}.py").write_text(f"from __future__ import annotations\n{IMPORTS}\n{code}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import subprocess
 import sys
 import time
@@ -26,9 +27,8 @@ import whole
 @pytest.mark.slow
 def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
     """It ends with 1 where an answer is not exact; times are not looked at."""
-    written, page = tmp_path / "found.json", tmp_path / "page.md"
-    page.write_text(f"before\n{benchmarks.BEGIN}\nold\n{benchmarks.END}\nafter\n")
-    arguments = ["--quick", "--json", str(written), "--page", str(page)]
+    written = tmp_path / "found.json"
+    arguments = ["--quick", "--json", str(written), "--tables", str(tmp_path)]
     done = subprocess.run(
         [sys.executable, ROOT / "benchmarks" / "run.py", *arguments],
         capture_output=True,
@@ -40,12 +40,20 @@ def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
     found = orjson.loads(written.read_bytes())
     assert found["setting"]["versions"]["mujoco"].startswith("4.")
     assert all(row["exact"] and row["ours"] > 0 and row["calls"] for row in found["jobs"])
-    told = page.read_text()
-    assert told.startswith(f"before\n{benchmarks.BEGIN}\n\nMeasured ")
-    assert told.endswith(f"{benchmarks.END}\nafter\n")
-    assert "\nold\n" not in told
-    for row in found["jobs"]:
-        assert f"| {row['name']} |" in told
+    with (tmp_path / "benchmarks-calls.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    assert header == list(benchmarks.TABLE)
+    assert [row[0] for row in rows] == [row["name"] for row in found["jobs"]]
+    setting = (tmp_path / "benchmarks-setting.csv").read_text()
+    assert f"\nmujoco,{found['setting']['versions']['mujoco']}\n" in setting
+
+
+def test_tables_have_the_names_that_the_site_knows(tmp_path: Path) -> None:
+    titles = ("Calls: medians by turns, of v3", "Start-up", "Where the time of a call goes")
+    titles += ("Default run: stages, 6 variants", "How time grows", "setting")
+    benchmarks.write_tables(tmp_path, {title: [("what", "value")] for title in titles})
+    site = {path.name for path in (ROOT / "docs/data").glob("benchmarks-*.csv")}
+    assert {path.name for path in tmp_path.iterdir()} == site
 
 
 def job(value: float) -> measure.Job:

@@ -187,6 +187,6 @@ def test_steady_state(shown: Shown) -> None:
     lost = number("lost in the servos", text), number("lost in the ground", text)
     assert commanded == pytest.approx(1e3 * load("v3").stand_height, abs=6e-3)
     assert commanded - predicted == pytest.approx(sum(lost), abs=0.02)
-    # What is between them is dry friction, which the prediction leaves out (docs/sag.md).
+    # What is between them is dry friction, which the prediction leaves out.
     assert number("simulated", text) == pytest.approx(predicted, abs=0.3)
     assert 0 < number("minimum stiffness", text) < 5

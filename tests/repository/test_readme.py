@@ -17,41 +17,58 @@ from tests.support.commands import answer
 from tests.support.repository import ROOT
 
 README = (ROOT / "README.md").read_text()
-PAGES = [*ROOT.glob("[!C]*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")]
-SNIPPETS = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+TUTORIAL = ROOT / "docs/tutorials/pupper.md"
+PAGES = [
+    page
+    for page in [
+        *ROOT.glob("[!C]*.md"),
+        *(ROOT / "docs").rglob("*.md"),
+        *ROOT.glob("examples/*.md"),
+    ]
+    if "generated" not in page.parts
+]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("snippet", SNIPPETS, ids=range(len(SNIPPETS)))
-def test_snippet_runs(snippet: str, tmp_path: Path) -> None:
-    result = subprocess.run(
-        [sys.executable, "-c", snippet],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        timeout=120,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
+def snippets(page: Path) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
 
 
-def test_there_are_snippets() -> None:
-    assert len(SNIPPETS) >= 2
+def shell(page: Path) -> list[str]:
+    """The lines of a page's shell blocks, as a user pastes them."""
+    blocks = re.findall(r"```sh\n(.*?)```", page.read_text(), flags=re.DOTALL)
+    return [line.partition("  #")[0].strip() for line in "".join(blocks).splitlines()]
 
 
-def test_links_and_scripts_exist() -> None:
-    named = set(re.findall(r"\]\(((?!http)[^)#]+)\)", README))
-    named |= set(re.findall(r"(scripts/\w+\.py)", README))
-    for path in named:
-        assert (ROOT / path).is_file(), path
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A folder with the files that commands of the README and the tutorial name."""
+    for name in ("urdf", "mjcf", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name, target_is_directory=True)
+    return tmp_path
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("page", [ROOT / "README.md", TUTORIAL, ROOT / "docs/zh/tutorial.md"])
+def test_snippets_run(page: Path, checkout: Path) -> None:
+    assert len(snippets(page)) == 1
+    for snippet in snippets(page):
+        result = subprocess.run(
+            [sys.executable, "-c", snippet],
+            capture_output=True,
+            text=True,
+            cwd=checkout,
+            timeout=120,
+            check=False,
+        )
+        assert result.returncode == 0, result.stderr
 
 
 def test_the_two_commands_are_targets() -> None:
-    commands = re.findall(r"^    make (\w+)$", README, flags=re.MULTILINE)
-    assert commands == ["analyze", "test"]
+    commands = [line for line in shell(ROOT / "README.md") if line.startswith("make ")]
+    assert commands == ["make analyze", "make test"]
     makefile = (ROOT / "Makefile").read_text()
-    for target in commands:
-        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE)
+    for command in commands:
+        assert re.search(rf"^{command.split()[1]}:", makefile, flags=re.MULTILINE)
 
 
 def test_the_table_of_variants_is_true() -> None:
@@ -77,48 +94,73 @@ def commands(text: str) -> list[str]:
     spans = re.findall(r"`(pupper-analysis [a-z][^`]*)`", text)
     joined = text.replace("\\\n", " ")
     lines = re.findall(r"^(?: {4}|\$ |- run: )?(pupper-analysis .*)$", joined, re.M)
-    return sorted({re.split(r"\s+[#>]", command)[0].strip() for command in [*spans, *lines]})
-
-
-README_COMMANDS = [
-    pytest.param(command, marks=pytest.mark.slow if command.split()[1] in ("best", "push") else ())
-    for command in commands(README)
-    # The first two are run by test_cli; a page is served until it is ended: by test_live_browser.
-    if "mini_cheetah" not in command and command.split()[1] not in ("analyze", "live")
-]
+    return sorted(
+        {re.split(r"\s+(?:[#>]|\|\s)", command)[0].strip() for command in [*spans, *lines]}
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", README_COMMANDS)
-def test_a_command_runs(command: str, tmp_path: Path) -> None:
-    urdf, mjcf = pa.write_variant("heavy", tmp_path / "written")
-    (tmp_path / "robot.urdf").write_bytes(urdf.read_bytes())
-    (tmp_path / "robot.xml").write_bytes(mjcf.read_bytes())
-    pair = '[[pair]]\nname = "robot"\nurdf = "robot.urdf"\nmjcf = "robot.xml"\n'
-    (tmp_path / "pupper-analysis.toml").write_text(pair)
-    for example in (ROOT / "examples").glob("*.toml"):
-        (tmp_path / example.name).write_bytes(example.read_bytes())
-    arguments = shlex.split(command.replace("FILE", "robot.urdf"))[1:]
-    if "HEAD:" in command:
-        who = ["-c", "user.name=a", "-c", "user.email=a@example.com"]
-        for git in (["init"], ["add", "robot.urdf"], [*who, "commit", "--message=robot"]):
-            subprocess.run(["git", *git], cwd=tmp_path, check=True)
-    result = answer(*arguments, folder=tmp_path)
+@pytest.mark.parametrize("command", ["crosscheck", "audit", "convert", "stand", "payload"])
+def test_a_command_of_the_readme_runs_as_pasted(command: str, checkout: Path) -> None:
+    """The page of ``live`` is served until it is ended: see tests of the browser."""
+    lines = [line for line in shell(ROOT / "README.md") if f"pupper-analysis {command} " in line]
+    assert len(lines) == 1
+    arguments = shlex.split(lines[0])[1:]
+    result = answer(*arguments, folder=checkout)
     assert result.returncode == 0, result.stderr + result.stdout
     for option, file in pairwise(arguments):
-        if option in ("--figure", "--csv"):
-            assert (tmp_path / file).is_file()
+        if option in ("--report", "-o"):
+            assert (checkout / file).is_file()
 
 
-def test_all_commands_about_stances_are_in_the_readme() -> None:
-    named = {command.split()[1] for command in commands(README)}
-    assert named | {"view", "drop"} == set(cli.group.commands)
+@pytest.mark.longest
+def test_the_tutorial_goes_as_it_says(checkout: Path) -> None:
+    """Every line in its order; all but two end well, and these with the status it tells."""
+    expected = {"broken.urdf mjcf": 1, "--roll 20deg": 2}
+    lines = [
+        line for line in shell(TUTORIAL) if line.split()[0] in ("pupper-analysis", "mkdir", "sed")
+    ]
+    assert lines == [
+        line
+        for line in shell(ROOT / "docs/zh/tutorial.md")
+        if line.split()[0] not in ("make", "source")
+    ]
+    for line in lines:
+        if line.startswith("pupper-analysis"):
+            result = answer(*shlex.split(line)[1:], folder=checkout)
+            (status,) = [code for part, code in expected.items() if part in line] or [0]
+            assert result.returncode == status, line + result.stderr + result.stdout
+        else:
+            subprocess.run(line, shell=True, cwd=checkout, check=True)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_commands_have_the_options_that_pages_name(page: Path) -> None:
-    for command in commands(page.read_text()):
+def test_the_readme_has_six_commands_and_a_table_of_them() -> None:
+    named = [line.split()[1] for line in shell(ROOT / "README.md") if line.startswith("pupper-")]
+    six = [name for name in named if not name.startswith("-")]
+    assert len(six) == 6
+    assert re.findall(r"^\| \[`([a-z]+)`\]", README, re.M) == six
+
+
+@pytest.mark.parametrize("script", ["analyze_variant", "stand_pupper", "view_pupper"])
+def test_a_script_without_the_environment_says_what_to_do(script: str, tmp_path: Path) -> None:
+    (tmp_path / "pupper_analysis").mkdir()
+    (tmp_path / "pupper_analysis/__init__.py").write_text("import no_such_package")
+    result = subprocess.run(
+        [sys.executable, str(ROOT / f"scripts/{script}.py"), "--help"],
+        env={"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2
+    assert "source .venv/bin/activate" in result.stderr
+    assert "no_such_package" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_commands_have_the_options_that_pages_name() -> None:
+    for command in {command for page in PAGES for command in commands(page.read_text())}:
         name, *arguments = shlex.split(command)[1:]
-        assert name in cli.group.commands, command
+        assert name.startswith("-") or name in cli.group.commands, command
         if arguments:
             cli.group.commands[name].make_context(name, arguments)

@@ -91,18 +91,6 @@ CHECKS: Mapping[str, Check] = MappingProxyType(_CHECKS)
 """The function of each rule."""
 
 
-def rules_table() -> str:
-    """Returns all rules as a table in Markdown."""
-    lines = ["| rule | severity | for | what is wrong | why it matters | what to do |"]
-    lines.append("|" + "---|" * 6)
-    for one in RULES.values():
-        where = ", ".join(name.upper() for name in one.formats)
-        cells = (f"`{one.id}`", str(one.severity), where, one.title, one.why, one.todo)
-        row = " | ".join(cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells)
-        lines.append(f"| {row} |")
-    return "\n".join(lines) + "\n"
-
-
 def rule(check: Check) -> Check:
     """Registers a check as that of the rule of its name: ``axis_zero`` of ``axis-zero``."""
     name = check.__name__.replace("_", "-")

@@ -150,7 +150,7 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
             (doc.Name(name), doc.number(mass, ".3f")) for name, mass in analysis.link_masses.items()
         ),
         (text("fixed-links-are-counted"),),
-        (files(robot), page("physics.md", "Scaling a robot")),
+        (files(robot), page("explanation/statics.md", "Scaling a robot")),
     )
 
 
@@ -205,7 +205,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         (*notes, text("effort-origins", origins=origins_text(origins))),
         (
             text("source-joints"),
-            page("conventions.md", "Coordinates"),
+            page("reference/conventions.md", "Coordinates"),
         ),
     )
 
@@ -230,7 +230,7 @@ def _stand(analysis: Analysis) -> doc.Block:
         (task_text(stand.task),),
         (
             text("source-stand"),
-            page("stances.md", "What the simulation says"),
+            page("explanation/verification.md", "Random stances"),
         ),
     )
 
@@ -257,7 +257,7 @@ def _jacobians(analysis: Analysis) -> doc.Block:
         (),
         (
             text("source-jacobians"),
-            page("conventions.md", "Frames and feet"),
+            page("reference/conventions.md", "Frames and feet"),
         ),
     )
 
@@ -299,6 +299,6 @@ def _check(analysis: Analysis) -> doc.Block:
         tuple(map(doc.tell, check.notes)),
         (
             text("source-cross-check"),
-            page("physics.md", "The cross-check"),
+            page("explanation/models.md", "The square"),
         ),
     )

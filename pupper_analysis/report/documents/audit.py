@@ -132,7 +132,7 @@ def _findings(audit: Audit) -> doc.Table:
         ),
         tuple(rows),
         (),
-        (page("audit.md", "What is compared with what"),),
+        (page("explanation/models.md", "The audit"),),
         detail=True,
     )
 

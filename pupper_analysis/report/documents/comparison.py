@@ -174,7 +174,7 @@ def _differences(comparison: Comparison) -> doc.Table:
         ),
         tuple(rows),
         (),
-        (page("disagreement.md", "How to read it"),),
+        (page("explanation/models.md", "Effects, causes, order"),),
         detail=True,
     )
 
@@ -240,5 +240,5 @@ def _quantities(comparison: Comparison) -> doc.Table:
         ),
         tuple(rows),
         (text("engines-agree-on-each-file", worst=agree),) if hidden else (),
-        (page("disagreement.md", "Why the list is complete"),),
+        (page("explanation/models.md", "Why the list is complete"),),
     )

@@ -63,7 +63,7 @@ def load_blocks(
     """
     source = (
         text("source-torques"),
-        page("physics.md", "Standing is not hanging"),
+        page("explanation/statics.md", "Standing is not hanging"),
         proof(verification),
     )
     notes = (
@@ -216,7 +216,7 @@ def _contacts(
             margin=margin,
         )
     )
-    source = page("physics.md", "What the simulator holds: minimum tangential forces")
+    source = page("explanation/statics.md", "Which of them last")
     table = contact_table(statics, more)
     return replace(table, notes=tuple(notes), source=(source, proof(verification)))
 

@@ -36,7 +36,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         quantity_columns(text("with-feed-forward"), text("without")),
         (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
         (),
-        (page("physics.md", "Position servos sag"), proof(run)),
+        (page("explanation/static-deflection.md", "The equilibrium"), proof(run)),
     )
     yield table
     for one, title in zip(
@@ -223,7 +223,7 @@ def simulated_table(run: StandVerification) -> doc.Table:
         quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),
         run_rows([run]),
         (),
-        (page("stances.md", "What the simulation says"), proof(run)),
+        (page("explanation/verification.md", "Random stances"), proof(run)),
         detail=True,
     )
 

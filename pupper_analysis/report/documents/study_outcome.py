@@ -57,7 +57,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _source() -> tuple[doc.Words, ...]:
-    return (page("studies.md", "Understand it"),)
+    return (page("explanation/studies.md", "Sensitivities and tolerances"),)
 
 
 def _variables(outcome: StudyOutcome) -> doc.Table:

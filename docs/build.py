@@ -1,0 +1,38 @@
+"""Builds the site: English, and Chinese in its folder ``zh``. A warning is an error.
+
+    python docs/build.py build/docs
+
+Links within the site are checked as it is built; ``--links`` asks the web for the others, too.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from sphinx.cmd.build import main
+
+DOCS = Path(__file__).resolve().parent
+
+
+def build(folder: Path, *, links: bool = False) -> int:
+    """Writes the site, and returns the exit status: 0 unless there was a warning.
+
+    Args:
+        folder: Gets ``index.html`` and ``zh/index.html``.
+        links: Asks for all addresses outside the site as well.
+    """
+    strict = ["--fail-on-warning", "--keep-going", "--quiet", "--jobs", "2"]
+    cache = folder.parent / "doctrees"
+    status = 0
+    for site, target in ((DOCS, folder), (DOCS / "zh", folder / "zh")):
+        trees = ["-d", str(cache / site.name)]
+        status |= main([*strict, "-b", "html", *trees, str(site), str(target)])
+        if links:
+            status |= main([*strict, "-b", "linkcheck", *trees, str(site), str(cache / "links")])
+    return status
+
+
+if __name__ == "__main__":
+    targets = [argument for argument in sys.argv[1:] if argument != "--links"]
+    sys.exit(build(Path(targets[0]), links="--links" in sys.argv))

@@ -1,0 +1,70 @@
+"""The English site. ``docs/build.py`` builds it, and the Chinese one of ``docs/zh``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import pages  # noqa: E402
+
+import pupper_analysis as pa  # noqa: E402
+
+project = "pupper_analysis"
+author = "the pupper_analysis maintainers"
+copyright = author
+release = version = pa.__version__
+language = "en"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["zh"]
+templates_path = ["_templates"]
+nitpicky = False  # of the types in signatures most are other packages'
+
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 4
+suppress_warnings = ["myst.header"]  # a page may begin below the first level: generated tables do
+
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 88
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+html_theme = "furo"
+html_title = f"pupper_analysis {release}"
+html_static_path: list[str] = []
+html_copy_source = False
+html_show_sphinx = False
+html_sidebars = {
+    "**": [
+        "sidebar/brand.html",
+        "language.html",
+        "sidebar/search.html",
+        "sidebar/scroll-start.html",
+        "sidebar/navigation.html",
+        "sidebar/scroll-end.html",
+    ]
+}
+html_context = {"other_language": ("中文", "zh/index.html")}
+copybutton_prompt_text = "$ "
+
+
+def setup(app: object) -> None:
+    """Writes the generated pages, and has docstrings read as they are written."""
+    words = "zh" if app.config.language.startswith("zh") else "en"  # type: ignore[attr-defined]
+    pages.write(Path(str(app.srcdir)), words)  # type: ignore[attr-defined]
+    app.connect("autodoc-process-docstring", pages.plain_text)  # type: ignore[attr-defined]
+
+
+os.environ.setdefault("PYTHONHASHSEED", "0")

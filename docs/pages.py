@@ -1,0 +1,277 @@
+"""Writes the pages that follow from the package: commands, rules, codes, results, API, tables.
+
+``conf.py`` calls ``write`` before each build. Nothing that it writes is committed, so no page can
+be out of step with the code: ``commands/`` are the argument parser's, ``audit-rules`` and
+``diagnostics`` the catalogue's, ``results`` the meanings that pages show, ``api/`` the docstrings,
+``tables/`` the files of ``docs/data``.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import click
+
+import pupper_analysis as pa
+from pupper_analysis import cli
+from pupper_analysis.checks.audit.registry import RULES
+from pupper_analysis.diagnostics.catalogue import LINED
+from pupper_analysis.report.formats import visible
+
+PACKAGE = Path(pa.__file__).parent
+DATA = Path(__file__).resolve().parent / "data"
+GENERATED = "generated"
+"""The folder of a site's reference with what is written here; git ignores it."""
+
+WORDS = tomllib.loads((Path(__file__).resolve().parent / "words.toml").read_text("utf-8"))
+"""What stands on these pages beside the package's own words, {language: {key: words}}."""
+
+
+def write(site: Path, language: str) -> None:
+    """Writes a site's generated pages; files that would stay as they are are not touched.
+
+    Args:
+        site: The folder of its sources.
+        language: ``en`` or ``zh``.
+    """
+    folder = site / "reference" / GENERATED
+    words = WORDS[language]
+    pages = {
+        "audit-rules.md": audit_rules(words, language),
+        "diagnostics.md": diagnostic_codes(words, language),
+        "results.md": result_fields(words, language),
+    }
+    if language == "en":
+        pages |= command_pages() | api_pages() | table_pages()
+    for old in folder.rglob("*.*"):
+        if old.relative_to(folder).as_posix() not in pages:
+            old.unlink()
+    for name, text in pages.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+# ---------------------------------------------------------------------------------- small parts
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Returns a text as the cell of a Markdown table holds it."""
+    return visible(" ".join(text.split())).replace("|", "\\|").replace("<", "&lt;")
+
+
+def _plain(text: str) -> str:
+    """Returns a text of which Markdown takes no letter for its own, outside `code`."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:  # a backtick that stands alone
+        parts = [text.replace("`", "\\`")]
+    marked = [re.sub(r"([*_\[\]#$]|\\(?!`))", r"\\\1", part) for part in parts[::2]]
+    parts[::2] = marked
+    return "`".join(parts)
+
+
+def _toctree(names: Iterable[str], depth: int = 1) -> str:
+    return f"```{{toctree}}\n:maxdepth: {depth}\n\n" + "\n".join(names) + "\n```\n"
+
+
+# ------------------------------------------------------------------- the catalogue of diagnostics
+
+
+def audit_rules(words: Mapping[str, Any], language: str) -> str:
+    """Returns the page of the audit's rules."""
+    rows = []
+    for rule in RULES.values():
+        said = rule.chinese if language == "zh" else vars(rule)
+        where = ", ".join(name.upper() for name in rule.formats)
+        words_of = (_plain(said[key]) for key in ("title", "why", "todo"))
+        rows.append((f"`{rule.id}`", str(rule.severity), where, *words_of))
+    return f"# {words['rules']}\n\n{words['rules-about']}\n\n" + _table(words["rule-columns"], rows)
+
+
+def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
+    """Returns the page of all codes, with the words of their entries."""
+    parts = [f"# {words['codes']}\n\n{words['codes-about']}\n"]
+    for path in sorted((PACKAGE / "diagnostics/catalogue").glob("*.toml")):
+        if path.name not in LINED:
+            entries = tomllib.loads(path.read_text("utf-8"))
+            rows = [
+                (f"`{code}`", entry.get("severity", "note"), _plain(_readable(entry[language])))
+                for code, entry in entries.items()
+            ]
+            parts.append(f"## {path.stem}\n\n" + _table(words["code-columns"], rows))
+    return "\n".join(parts)
+
+
+def _readable(template: str) -> str:
+    """Returns a template of the catalogue with its values named, and all that is optional said."""
+    text = re.sub(r"\[!?\w+\?([^\[\]]*)\]", r"\1", template)
+    text = re.sub(r"\{\w+\|[^{}|]*\|([^{}|]*)\}", r"\1", text)
+    return re.sub(r"\{(\w+)[^{}]*\}", r"⟨\1⟩", text)
+
+
+def result_fields(words: Mapping[str, Any], language: str) -> str:
+    """Returns the page of what the fields of results mean."""
+    meanings = tomllib.loads((PACKAGE / "diagnostics/catalogue/meanings.toml").read_text("utf-8"))
+    parts = [f"# {words['results']}\n\n{words['results-about']}\n"]
+    for name, fields in sorted(meanings.items()):
+        rows = [(f"`{field}`", _plain(said[language])) for field, said in fields.items()]
+        parts.append(f"## {name}\n\n" + _table(words["result-columns"], rows))
+    return "\n".join(parts)
+
+
+# --------------------------------------------------------------------------------- command line
+
+
+def command_pages() -> dict[str, str]:
+    """Returns a page for each command, and their list."""
+    commands = cli.group.commands
+    pages = {f"commands/{name}.md": _command(name, command) for name, command in commands.items()}
+    lines = [f"# {WORDS['en']['commands']}", ""]
+    for name, command in commands.items():
+        lines.append(f"- [`{name}`](commands/{name}.md): {command.get_short_help_str(100)}")
+    lines += ["", WORDS["en"]["commands-about"], ""]
+    return pages | {
+        "commands.md": "\n".join(lines) + "\n" + _toctree([f"commands/{name}" for name in commands])
+    }
+
+
+def _command(name: str, command: click.Command) -> str:
+    context = click.Context(command, info_name=f"pupper-analysis {name}")
+    usage = " ".join(command.collect_usage_pieces(context))
+    parts = [f"# {name}", f"```text\npupper-analysis {name} {usage}\n```"]
+    for paragraph in re.split(r"\n\s*\n", command.help or ""):
+        lines = [line.strip("\b") for line in paragraph.splitlines()]
+        text = "\n".join(line.strip() for line in lines if line.strip())
+        if "\b" in paragraph and "pupper-analysis " in paragraph:
+            parts.append("```sh\n" + "\n".join(text.splitlines()[1:]) + "\n```")
+        elif "\b" in paragraph:
+            parts.append("```text\n" + text + "\n```")
+        elif text:
+            parts.append(_plain(text))
+    rows = []
+    for option in command.params:
+        record = option.get_help_record(context)
+        if record is not None and isinstance(option, click.Option):
+            rows.append((f"`{record[0]}`", _plain(record[1])))
+    return "\n\n".join(parts) + "\n\n" + _table(("Option", "Does"), rows)
+
+
+# ------------------------------------------------------------------------------------------ API
+
+
+def api_pages() -> dict[str, str]:
+    """Returns the pages of the public interface: the package's own names, and its modules."""
+    homes: dict[str, list[str]] = defaultdict(list)
+    modules: list[ModuleType] = []
+    for name in pa.__all__:
+        value = getattr(pa, name)
+        if isinstance(value, ModuleType):
+            modules.append(value)
+        else:
+            homes[_room(value, name)].append(name)
+    pages = {f"api/{room}.md": _api(room, names) for room, names in homes.items()}
+    for module in modules:
+        short = module.__name__.removeprefix(f"{pa.__name__}.")
+        pages[f"api/{short}.md"] = _module(module, short)
+    first = f"# {WORDS['en']['api']}\n\n{WORDS['en']['api-about']}\n\n"
+    names = sorted(name.removesuffix(".md") for name in pages)
+    return pages | {"api.md": first + _toctree(names, 2)}
+
+
+def _room(value: object, name: str) -> str:
+    """Returns the room in which a public name is at home."""
+    home = getattr(value, "__module__", "") or ""
+    if not home.startswith(pa.__name__):
+        home = f"{pa.__name__}.{pa._HOME[name]}" if hasattr(pa, "_HOME") else pa.__name__
+    parts = home.split(".")
+    return parts[1] if len(parts) > 1 else "errors"
+
+
+def _api(room: str, names: Sequence[str]) -> str:
+    module = import_module(f"{pa.__name__}.{room}")
+    about = (module.__doc__ or "").strip().split("\n\n")[0]
+    lines = [f"# {room}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
+    lines += [f".. currentmodule:: {pa.__name__}", ""]
+    for name in sorted(names, key=lambda one: (one[0].isupper(), one)):
+        lines += _directive(pa.__name__, name, getattr(pa, name))
+    return "\n".join([*lines, "```", ""])
+
+
+def _module(module: ModuleType, short: str) -> str:
+    names = getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")])
+    about = (module.__doc__ or "").strip().split("\n\n")[0]
+    lines = [f"# pa.{short}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
+    for name in names:
+        lines += _directive(module.__name__, name, getattr(module, name))
+    return "\n".join([*lines, "```", ""])
+
+
+def _directive(module: str, name: str, value: object) -> list[str]:
+    full = f"{module}.{name}"
+    if isinstance(value, type):
+        return [f".. autoclass:: {full}", "   :members:", ""]
+    if callable(value):
+        return [f".. autofunction:: {full}", ""]
+    return [f".. autodata:: {full}", "   :no-value:", ""]
+
+
+def plain_text(*event: Any) -> None:
+    """Has Sphinx take docstrings as they are written: ``*``, ``|x|``, ``name_`` are no markup.
+
+    Args:
+        event: What ``autodoc-process-docstring`` passes; the last is the lines, which are changed.
+    """
+    lines: list[str] = event[-1]
+    literal: int | None = None
+    for index, line in enumerate(lines):
+        indent = len(line) - len(line.lstrip())
+        if literal is not None and line.strip() and indent <= literal:
+            literal = None
+        if literal is None:
+            lines[index] = _unmarked(line)
+            if line.rstrip().endswith("::"):
+                literal = indent
+
+
+def _unmarked(line: str) -> str:
+    """Returns a line with all that stands outside ``literals`` and roles taken as plain text."""
+    parts = re.split(r"(``.*?``|:\w+:`[^`]*`|^\s*:[^:]+:\s|^\s*\.\. .*$)", line)
+    return "".join(
+        part if index % 2 else re.sub(r"(?<!\\)([*|`]|_(?!\w))", r"\\\1", part)
+        for index, part in enumerate(parts)
+    )
+
+
+# --------------------------------------------------------------------------------------- tables
+
+
+def table_pages() -> dict[str, str]:
+    """Returns a page for each file of ``docs/data``, and their list.
+
+    ``tables.toml`` has of each a title, what it says and the command that measures it.
+    """
+    tables = tomllib.loads((DATA / "tables.toml").read_text("utf-8"))
+    pages = {}
+    for name, table in tables.items():
+        with (DATA / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+            header, *rows = csv.reader(file)
+        text = f"# {table['title']}\n\n{table['about']}\n\n"
+        if "command" in table:
+            text += f"```sh\n{table['command']}\n```\n\n"
+        pages[f"tables/{name}.md"] = text + _table(header, [map(_plain, row) for row in rows])
+    first = f"# {WORDS['en']['tables']}\n\n{WORDS['en']['tables-about']}\n\n"
+    return pages | {"tables.md": first + _toctree([f"tables/{name}" for name in tables])}

@@ -1,0 +1,15 @@
+"""The Chinese site: the same settings as the English one, of ``docs/conf.py``."""
+
+from __future__ import annotations
+
+import logging
+import runpy
+from pathlib import Path
+
+globals().update(runpy.run_path(str(Path(__file__).resolve().parents[1] / "conf.py")))
+
+language = "zh_CN"
+exclude_patterns: list[str] = []
+logging.getLogger("jieba").setLevel(logging.WARNING)  # it tells that it loads its dictionary
+templates_path = ["../_templates"]
+html_context = {"other_language": ("English", "../index.html")}
