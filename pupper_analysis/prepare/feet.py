@@ -231,7 +231,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}
     _name_geoms(spec)
-    compiled = spec.compile()
+    compiled = spec.copy().compile()  # which may lack what is only seen
     names: dict[str, tuple[str, str]] = {}
     soles: dict[str, tuple[str, ...]] = {}
     geoms: dict[str, tuple[str, float]] = {}

@@ -33,8 +33,9 @@ from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import solvable
 from pupper_analysis.prepare.start_pose import started
+from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
 from pupper_analysis.results import Result
-from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.build import build_robot, rebuilt
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
@@ -110,6 +111,8 @@ def _altered(draft: Draft) -> bool:
 def _name_elements(draft: Draft) -> Made:
     spec = draft.spec.copy()
     name_all(spec, set())
+    if draft.request.feet is None:  # a foot may be named by a shape that is only seen
+        leave_out_visuals(spec)
     known = start.chosen(draft.mjcf, start.keyframes(spec), draft.request.keyframe)
     return replace(draft, spec=spec, keyframes=known), ()
 
@@ -279,6 +282,14 @@ def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     return replace(built, description=described), told
 
 
+def _build_whole(draft: Draft) -> Made:
+    robot = draft.robot
+    spec = robot.description.mjcf.copy()
+    if not take_visuals_of(spec, draft.mjcf.spec):
+        return draft, ()
+    return replace(draft, built=rebuilt(robot, mjcf=spec)), ()
+
+
 PASSES = (
     Pass("name-elements", Term("names bodies and joints that have none"), _name_elements, _any),
     Pass("free-base", Term("frees the base of a robot with limbs"), _free_base, _free),
@@ -346,6 +357,7 @@ PASSES = (
         _on_feet,
     ),
     Pass("add-servos", Term("adds position servos that bring it to rest"), _add_servos, _altered),
+    Pass("build-whole", Term("builds the robot with all that is seen of it"), _build_whole, _any),
 )
 """In the order in which they are run."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import mujoco
@@ -244,7 +244,8 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
         shapes, goal, found = shapes_of(robot), goal_of(robot, task, {}), None
     except ConfigurationError:
         return None  # the margin leaves nothing of a joint's range
-    seeds = [pose if task.ik_seed is None else np.array(task.ik_seed), *_bent(robot, goal, pose)]
+    first = pose if task.ik_seed is None else np.array(task.ik_seed)
+    seeds: Iterable[Array] = itertools.chain([first], _bent(robot, goal, pose))
     for _ in range(_CALMING):
         stand = _first_solved(shapes, goal, seeds)
         if stand is None:
@@ -256,15 +257,18 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     return found
 
 
-def _bent(robot: Robot, goal: Goal, pose: Array) -> list[Array]:
-    """Returns joint positions (nu,) with the legs bent in the first ways that reach the ground."""
+def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
+    """Yields joint positions (nu,) with the legs bent in the first ways that reach the ground.
+
+    Nothing is looked for before the first is asked for: mostly the pose itself will do.
+    """
     qpos = robot.posed(pose)
     qpos[:3] = (*goal.place, goal.height)
     found = branches(robot, qpos, goal.targets, goal.lower, goal.upper)
-    return list(itertools.islice(combinations(found, pose), _WAYS))
+    yield from itertools.islice(combinations(found, pose), _WAYS)
 
 
-def _first_solved(shapes: Shapes, goal: Goal, seeds: Sequence[Array]) -> Stand | None:
+def _first_solved(shapes: Shapes, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
     """Returns the first solved stand from some joint positions (nu,); not all that there may be."""
     solver = Solver(shapes, goal)
     for joints in seeds:

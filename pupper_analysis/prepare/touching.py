@@ -10,6 +10,7 @@ import mujoco
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.prepare import start
+from pupper_analysis.prepare.visuals import geoms_by_id
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sunk import sunk_stand
@@ -46,9 +47,8 @@ def on_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     if not beside:
         return robot, []
     spec = robot.description.mjcf.copy()
-    spec.compile()
-    for geom in spec.geoms:
-        if geom.id in beside:
+    for index, geom in geoms_by_id(spec).items():
+        if index in beside:
             geom.contype = geom.conaffinity = 0
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")

@@ -114,6 +114,7 @@ def _laid(
         return floors[0], []
     numbers = [next(i for i, g in enumerate(spec.geoms) if g == floor) for floor in floors]
     mine = spec.copy()
+    mine.compiler.discardvisual = False  # which would take geoms out, and so change their order
     with quiet():
         model = mine.compile()
     data = mujoco.MjData(model)
