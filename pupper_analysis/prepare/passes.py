@@ -35,7 +35,7 @@ from pupper_analysis.prepare.solver import solvable
 from pupper_analysis.prepare.start_pose import started
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
 from pupper_analysis.results import Result
-from pupper_analysis.robot.build import build_robot, rebuilt
+from pupper_analysis.robot.build import build_robot, like
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
@@ -287,7 +287,9 @@ def _build_whole(draft: Draft) -> Made:
     spec = robot.description.mjcf.copy()
     if not take_visuals_of(spec, draft.mjcf.spec):
         return draft, ()
-    return replace(draft, built=rebuilt(robot, mjcf=spec)), ()
+    whole = replace(robot.description, mjcf=spec)
+    built = build_robot(whole, fixed_base=draft.request.fixed_base)
+    return replace(draft, built=like(built, robot)), ()
 
 
 PASSES = (

@@ -139,7 +139,7 @@ def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
         best: tuple[list[Stand], Robot] = [], robot
         for pose in poses:
             placed = replace(robot, nominal=pose, home=np.concatenate([robot.home[:7], pose]))
-            stands = _longest_run(placed, pose, margin)
+            stands = _longest_run(placed, pose, margin, len(best[0]))
             best = max(best, (stands, placed), key=lambda found: len(found[0]))
         stands, placed = best
         if stands:
@@ -179,22 +179,35 @@ def _drawn_in(robot: Robot, pose: Array) -> Array:
     return next(combinations(found, pose), pose)
 
 
-def _longest_run(robot: Robot, pose: Array, margin: float) -> list[Stand]:
-    """Returns stands at heights, from high to low, without one between them out of reach."""
-    qpos = robot.posed(pose)
-    length = leg_length(robot, qpos)
-    runs: list[list[Stand]] = [[]]
-    for height in length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS):
-        if height <= 0:
-            break
-        seed = runs[-1][-1].joint_positions(robot).tolist() if runs[-1] else None
-        task = StandTask(height=float(height), ik_seed=seed, joint_margin=margin)
+def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
+    """Returns stands at heights, from high to low, without one between them out of reach.
+
+    Args:
+        robot: The robot.
+        pose: (nu,) where its joints are to be, as far as its feet let them.
+        margin: How far off their limits (rad).
+        known: As many stands as this are known: fewer are of no use.
+    """
+    length = leg_length(robot, robot.posed(pose))
+    heights = [float(h) for h in length * np.linspace(_HIGHEST, _LOWEST, _HEIGHTS) if h > 0]
+
+    def stand_at(height: float, seed: Stand | None = None) -> Stand | None:
+        joints = None if seed is None else seed.joint_positions(robot).tolist()
+        task = StandTask(height=height, ik_seed=joints, joint_margin=margin)
         stand = _calm(robot, task, pose)
-        if stand is not None and clear_of_ground(robot, stand):
-            runs[-1].append(stand)
-        elif runs[-1]:
-            runs.append([])
-    return max(runs, key=len)
+        return stand if stand is not None and clear_of_ground(robot, stand) else None
+
+    # A longer run has one of these heights in it.
+    if known and not any(stand_at(height) for height in heights[known :: known + 1]):
+        return []
+    longest, current = list[Stand](), list[Stand]()
+    for number, height in enumerate(heights):
+        if len(current) + len(heights) - number <= max(len(longest), known):
+            break
+        stand = stand_at(height, current[-1] if current else None)
+        current = [] if stand is None else [*current, stand]
+        longest = max(longest, current, key=len)
+    return longest
 
 
 def touching(robot: Robot, stand: Stand, deeper: float) -> set[int]:

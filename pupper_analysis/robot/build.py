@@ -124,7 +124,11 @@ def rebuilt(robot: Robot, **changes: Any) -> Robot:
     Raises:
         ModelError: If a model cannot be built.
     """
-    built = build_robot(replace(robot.description, **changes))
+    return like(build_robot(replace(robot.description, **changes)), robot)
+
+
+def like(built: Robot, robot: Robot) -> Robot:
+    """Returns a robot that was built anew with what is known of it, and is in no description."""
     return replace(
         built,
         stand_height=robot.stand_height,

@@ -56,7 +56,7 @@ SOFT = 1e-4
 """Ground into which feet sink deeper than their stand has them by this is soft (m)."""
 
 _SAMPLE = 0.02  # s between the states that are looked at closely
-_NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
+NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
 
@@ -223,7 +223,7 @@ def _time_after(duration: float, nudged: float | None) -> float:
     """
     most = duration - LAST
     if nudged is None:
-        return min(_NUDGED * duration, most)
+        return min(NUDGED * duration, most)
     if not 0 <= nudged <= most:
         problem = diagnose("not-between", given=f"{nudged} s", low=0, high=Quantity(most, "s"))
         raise ConfigurationError("nudged", problem)

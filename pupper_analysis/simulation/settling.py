@@ -1,0 +1,179 @@
+"""Does a robot come to rest where it stands: simulated no longer than it takes to know.
+
+`verify_stand` tells what a stand is, over 12 s; this tells yes or no, of many servos.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.robot.fall import has_collapsed, travelled
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.stability import LASTING, Stability
+from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.nudge import nudged_states, response
+from pupper_analysis.simulation.rollout import STATE, Standing, run, standing
+from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.verify import NUDGED, RESTING, SETTLED_DRIFT
+from pupper_analysis.simulation.watch import LAST
+from pupper_analysis.stance.stand import Stand
+
+Array = NDArray[np.float64]
+
+STILL = 2e-4
+"""Height of the base that is at rest deviates by no more than this in a second (m)."""
+
+STAYED = 5e-3
+"""Feet of a robot that does not shake have moved by no more than this (m)."""
+
+UPRIGHT = 0.1
+"""A robot that leans by more on its servos is not held up by them (rad)."""
+
+_SURE = 0.25
+"""What is below this part of each bound after two seconds is at rest; the spectrum says whether it
+stays so."""
+
+_LOST = 2.0
+"""Feet that have moved by so many times the bound do not come back: friction holds them."""
+
+_FORGOTTEN = 3.0
+"""Time constants of the slowest swing in which it is seen that a nudge is forgotten: a twentieth is
+left."""
+
+_BRIEF = 1.5
+"""Time that is looked at after a nudge, at least (s): what leaves its place at a nudge of 1 mm/s
+does so within a second."""
+
+_SAMPLE = 0.02  # s between the states at whose feet is looked
+
+
+@dataclass(frozen=True, eq=False)
+class _Second:
+    """A second of a simulation.
+
+    Attributes:
+        states: (n, size) after each step.
+        deviation: Standard deviation of the base's height (m).
+        drift: Its rate (m/s).
+        slip: The greatest way of a foot from its target over the ground, on average (m).
+    """
+
+    states: Array
+    deviation: float
+    drift: float
+    slip: float
+
+    def rests(self, share: float = 1.0) -> bool:
+        """Tells whether all is within a share of its bound."""
+        return (
+            self.deviation < share * STILL
+            and abs(self.drift) <= share * SETTLED_DRIFT
+            and self.slip <= share * STAYED
+        )
+
+
+def comes_to_rest(
+    robot: Robot,
+    stand: Stand,
+    *,
+    feedforward: bool = True,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> bool:
+    """Tells whether a robot comes to rest where it stands, and again after a nudge.
+
+    It settles for as long as ``verify_stand`` lets it, or until it is at rest for sure, or lost;
+    then no mode of the step's spectrum may grow within ``LASTING``, and a nudge must be forgotten.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        feedforward: Command ctrl = q* + tau / kp instead of ctrl = q*.
+        kp: Servo stiffness (N m/rad); the model's own by default.
+        kd: Servo damping (N m s/rad); the model's own by default.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range.
+        ModelError: If the model has no servos and no gains are given.
+        StaticsInfeasibleError: If no contact forces balance the stand.
+    """
+    held = standing(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
+    last = _settled(held)
+    if last is None:
+        return False
+    model, state = held.drive.model, last.states[-1]
+    judged = judged_at(held.drive, state, held.ctrl, 0.0)
+    if judged.speed > RESTING:
+        judged = judged_at(held.drive, held.start, held.ctrl)
+    if not judged.lasts():
+        return False
+    later = nudged_states(model, state, held.ctrl, _time_to_forget(judged))
+    if monitor.diverged(later, float(model.opt.timestep)):
+        return False
+    nudge = response(model, state, later, last.states)
+    return nudge.decayed and nudge.stays and not _falls(held, later[-1])
+
+
+def _time_to_forget(stability: Stability) -> float:
+    """Returns for how long a nudge is looked at (s)."""
+    slowest = stability.least_damped
+    constant = 0.0 if slowest is None else slowest.time_constant
+    return min(max(_FORGOTTEN * constant, _BRIEF), NUDGED * LASTING)
+
+
+def _settled(held: Standing) -> _Second | None:
+    """Simulates a stand until it is at rest; returns its last second, None if it comes to none."""
+    model, state = held.drive.model, held.start
+    steps = round(LAST / float(model.opt.timestep))
+    seconds = round((1 - NUDGED) * LASTING / LAST)
+    ctrl = np.tile(held.ctrl, (steps, 1))
+    data = mujoco.MjData(model)
+    for number in range(1, seconds + 1):
+        states = run(model, state, ctrl)
+        state = states[-1]
+        if monitor.diverged(states, float(model.opt.timestep)):
+            return None
+        seen = _looked_at(held, data, states)
+        if seen.slip > _LOST * STAYED or _collapses(held, state):
+            return None
+        if number > 1 and seen.rests(_SURE):
+            return seen
+    return seen if seen.rests() else None
+
+
+def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Second:
+    robot, stand, model = held.robot, held.stand, held.drive.model
+    heights = monitor.base_heights(robot, states)
+    step = max(1, round(_SAMPLE / model.opt.timestep))
+    total, looks = {foot: np.zeros(3) for foot in stand.stance_feet}, states[::-step]
+    for state in looks:
+        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_kinematics(model, data)
+        centres = monitor.foot_centres(robot, data)
+        for foot in total:
+            total[foot] += centres[foot]
+    slips = [stand.foot_targets[foot] - place / len(looks) for foot, place in total.items()]
+    duration = float(model.opt.timestep) * (len(states) - 1)
+    return _Second(
+        states=states,
+        deviation=float(heights.std()),
+        drift=float(heights[-1] - heights[0]) / duration,
+        slip=max(float(np.linalg.norm(slip[:2])) for slip in slips),
+    )
+
+
+def _falls(held: Standing, state: Array) -> bool:
+    turned = monitor.turned_by(held.robot, held.stand.task.rotation(), state)
+    return turned > UPRIGHT or _collapses(held, state)
+
+
+def _collapses(held: Standing, state: Array) -> bool:
+    robot, stand = held.robot, held.stand
+    leaning = monitor.lean(robot, stand.task.rotation(), state)
+    place = state[1 + robot.mj_convention.qpos_index[:3]]
+    away = travelled(stand.qpos[:3], place)
+    return has_collapsed(leaning, float(stand.qpos[2]), float(place[2]), away)
