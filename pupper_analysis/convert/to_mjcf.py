@@ -21,7 +21,6 @@ from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.repair import mend_inertials, repaired_urdf
-from pupper_analysis.convert.servo_gains import held_gains, stand_gains
 from pupper_analysis.convert.tidy import put_defaults, to_text
 from pupper_analysis.convert.xml_text import element, words
 from pupper_analysis.diagnostics import Diagnostic, diagnose
@@ -31,6 +30,7 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.drives import span
 from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.prepare.servo_tuning import held_gains, stand_gains
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sunk import sunk_stand

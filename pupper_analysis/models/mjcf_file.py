@@ -117,8 +117,12 @@ class MjcfFile:
         found = [node.place for top in tops for node in top.children]
         return found[number] if number < len(found) else Place(self.path)
 
-    def compile(self) -> mujoco.MjModel:
-        """Returns what MuJoCo compiles the file to, as it is (without what files are missing for).
+    @property
+    def model(self) -> mujoco.MjModel:
+        """What MuJoCo compiles the file to, as it is (without what files are missing for).
+
+        It is shared, not to be changed; ``compile`` gives a copy, which takes as long as its meshes
+        are large.
 
         Raises:
             ModelError: If MuJoCo refuses it; the message is MuJoCo's.
@@ -127,7 +131,15 @@ class MjcfFile:
             problem, place = self.refusal
             raise refusal(place, problem)
         assert self._model is not None
-        return copy.copy(self._model)
+        return self._model
+
+    def compile(self) -> mujoco.MjModel:
+        """Returns a copy of ``model``.
+
+        Raises:
+            ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+        """
+        return copy.copy(self.model)
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:

@@ -11,28 +11,9 @@ from pupper_analysis.matching.match import Match
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare.ready import ready_robot
+from pupper_analysis.prepare.request import Request
 from pupper_analysis.robot.robot import Robot
-
-
-@dataclass(frozen=True, eq=False)
-class Request:
-    """What is asked for when a robot is loaded.
-
-    Attributes:
-        feet: {foot: its frames in URDF and MJCF}; None: they are looked for.
-        fixed_base: Whether the base is fixed in the world.
-        name: The robot's name; None: the MJCF's.
-        joints: {joint in the URDF: joint in the MJCF}.
-        keyframe: The MJCF's keyframe to start from; None: the first in which the robot stands.
-        as_is: Whether no servos are added, and no shapes altered.
-    """
-
-    feet: Mapping[str, tuple[str, str]] | None = None
-    fixed_base: bool = False
-    name: str | None = None
-    joints: Mapping[str, str] | None = None
-    keyframe: str | None = None
-    as_is: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +28,7 @@ class Draft:
         keyframes: {name: {joint: position}} of the MJCF's that may be started from.
         found: Whose joint is whose; from the pass ``match`` on.
         description: Both files made alike; from the pass ``match`` on.
+        ready: The robot of both files as they are, if they are ready: then no pass applies.
         built: The robot; from the pass ``build`` on.
     """
 
@@ -57,7 +39,17 @@ class Draft:
     keyframes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     found: Match | None = None
     description: Description | None = None
+    ready: Robot | None = None
     built: Robot | None = None
+
+    @classmethod
+    def of(cls, urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Draft:
+        """Begins with two files.
+
+        Raises:
+            ModelError: If they are ready, and make no robot.
+        """
+        return cls(urdf, mjcf, request, mjcf.spec, ready=ready_robot(urdf, mjcf, request))
 
     @property
     def match(self) -> Match:
@@ -74,5 +66,6 @@ class Draft:
     @property
     def robot(self) -> Robot:
         """The robot."""
-        assert self.built is not None
-        return self.built
+        made = self.built or self.ready
+        assert made is not None
+        return made

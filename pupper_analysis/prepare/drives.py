@@ -10,12 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import linalg
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
+from pupper_analysis.prepare.servo_tuning import suggested_gains
 from pupper_analysis.robot.build import rebuilt
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
 from pupper_analysis.simulation.causes import too_stiff
@@ -39,21 +38,10 @@ that are not as stiff; softer ones let a biped's ankles tip over."""
 _BRIEF = 2.0
 """Simulated time after which what holds exactly as computed has done so for a second (s)."""
 
-_FASTEST = 1.5
-"""Greatest frequency of a joint by itself on its servo, per time step (rad): MuJoCo's steps diverge
-at 2."""
-
-_LEAST_LEVER = 0.02
-"""Stretched legs hold no torque; servos are made for at least the weight at this part of the base's
-height."""
-
 _FINER = (1, 2, 4)
 """Parts into which the model's time step is divided, the first with which the robot comes to rest.
 A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and
 the ground at 2 ms, and is at rest at 0.5 ms."""
-
-_DAMPING_TIME = 0.05
-"""kd / kp of the suggested servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
 
 
 def following(robot: Robot) -> list[int]:
@@ -103,11 +91,11 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
         spec.option.timestep /= parts
         return rebuilt(robot, mjcf=spec, efforts=stated)
 
-    kp, kd = _kept(robot, own, *_gains(robot, stand.qpos, torques, _SAGS[0], 1))
+    kp, kd = _kept(robot, own, *suggested_gains(robot, stand, torques, _SAGS[0]))
     trial = built(kp, kd, 1)
     timestep = float(trial.mj_model.opt.timestep)
     candidates = [
-        (parts, *_kept(robot, own, *_gains(robot, stand.qpos, torques, sag, parts)))
+        (parts, *_kept(robot, own, *suggested_gains(robot, stand, torques, sag, parts)))
         for parts, sag in itertools.product(_FINER, _SAGS)
     ]
 
@@ -133,6 +121,8 @@ def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
 
     They are the robot's, and so they stay as they are.
     """
+    if comes_to_rest(robot, stand):
+        return None
     fallen = verify_stand(robot, stand)
     if not _falls(fallen):
         return None
@@ -152,7 +142,7 @@ def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
             )
     for sag in () if _another(robot, fallen) else _SAGS:
         kp, kd = (
-            np.full(robot.nu, gains.min()) for gains in _gains(robot, stand.qpos, torques, sag, 1)
+            np.full(robot.nu, gains.min()) for gains in suggested_gains(robot, stand, torques, sag)
         )
         if _rests(robot, stand, kp, kd, ways=(True,)):
             return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=kp[0], kd=kd[0])
@@ -176,19 +166,23 @@ def _rests(robot: Robot, stand: Stand, kp: Array, kd: Array, ways: Sequence[bool
     fall that fall, within a second or two; then the spectra of the step in the stand and where it
     is predicted to rest.
     """
-    gains = {"kp": kp, "kd": kd}
 
     def lasts(feedforward: bool) -> bool:
         with contextlib.suppress(NoEquilibriumError):  # a simulation tells
-            near = stand_stability(robot, stand, feedforward=feedforward, **gains)
+            near = stand_stability(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
             return near.lasts() or not near.at_rest
         return True
 
     return (
-        (False not in ways or comes_to_rest(robot, stand, feedforward=False, **gains))
+        (False not in ways or comes_to_rest(robot, stand, feedforward=False, kp=kp, kd=kd))
         and all(lasts(feedforward) for feedforward in ways)
-        and (True not in ways or comes_to_rest(robot, stand, **gains))
+        and (True not in ways or comes_to_rest(robot, stand, kp=kp, kd=kd))
     )
+
+
+def _falls(seen: StandVerification) -> bool:
+    """Tells whether a robot does not stay up; MuJoCo begins anew where a simulation diverges."""
+    return seen.tilt > UPRIGHT or seen.collapses
 
 
 def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
@@ -211,58 +205,10 @@ def _another(robot: Robot, seen: StandVerification) -> bool:
     return seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 
-def _gains(
-    robot: Robot, qpos: Array, torques: Array, sag: float, parts: int
-) -> tuple[Array, Array]:
-    """Returns stiffness (N m/rad) and damping (N m s/rad), (nu,) each.
-
-    Args:
-        robot: The robot.
-        qpos: (nq,) the stand.
-        torques: (nu,) what holds it (N m).
-        sag: What the joint that holds most gives way (rad).
-        parts: Into which the model's time step is divided.
-    """
-    inertia = _inertia(robot, qpos)
-    timestep = float(robot.mj_model.opt.timestep) / parts
-    most = inertia * (_FASTEST / timestep) ** 2
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    most_torque = max(float(np.abs(torques).max()), _LEAST_LEVER * weight * robot.stand_height)
-    wanted = np.full(robot.nu, most_torque / sag)
-    if robot.closure is not None:
-        # The solver shares a servo's damping out before the implicit step makes it less: what it
-        # would stop in less than a step throws what follows (a finger's end by 33 mrad, at a nudge
-        # of 1e-3 rad/s). A joint that leads is no stiffer, unless its own load asks for it.
-        leading = robot.closure.leading
-        calm = np.maximum(inertia / (_DAMPING_TIME * timestep), np.abs(torques) / sag)
-        wanted[leading] = np.minimum(wanted, calm)[leading]
-    kp = np.array([_two_digits(value) for value in np.minimum(wanted, most)])
-    return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
-
-
-def _inertia(robot: Robot, qpos: Array) -> Array:
-    """Returns what each joint feels (nu,) with everything else free, and loops closed (kg m^2)."""
-    mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
-    if robot.closure is None:
-        inverse = np.linalg.inv(mass)
-    else:
-        ways = linalg.block_diag(np.eye(first), robot.closure.ways(qpos))
-        inverse = ways @ np.linalg.solve(ways.T @ mass @ ways, ways.T)
-    with np.errstate(divide="ignore"):
-        felt: Array = 1 / np.diag(inverse)[first:]
-    return felt
-
-
 def span(values: ArrayLike, unit: str) -> Diagnostic:
     """Tells the least and the greatest of some numbers, or the one that all are."""
     low, high = float(np.min(values)), float(np.max(values))
     return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)
-
-
-def _two_digits(value: float) -> float:
-    """Rounds a positive number down to two digits, to be typed."""
-    digits = 1 - math.floor(math.log10(value))
-    return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
 
 
 def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:

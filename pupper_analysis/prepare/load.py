@@ -7,30 +7,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.matching.mimics import urdf_mimics
-from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
+from pupper_analysis.models.joint_kinds import has_free_joint
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.prepare import notes, start
-from pupper_analysis.prepare.base import free_of_friction
-from pupper_analysis.prepare.draft import Request
-from pupper_analysis.prepare.motors import several
+from pupper_analysis.prepare import start
 from pupper_analysis.prepare.passes import PassRun, prepare
+from pupper_analysis.prepare.request import Request
 from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.simulable import check_simulable
-from pupper_analysis.prepare.solver import inexact
 from pupper_analysis.results import Result
-from pupper_analysis.robot.build import build_robot
-from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -175,12 +167,6 @@ def prepared(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, l
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     check_simulable(mjcf)
-    if request.feet is not None and not request.joints and request.keyframe is None:
-        robot = _as_it_is(
-            urdf, mjcf, request.feet, fixed_base=request.fixed_base, name=request.name
-        )
-        if robot is not None:
-            return robot, []
     if request.fixed_base:
         return prepare(urdf, mjcf, request)
     return _free_if_it_stands(urdf, mjcf, request)
@@ -203,54 +189,6 @@ def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:
             raise ConfigurationError("feet", problem)
         frames[foot] = (str(pair[0]), str(pair[1]))
     return frames
-
-
-def _as_it_is(
-    urdf: UrdfFile,
-    mjcf: MjcfFile,
-    feet: Mapping[str, tuple[str, str]],
-    *,
-    fixed_base: bool,
-    name: str | None,
-) -> Robot | None:
-    """Builds the robot if both files are ready: the same joints, and the feet's frames in both."""
-    tree = urdf.tree
-    moving = {
-        joint.name for joint in tree.joints.values() if joint.kind not in ("fixed", "floating")
-    }
-    spec = mjcf.spec
-    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
-    hinges = {j.name for j in spec.joints if j.type != JointKind.FREE}
-    known = all(one in tree.links and other in places for one, other in feet.values())
-    free = sum(joint.type == JointKind.FREE for joint in spec.joints)
-    if moving != hinges or not known or free > 1:
-        return None  # beside the robot, something else lies in the scene
-    if free and not fixed_base and _ground_to_mend(spec):
-        return None
-    if urdf_mimics(urdf.root) and not fixed_base:
-        return None  # which the MJCF may not state
-    description = Description(
-        name=name or spec.modelname,
-        urdf=urdf.text,
-        urdf_source=urdf.path,
-        mjcf=spec,
-        mjcf_source=mjcf.path,
-        feet=feet,
-    )
-    try:
-        robot = build_robot(description, fixed_base=fixed_base)
-    except ModelError:
-        if fixed_base or not all(
-            other in {body.name for body in spec.bodies} for _, other in feet.values()
-        ):
-            raise
-        return None  # a body that is named for its sole, which is no sphere around its frame
-    if robot.floating and robot.closure is not None and robot.pin_convention.unbounded.any():
-        return None  # joints that turn round and round, which are given limits
-    if robot.floating and (several(robot.mj_model) or inexact(robot) is not None):
-        return None
-    said = (*notes.bound(robot), *notes.uncommanded(robot))
-    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
 
 
 def _free_if_it_stands(
@@ -283,13 +221,3 @@ def _free_if_it_stands(
     if held and robot.floating and start.first_stand(robot) is None:
         return kept_in_the_world(diagnose("stands-on-no-feet"))
     return robot, runs
-
-
-def _ground_to_mend(spec: mujoco.MjSpec) -> bool:
-    """Tells whether there is a ground, but not a level one at z = 0 with nothing else on it.
-
-    Or a base that hangs by its free joint's friction.
-    """
-    mine = spec.copy()
-    changed = [*level_ground(mine), *free_of_friction(mine)]
-    return any(change.code != "ground-added" for change in changed)

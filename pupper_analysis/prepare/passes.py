@@ -24,12 +24,13 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import drives, notes, start, touching
 from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
-from pupper_analysis.prepare.draft import Draft, Request
+from pupper_analysis.prepare.draft import Draft
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
 from pupper_analysis.prepare.limits import bounded, within_both
 from pupper_analysis.prepare.mimics import coupled
 from pupper_analysis.prepare.motors import one_at_each_joint
 from pupper_analysis.prepare.parts import with_parts
+from pupper_analysis.prepare.request import Request
 from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import solvable
 from pupper_analysis.prepare.start_pose import started
@@ -58,13 +59,17 @@ class Pass:
         name: What it is called.
         does: What it does, in words.
         apply: Does it; returns the draft with what was done.
-        applies: Tells whether it concerns a draft.
+        concerns: Tells whether it concerns a draft that is not ready.
     """
 
     name: str
     does: Term
     apply: Callable[[Draft], Made]
-    applies: Callable[[Draft], bool]
+    concerns: Callable[[Draft], bool]
+
+    def applies(self, draft: Draft) -> bool:
+        """Tells whether it is to be run: none is where the files are ready."""
+        return draft.ready is None and self.concerns(draft)
 
 
 @dataclass(frozen=True)
@@ -266,7 +271,7 @@ def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     own = own_servos(robot)
     built, kp, kd, rests = drives.driven(robot, stand)
     idle = drives.following(robot)
-    model = mjcf.compile()
+    model = mjcf.model
     made = []
     for index, name in enumerate(robot.joint_names):
         if name not in own and index not in idle:
@@ -374,7 +379,7 @@ def prepare(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, li
         ModelError: If no robot can be made of them.
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
-    draft, runs = Draft(urdf, mjcf, request, mjcf.spec), []
+    draft, runs = Draft.of(urdf, mjcf, request), []
     for each in PASSES:
         if each.applies(draft):
             draft, done = each.apply(draft)

@@ -36,7 +36,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
     Raises:
         ModelError: If one is beyond what has a meaning; it names the file, the line and the value.
     """
-    model = mjcf.compile()
+    model = mjcf.model
     low, high = TIMESTEPS
     step, ratio = float(model.opt.timestep), float(model.opt.impratio)
     rounds, tolerance = int(model.opt.iterations), float(model.opt.tolerance)

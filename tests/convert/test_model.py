@@ -619,7 +619,7 @@ def test_frames_state_that_they_weigh_nothing(tmp_path: Path) -> None:
 
 def test_servos_of_joints_that_hold_no_gravity_are_for_their_inertia() -> None:
     """About a vertical axis a rod of 0.25 kg m^2 is held with 2 Hz, critically damped."""
-    from pupper_analysis.convert.servo_gains import held_gains
+    from pupper_analysis.prepare.servo_tuning import held_gains
 
     rod = """<mujoco><worldbody><body><joint name="turn" axis="0 0 1"/>
       <inertial pos=".5 0 0" mass="1" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody></mujoco>"""

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.convert.servo_gains import SAG, held_gains
 from pupper_analysis.live.model import Model
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State
+from pupper_analysis.prepare.servo_tuning import SAG, held_gains
 from pupper_analysis.pupper.derive_mjcf import derive
 from pupper_analysis.pupper.live import Variants
 from pupper_analysis.report.documents import sources

@@ -650,11 +650,7 @@ def test_servos_that_hold_with_feed_forward_alone_are_taken_if_none_do_without(
     rests = drives._rests
 
     def slides(
-        robot: Robot,
-        stand: pa.Stand,
-        kp: np.ndarray,
-        kd: np.ndarray,
-        ways: tuple[bool, ...] = (False, True),
+        robot: Robot, stand: pa.Stand, kp: np.ndarray, kd: np.ndarray, ways: tuple[bool, ...]
     ) -> bool:
         return False not in ways and rests(robot, stand, kp, kd, ways)
 

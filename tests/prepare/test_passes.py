@@ -15,9 +15,10 @@ import pupper_analysis as pa
 from pupper_analysis.cli import group
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.prepare.draft import Draft, Request
+from pupper_analysis.prepare.draft import Draft
 from pupper_analysis.prepare.load import explain_loading
 from pupper_analysis.prepare.passes import PASSES, Pass
+from pupper_analysis.prepare.request import Request
 from tests.support.legged import Pair, fused, quadruped
 
 
@@ -70,7 +71,7 @@ def test_a_fixed_base_is_built_and_needs_no_ground(tmp_path: Path) -> None:
         read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(fixed_base=True)
     )
     assert not robot.floating
-    assert [run.name for run in told.passes][-1] == "build-held"
+    assert "build-held" in {run.name for run in told.passes}
     assert "level-ground" not in {run.name for run in told.passes}
 
 

@@ -1,0 +1,103 @@
+"""Are two files ready: do they make the robot that is asked for as they are?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+
+from pupper_analysis.errors import ModelError
+from pupper_analysis.matching.mimics import urdf_mimics
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.prepare import notes
+from pupper_analysis.prepare.base import free_of_friction
+from pupper_analysis.prepare.motors import several
+from pupper_analysis.prepare.request import Request
+from pupper_analysis.prepare.solver import inexact
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.floor import level_ground
+from pupper_analysis.robot.robot import Robot
+
+
+def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
+    """Builds the robot of two files as they are; None if something is to be made up for.
+
+    They are ready where feet are named, whose frames both have, and joints alike; where nothing
+    else lies in the scene, and the ground is level or missing.
+
+    Raises:
+        ModelError: If they are ready, and make no robot all the same.
+    """
+    if request.feet is None or request.joints or request.keyframe is not None:
+        return None
+    if not _same_joints(urdf, mjcf.spec) or not _known(urdf, mjcf.spec, request):
+        return None
+    if not request.fixed_base and not _may_stand(urdf, mjcf.spec):
+        return None
+    robot = _built(urdf, mjcf, request)
+    if robot is None or (robot.floating and _needs_more(robot)):
+        return None
+    said = (*notes.bound(robot), *notes.uncommanded(robot))
+    return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
+
+
+def _same_joints(urdf: UrdfFile, spec: mujoco.MjSpec) -> bool:
+    """Tells whether both have joints of the same names, of one robot alone."""
+    tree = urdf.tree
+    moving = {
+        joint.name for joint in tree.joints.values() if joint.kind not in ("fixed", "floating")
+    }
+    free = [joint for joint in spec.joints if joint.type == JointKind.FREE]
+    hinges = {joint.name for joint in spec.joints if joint.type != JointKind.FREE}
+    return moving == hinges and len(free) <= 1
+
+
+def _known(urdf: UrdfFile, spec: mujoco.MjSpec, request: Request) -> bool:
+    """Tells whether both have the frames of the feet that are named."""
+    places = {element.name for element in (*spec.sites, *spec.bodies, *spec.geoms)}
+    named = (request.feet or {}).values()
+    return all(one in urdf.tree.links and other in places for one, other in named)
+
+
+def _may_stand(urdf: UrdfFile, spec: mujoco.MjSpec) -> bool:
+    """Tells whether nothing is to be done to the ground, and no joint follows in the URDF alone.
+
+    A ground that is missing is no reason; one that is not level at z = 0, or has more on it, is.
+    So is a base that hangs by its free joint's friction.
+    """
+    if urdf_mimics(urdf.root):
+        return False
+    if not any(joint.type == JointKind.FREE for joint in spec.joints):
+        return True
+    mine = spec.copy()
+    changed = [*level_ground(mine), *free_of_friction(mine)]
+    return all(change.code == "ground-added" for change in changed)
+
+
+def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
+    """Builds the robot; None if a foot is named for a body whose sole is no sphere around it."""
+    feet = request.feet or {}
+    description = Description(
+        name=request.name or mjcf.spec.modelname,
+        urdf=urdf.text,
+        urdf_source=urdf.path,
+        mjcf=mjcf.spec,
+        mjcf_source=mjcf.path,
+        feet=feet,
+    )
+    try:
+        return build_robot(description, fixed_base=request.fixed_base)
+    except ModelError:
+        bodies = {body.name for body in mjcf.spec.bodies}
+        if request.fixed_base or not all(other in bodies for _, other in feet.values()):
+            raise
+        return None
+
+
+def _needs_more(robot: Robot) -> bool:
+    """Tells whether joints lack limits, have several motors, or are not solved for exactly."""
+    endless = robot.closure is not None and bool(robot.pin_convention.unbounded.any())
+    return endless or bool(several(robot.mj_model)) or inexact(robot) is not None

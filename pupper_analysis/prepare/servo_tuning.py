@@ -1,0 +1,263 @@
+"""Gains of position servos: one tuner, for two requirements.
+
+A servo gives way by tau / kp, so that stiffness follows from a torque and from what it may give
+way; it is bounded by what a time step can follow, h sqrt(kp / I) with I that the joint feels.
+
+What is required differs by what holds a robot. On its feet (`Requirement.of_stand`) all joints hold
+one pose against one load and their feet against each other: they are as stiff as the one that holds
+most, and damp in proportion to stiffness, so that each mode of the robot is damped as much as it is
+fast. A robot that is held (`Requirement.of_held`), an arm, may be sent anywhere, and each joint
+moves by itself: it is as stiff as the worst pose asks of it, and critically damped by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import contact_offset
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos
+from pupper_analysis.stance.stand import Stand, stand_statics
+
+Array = NDArray[np.float64]
+Gains = tuple[Array, Array]
+
+SAG = 0.02
+"""What the joint of an arm that holds most gives way by default (rad, m for one that slides)."""
+
+_FASTEST = 1.5
+"""Greatest frequency of a standing robot's joint by itself on its servo, per time step (rad):
+MuJoCo's steps, explicit in the position, diverge at 2."""
+
+_FASTEST_HELD = 0.5
+"""The same of a robot that is held: a quarter of the limit, as its poses are not known."""
+
+_LEAST_LEVER = 0.02
+"""Stretched legs hold no torque; servos are made for at least the weight at this part of the base's
+height."""
+
+_DAMPING_TIME = 0.05
+"""kd / kp of a standing robot's servos (s): within the 0.02 to 0.1 s of robots' own controllers."""
+
+_LEAST_SHARE = 0.02
+"""Of the greatest gravity torque: what a joint that holds hardly any is given stiffness for."""
+
+_LEAST_RATE = 4 * math.pi
+"""Least natural frequency of a servo (rad/s), 2 Hz: what turns about a vertical axis holds no
+gravity, and still is to be where it is commanded within some tenths of a second."""
+
+_POSES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Requirement:
+    """What the servos of some joints are to hold, each (n,).
+
+    Attributes:
+        torques: What a joint is given stiffness for (N m, N of a slide).
+        own: The part of it that it holds itself, for which it is stiff in any case.
+        inertia: What it feels with everything else free (kg m^2, kg).
+        least: The least stiffness (N m/rad, N/m).
+        calm: The stiffness beyond which it is no stiffer than ``own`` asks.
+        most: The greatest.
+    """
+
+    torques: Array
+    own: Array
+    inertia: Array
+    least: Array
+    calm: Array
+    most: Array
+
+    def stiffness(self, sag: float) -> Array:
+        """Returns the stiffness (n,) with which each gives way by no more than a sag (rad, m)."""
+        wanted = np.maximum(np.minimum(self.torques / sag, self.calm), self.own / sag)
+        return np.asarray(np.minimum(np.maximum(wanted, self.least), self.most))
+
+    @classmethod
+    def of_stand(cls, robot: Robot, qpos: Array, torques: Array, *, parts: int = 1) -> Requirement:
+        """Returns what the servos of a robot that stands are to hold.
+
+        Args:
+            robot: The robot.
+            qpos: (nq,) its stand.
+            torques: (nu,) what holds it (N m).
+            parts: Into which the model's time step is divided.
+        """
+        inertia = felt_inertia(robot, qpos)
+        timestep = float(robot.mj_model.opt.timestep) / parts
+        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        most = max(float(np.abs(torques).max()), _LEAST_LEVER * weight * robot.stand_height)
+        calm = np.full(robot.nu, np.inf)
+        if robot.closure is not None:
+            # The solver shares a servo's damping out before the implicit step makes it less: what
+            # it would stop in less than a step throws what follows (a finger's end by 33 mrad, at a
+            # nudge of 1e-3 rad/s). A joint that leads is no stiffer, unless its load asks for it.
+            leading = robot.closure.leading
+            calm[leading] = (inertia / (_DAMPING_TIME * timestep))[leading]
+        return cls(
+            torques=np.full(robot.nu, most),
+            own=np.abs(torques),
+            inertia=inertia,
+            least=np.zeros(robot.nu),
+            calm=calm,
+            most=inertia * (_FASTEST / timestep) ** 2,
+        )
+
+    @classmethod
+    def of_held(cls, model: mujoco.MjModel) -> Requirement:
+        """Returns what the servos of a robot that is held are to hold: an arm, say.
+
+        Each joint's stiffness is for the greatest gravity torque that it holds in random poses, or
+        for the greatest inertia that it moves there with the others locked, if that asks for more.
+
+        Args:
+            model: The model, its base fixed or held.
+        """
+        data, random = mujoco.MjData(model), np.random.default_rng(0)
+        hinges = np.flatnonzero(model.jnt_type != JointKind.FREE)
+        dofs, places = model.jnt_dofadr[hinges], model.jnt_qposadr[hinges]
+        limited = model.jnt_limited[hinges] == 1
+        low = np.where(limited, model.jnt_range[hinges, 0], -math.pi)
+        high = np.where(limited, model.jnt_range[hinges, 1], math.pi)
+        torque, inertia = np.zeros(len(hinges)), np.full(len(hinges), np.inf)
+        heaviest = np.zeros(len(hinges))
+        mass = np.zeros((model.nv, model.nv))
+        for _ in range(_POSES):
+            data.qpos[places] = random.uniform(low, high)
+            mujoco.mj_forward(model, data)
+            mujoco.mj_fullM(model, data, mass)
+            inverse = np.linalg.inv(mass[np.ix_(dofs, dofs)])
+            torque = np.maximum(torque, np.abs(data.qfrc_bias[dofs]))
+            inertia = np.minimum(inertia, 1 / np.diag(inverse))
+            heaviest = np.maximum(heaviest, mass[dofs, dofs])
+        return cls(
+            torques=np.maximum(torque, _LEAST_SHARE * float(torque.max())),
+            own=torque,
+            inertia=inertia,
+            least=heaviest * _LEAST_RATE**2,
+            calm=np.full(len(hinges), np.inf),
+            most=inertia * (_FASTEST_HELD / float(model.opt.timestep)) ** 2,
+        )
+
+
+def suggested_gains(
+    robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1
+) -> Gains:
+    """Returns gains to try on a robot that stands: to two digits, as they are typed.
+
+    Args:
+        robot: The robot.
+        stand: How it stands.
+        torques: (nu,) what holds it (N m).
+        sag: What the joint that holds most gives way (rad).
+        parts: Into which the model's time step is divided.
+
+    Returns:
+        kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
+    """
+    required = Requirement.of_stand(robot, stand.qpos, torques, parts=parts)
+    kp = np.array([_two_digits(value) for value in required.stiffness(sag)])
+    return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+
+
+def stand_gains(
+    robot: Robot, stand: Stand, sag: float | None, damping_ratio: float | None
+) -> Gains:
+    """Computes the gains of a robot that stands, and has servos.
+
+    With damping in proportion to stiffness, each mode of the robot on its servos has the damping
+    ratio z = (kd / kp) w / 2 (Rayleigh); w is that of the mode in which it bounces.
+
+    Args:
+        robot: The robot, with servos.
+        stand: How it stands.
+        sag: What the joint that holds most gives way (rad); None: as its servos let it.
+        damping_ratio: Of the bounce; None: kd keeps its ratio to kp.
+
+    Returns:
+        kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
+    """
+    drive = servos(robot)
+    kp, kd = drive.kp.copy(), drive.kd.copy()
+    if sag is not None:
+        torques = stand_statics(robot, stand).joint_torques
+        required = Requirement.of_stand(robot, stand.qpos, torques)
+        new = np.array([_three_digits(value) for value in required.stiffness(sag)])
+        kd *= new / kp
+        kp = new
+    if damping_ratio is not None:
+        kd = kp * 2 * damping_ratio / bounce_frequency(robot, stand, kp)
+    return kp, np.array([_three_digits(value) for value in kd])
+
+
+def held_gains(model: mujoco.MjModel, sag: float | None, damping_ratio: float | None) -> Gains:
+    """Computes the gains of a robot that is held: an arm, or one that cannot stand.
+
+    A joint's damping is for the inertia that it moves with the others free: kd = 2 z sqrt(kp I).
+
+    Args:
+        model: The model, its base fixed or held.
+        sag: What a joint gives way under gravity (rad); None: ``SAG``.
+        damping_ratio: Of each joint; None: 1, the least without overshoot.
+
+    Returns:
+        kp and kd, one for each joint that is not free, in the model's order.
+    """
+    required = Requirement.of_held(model)
+    kp = required.stiffness(sag or SAG)
+    kd = 2 * (damping_ratio or 1.0) * np.sqrt(kp * required.inertia)
+    return np.array([_three_digits(v) for v in kp]), np.array([_three_digits(v) for v in kd])
+
+
+def bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
+    """Returns the angular frequency (rad/s) with which a robot bounces on its servos, undamped.
+
+    Feet are pinned, and the ground is hard: the modes are those of K x = w^2 M x in the motions
+    that leave the contact points in place. Of them the one is meant that a vertical jolt excites
+    most, by its participation factor x^T M e_z (x of unit modal mass).
+    """
+    config = Configuration(robot, stand.qpos)
+    offsets = [
+        contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
+        for foot in stand.stance_feet
+    ]
+    points = config.point_jacobians(stand.stance_feet, np.array(offsets))
+    free = linalg.null_space(points.reshape(-1, robot.nv))
+    mass = config.mass_matrix()
+    stiffness = np.concatenate([np.zeros(robot.nv - robot.nu), kp])
+    squares, modes = linalg.eigh(free.T @ (stiffness[:, None] * free), free.T @ mass @ free)
+    up = int(np.argmax(np.abs(modes.T @ free.T @ mass[:, 2])))
+    return math.sqrt(float(squares[up]))
+
+
+def felt_inertia(robot: Robot, qpos: Array) -> Array:
+    """Returns what each joint feels (nu,) with everything else free, and loops closed (kg m^2)."""
+    mass, first = Configuration(robot, qpos).mass_matrix(), robot.nv - robot.nu
+    if robot.closure is None:
+        inverse = np.linalg.inv(mass)
+    else:
+        ways = linalg.block_diag(np.eye(first), robot.closure.ways(qpos))
+        inverse = ways @ np.linalg.solve(ways.T @ mass @ ways, ways.T)
+    with np.errstate(divide="ignore"):
+        felt: Array = 1 / np.diag(inverse)[first:]
+    return felt
+
+
+def _two_digits(value: float) -> float:
+    """Rounds a positive number down to two digits, to be typed."""
+    digits = 1 - math.floor(math.log10(value))
+    return math.floor(value * 10.0**digits + 1e-9) / 10.0**digits
+
+
+def _three_digits(value: float) -> float:
+    """Rounds to three digits, to be read in a file."""
+    return float(f"{value:.3g}")
