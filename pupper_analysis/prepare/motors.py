@@ -26,6 +26,10 @@ def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
     Returns:
         What was done.
     """
+    joint = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+    driven = [actuator.target for actuator in spec.actuators if actuator.trntype in joint]
+    if len(driven) == len(set(driven)):
+        return []
     model = compile_spec(spec.copy(), source)
     joints = several(model)
     if not joints:

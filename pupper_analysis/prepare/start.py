@@ -62,6 +62,8 @@ def keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     Args:
         spec: A copy of its spec, in which every joint has a name.
     """
+    if not len(spec.keys):
+        return {}
     with quiet():
         model = spec.copy().compile()
     found = {}
