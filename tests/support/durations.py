@@ -18,8 +18,8 @@ import pytest
 
 FILE = Path(__file__).resolve().parents[1] / "durations.json"
 
-SLOW = 0.6
-"""Seconds of processor from which a function is slow: at most some hundred seconds are left."""
+SLOW = 0.3
+"""Seconds of processor from which a function is slow: what is left takes a minute of two cores."""
 
 LEAST = 0.05
 """What takes less is not written down: it changes from run to run."""
