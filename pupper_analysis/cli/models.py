@@ -156,7 +156,9 @@ def crosscheck(
 
 
 @click.command(
-    "audit", context_settings=shared.CONTEXT, short_help="Find what is wrong in one URDF or MJCF."
+    "audit",
+    context_settings=shared.CONTEXT,
+    short_help="Find what is wrong in one URDF, MJCF or USD.",
 )
 @click.argument("file", required=False, type=shared.MODEL_FILE)
 @shared.package_option
@@ -186,7 +188,7 @@ def audit_command(
     report_path: Path | None,
     style: str,
 ) -> None:
-    """Find what is physically or practically wrong in one model file, URDF or MJCF.
+    """Find what is physically or practically wrong in one model file, URDF, MJCF or USD.
 
     Masses and inertias that no body can have, legs that are no mirror images, shapes that end
     beside their joints, limits in degrees, servos that jitter, feet that begin in the floor, and
@@ -196,6 +198,7 @@ def audit_command(
     Examples:
       pupper-analysis audit robot.urdf
       pupper-analysis audit scene.xml --disable armature-zero --fail-on warning
+      pupper-analysis audit robot.usda
       pupper-analysis audit --list-rules
       xacro robot.urdf.xacro | pupper-analysis audit -
 

@@ -168,7 +168,7 @@ def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
             finding.severity,
             finding.diagnostic,
             RULES[finding.rule].title,
-            finding.file if finding.line is None else f"{finding.file}:{finding.line}",
+            finding.place.path,
         )
 
 

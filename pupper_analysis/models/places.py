@@ -21,19 +21,33 @@ class Place:
 
     Attributes:
         file: The file.
-        line: Its line, from 1; None where the file as a whole is meant.
+        line: Its line, from 1; None where the file as a whole is meant, or has no lines.
+        prim: The path of its prim, in a USD; None in other files.
     """
 
     file: Path
     line: int | None = None
+    prim: str | None = None
 
     def __str__(self) -> str:
-        return self.file.name if self.line is None else f"{self.file.name}:{self.line}"
+        return f"{self.file.name}{self.within}"
+
+    @property
+    def within(self) -> str:
+        """Where in the file: ``":7"``, ``":</Robot/base>"``, or "" for all of it."""
+        if self.prim is not None:
+            return f":<{self.prim}>"
+        return "" if self.line is None else f":{self.line}"
 
     @property
     def path(self) -> str:
         """The whole path, and the line: by it a CI service finds the file."""
-        return f"{self.file}" if self.line is None else f"{self.file}:{self.line}"
+        return f"{self.file}{self.within}"
+
+    @property
+    def source(self) -> Source:
+        """The same, as a diagnostic has it; a prim is its element."""
+        return Source(str(self.file), self.line, self.prim or "")
 
 
 def innermost(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
@@ -70,8 +84,9 @@ def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> Mode
 
 def refusal(place: Place, problem: Diagnostic) -> ModelError:
     """Returns the error that tells what is wrong with a file, or in a line of it."""
-    sources = problem.sources or (Source(str(place.file), place.line),)
-    return ModelError(source_name(place.file, place.line), replace(problem, sources=sources))
+    sources = problem.sources or (place.source,)
+    name = source_name(place.file, place.line) + (place.within if place.prim is not None else "")
+    return ModelError(name, replace(problem, sources=sources))
 
 
 def source_name(path: Path, line: int | None = None) -> str:

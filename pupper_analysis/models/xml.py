@@ -24,6 +24,9 @@ MAX_ELEMENTS: Final = 30_000
 LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
 """How a file begins that Git LFS leaves in place of one whose content was not brought along."""
 
+USD: Final = (b"#usda", b"PXR-USDC")
+"""How files of USD begin, of text and of bytes."""
+
 NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """A number as a model file writes it; what XML Schema calls a decimal or a double."""
 
@@ -84,6 +87,8 @@ def _text(path: Path) -> str:
         raise refusal(Place(path), diagnose("model-is-lfs-pointer"))
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise refusal(Place(path), diagnose("encoded-in-utf-16"))
+    if data.startswith(USD):
+        raise refusal(Place(path), diagnose("usd-not-here"))
     if b"\0" in data:
         line = data.count(b"\n", 0, data.index(b"\0")) + 1
         raise refusal(Place(path, line), diagnose("file-is-binary"))

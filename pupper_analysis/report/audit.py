@@ -9,10 +9,6 @@ LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "
 """Of annotations."""
 
 
-def _place(finding: Finding) -> str:
-    return finding.file if finding.line is None else f"{finding.file}:{finding.line}"
-
-
 def remarks(audit: Audit) -> list[Annotation]:
     """Returns the findings as annotations."""
     return [
@@ -20,7 +16,7 @@ def remarks(audit: Audit) -> list[Annotation]:
             LEVELS[finding.severity],
             f"{finding.rule}: {finding.element}",
             f"{finding.element}: {finding.message} {finding.todo}",
-            _place(finding),
+            finding.place.path,
             rule=f"audit/{finding.rule}",
             about=RULES[finding.rule].title,
             diagnostic=finding.diagnostic,
@@ -39,7 +35,7 @@ def cases(audit: Audit) -> list[Case]:
 
 
 def _case(rule: str, found: list[Finding]) -> Case:
-    lines = [f"{_place(one)}: {one.element}: {one.message}" for one in found]
+    lines = [f"{one.place.path}: {one.element}: {one.message}" for one in found]
     return Case(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))
 
 

@@ -57,8 +57,10 @@ class Annotation:
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
-        """The file ("" if there is none), and the line in it."""
+        """The file ("" if there is none), and the line in it; a prim of a USD has none."""
         file, _, line = (self.place or "").rpartition(":")
+        if line.startswith("<"):
+            return file, None
         return (file, int(line)) if file and line.isdecimal() else (self.place or "", None)
 
 

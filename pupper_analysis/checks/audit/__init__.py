@@ -13,15 +13,18 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
 from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
 from pupper_analysis.checks.audit.result import Audit, Finding
-from pupper_analysis.diagnostics import Severity, Source, Subject, diagnose
+from pupper_analysis.diagnostics import Severity, Subject, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.usd_file import UsdFile, is_usd, read_usd
 from pupper_analysis.robot_model.mjcf import read_mjcf_model
+from pupper_analysis.robot_model.model import RobotModel
 from pupper_analysis.robot_model.urdf import read_urdf_model
+from pupper_analysis.robot_model.usd import read_usd_model
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
@@ -33,7 +36,7 @@ def audit_model(
     packages: Mapping[str, Path] | None = None,
     disabled: Iterable[str] = (),
 ) -> Audit:
-    """Finds what is physically or practically wrong in a URDF or an MJCF.
+    """Finds what is physically or practically wrong in a URDF, an MJCF or a USD.
 
     Args:
         path: The file.
@@ -43,6 +46,7 @@ def audit_model(
     Raises:
         ModelError: If the file cannot be read.
         ConfigurationError: If a rule in ``disabled`` is unknown.
+        MissingPackageError: If the file is a USD, and usd-core is not installed.
     """
     if isinstance(disabled, str):
         disabled = (disabled,)
@@ -51,21 +55,28 @@ def audit_model(
     if unknown:
         told = diagnose("rules-unknown", names=unknown, known=RULES)
         raise ConfigurationError("disabled", told)
-    file = read_model(path, packages)
+    file = read_usd(path) if is_usd(Path(path)) else read_model(path, packages)
     with warnings.catch_warnings(), np.errstate(all="ignore"), quiet():
         warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
         return _audited(str(path), file, unwanted)
 
 
-def _audited(path: str, file: UrdfFile | MjcfFile, unwanted: tuple[str, ...]) -> Audit:
-    robot = read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
+def _audited(path: str, file: UrdfFile | MjcfFile | UsdFile, unwanted: tuple[str, ...]) -> Audit:
+    robot = _read(file)
     findings, run = [], []
     for rule in RULES.values():
         if robot.format not in rule.formats or rule.id in unwanted:
             continue
         run.append(rule.id)
         findings += [_finding(file, rule, found) for found in CHECKS[rule.id](robot)]
-    findings.sort(key=lambda finding: (finding.severity.rank, finding.file, finding.line or 0))
+    findings.sort(
+        key=lambda finding: (
+            finding.severity.rank,
+            finding.file,
+            finding.line or 0,
+            finding.prim or "",
+        )
+    )
     counts = {
         str(severity): sum(finding.severity == severity for finding in findings)
         for severity in Severity
@@ -82,7 +93,13 @@ def _audited(path: str, file: UrdfFile | MjcfFile, unwanted: tuple[str, ...]) ->
     )
 
 
-def _finding(file: UrdfFile | MjcfFile, rule: Rule, found: Found) -> Finding:
+def _read(file: UrdfFile | MjcfFile | UsdFile) -> RobotModel:
+    if isinstance(file, UsdFile):
+        return read_usd_model(file)
+    return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
+
+
+def _finding(file: UrdfFile | MjcfFile | UsdFile, rule: Rule, found: Found) -> Finding:
     place = found.place
     if place is None and found.name:
         place = file.place(found.kind, found.name.strip("()"), found.child)
@@ -93,13 +110,14 @@ def _finding(file: UrdfFile | MjcfFile, rule: Rule, found: Found) -> Finding:
         found.told,
         severity=severity,
         subject=Subject(found.kind, found.name),
-        sources=(Source(str(place.file), place.line),),
+        sources=(place.source,),
     )
     return Finding(
         rule=rule.id,
         severity=severity,
         file=str(place.file),
         line=place.line,
+        prim=place.prim,
         element=f"{found.kind} {found.name!r}" if found.name else found.kind,
         why=rule.why,
         todo=rule.todo,

@@ -13,9 +13,9 @@ from pupper_analysis.diagnostics import Diagnostic, Severity
 from pupper_analysis.models.places import Place
 
 Check = Callable[[Any], Iterator["Found"]]
-"""Takes a ``RobotModel`` (a ``UrdfModel`` or ``MjcfModel``, if it is for that format alone)."""
+"""Takes a ``RobotModel`` (a ``UrdfModel`` and the like, if it is for that format alone)."""
 
-BOTH = ("urdf", "mjcf")
+FORMATS = ("urdf", "mjcf", "usd")
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Rule:
         why: Why it matters.
         todo: What to do.
         chinese: {``"title"``, ``"why"`` or ``"todo"``: the same in Simplified Chinese}.
-        formats: Which of ``"urdf"`` and ``"mjcf"`` it is for.
+        formats: Which of ``"urdf"``, ``"mjcf"`` and ``"usd"`` it is for.
     """
 
     id: str
@@ -38,7 +38,7 @@ class Rule:
     why: str
     todo: str
     chinese: Mapping[str, str]
-    formats: tuple[str, ...] = BOTH
+    formats: tuple[str, ...] = FORMATS
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def _catalogue() -> dict[str, Rule]:
     for name, entry in entries.items():
         words = _words(entry, entries[entry.get("like", name)], " ")
         chinese = _words(entry["zh"], entries[entry.get("like", name)]["zh"], "")
-        formats = tuple(entry.get("formats", BOTH))
+        formats = tuple(entry.get("formats", FORMATS))
         severity = Severity(entry["severity"])
         rules[name] = Rule(name, severity, **words, chinese=chinese, formats=formats)
     return rules

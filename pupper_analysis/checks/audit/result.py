@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pupper_analysis.diagnostics import Diagnostic, Severity
+from pupper_analysis.models.places import Place
 from pupper_analysis.results import Result, Tabular
 
 
@@ -19,6 +20,7 @@ class Finding(Result):
         severity: The rule's, or a lesser one where the case is less bad.
         file: The file in which it stands (an included one, perhaps).
         line: Its line, from 1; None where it is nowhere in particular.
+        prim: The path of its prim, in a USD; None in other files.
         element: ``link 'FL_calf'``.
         why: Why it matters.
         todo: What to do.
@@ -34,6 +36,7 @@ class Finding(Result):
     why: str
     todo: str
     diagnostic: Diagnostic
+    prim: str | None = None
 
     _told = ("message",)
 
@@ -42,9 +45,13 @@ class Finding(Result):
         """One sentence with the numbers."""
         return str(self.diagnostic)
 
+    @property
+    def place(self) -> Place:
+        """Where it stands: file and line, or file and prim."""
+        return Place(Path(self.file), self.line, self.prim)
+
     def __str__(self) -> str:
-        where = Path(self.file).name + ("" if self.line is None else f":{self.line}")
-        return f"{self.severity} {where} {self.element}: {self.message} [{self.rule}]"
+        return f"{self.severity} {self.place} {self.element}: {self.message} [{self.rule}]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +60,7 @@ class Audit(Tabular):
 
     Attributes:
         file: The file.
-        format: ``"urdf"`` or ``"mjcf"``.
+        format: ``"urdf"``, ``"mjcf"`` or ``"usd"``.
         passed: Whether nothing of severity ERROR was found.
         counts: How many findings of each severity.
         findings: The worst first, then by line.

@@ -102,8 +102,7 @@ def element(finding: Diagnostic) -> doc.Text:
 
 def _place(finding: Finding) -> tuple[str, str]:
     """Returns where a finding stands: with the file's name alone, and with its path."""
-    line = "" if finding.line is None else f":{finding.line}"
-    return f"{Path(finding.file).name}{line}", f"{finding.file}{line}"
+    return str(finding.place), finding.place.path
 
 
 def _findings(audit: Audit) -> doc.Table:

@@ -15,4 +15,5 @@ from pupper_analysis.checks.audit.rules import (  # noqa: F401, I001  (the order
     actuators,
     start,
     simulation,
+    usd,
 )

@@ -81,7 +81,7 @@ def _limits_without_effect(joint: Joint) -> Diagnostic | None:
 
 @rule
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
-    """Finds integer limits of 12 to 360 rad, and an MJCF in degrees with none above 2 pi.
+    """Finds integer limits of 12 to 360 rad, and a file in degrees with none above 2 pi.
 
     Limits of 10 rad are a habit of those who want none.
     """
@@ -95,7 +95,8 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
             lower, upper = (Quantity(value, "rad") for value in limits)
             told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
             yield Found("joint", joint.name, told, "limit")
-    if not isinstance(robot, MjcfModel) or not robot.file.spec.compiler.degree or len(hinges) < 3:
+    mjcf = isinstance(robot, MjcfModel) and robot.file.spec.compiler.degree
+    if not (mjcf or robot.format == "usd") or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
     low, high = np.rad2deg((widest.lower, widest.upper))

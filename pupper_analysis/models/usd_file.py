@@ -1,0 +1,259 @@
+"""Reads a USD file (UsdPhysics): what may be opened, and where its prims are.
+
+Nothing is fetched, no plugin is asked for, and what a file brings in is counted before it is put
+together: a few lines that reference each other can otherwise make more prims than a machine holds.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.errors import MissingPackageError
+from pupper_analysis.models.places import Place, one_line, refusal
+from pupper_analysis.models.xml import LFS_POINTER
+
+SUFFIXES: Final = (".usd", ".usda", ".usdc", ".usdz")
+"""Names that end so are USD files."""
+
+MAX_BYTES: Final = 500_000_000
+"""Largest layer that is opened: meshes are in it, as they are not in a URDF."""
+
+MAX_DEPTH: Final = 500
+"""Deepest nesting of a text layer; USD's own parser of it runs out of stack."""
+
+MAX_PRIMS: Final = 200_000
+"""Most prims of a stage, with all that is referenced: a robot has hundreds."""
+
+
+@dataclass(frozen=True, eq=False)
+class UsdFile:
+    """A USD file that can be opened.
+
+    Attributes:
+        path: The file.
+        stage: Its `pxr.Usd.Stage`, all payloads loaded.
+        bodies: {name: path of the prim} of its rigid bodies. A name is the prim's, or the one it is
+            shown by where a converter had to change that; of several alike, as much of the path as
+            tells them apart.
+        joints: Likewise of its joints.
+        notes: What was left out on reading.
+    """
+
+    path: Path
+    stage: Any = field(repr=False)
+    bodies: Mapping[str, str]
+    joints: Mapping[str, str]
+    notes: tuple[Diagnostic, ...] = ()
+
+    def place(self, kind: str, name: str, child: str | None = None) -> Place:
+        """Finds a prim.
+
+        Args:
+            kind: ``"joint"``, ``"actuator"`` (its joint's), or else a body.
+            name: Its name.
+            child: Is not looked at: a body's mass is stated in the body.
+
+        Returns:
+            The file and the prim; the file alone where there is none of that name.
+        """
+        del child
+        joints = kind in ("joint", "actuator", "equality")
+        first, second = (self.joints, self.bodies) if joints else (self.bodies, self.joints)
+        return Place(self.path, None, first.get(name, second.get(name)))
+
+
+def is_usd(path: Path) -> bool:
+    """Says whether a file is to be read as USD, by its name."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def read_usd(path: str | Path) -> UsdFile:
+    """Opens a USD file.
+
+    Raises:
+        ModelError: If it cannot be opened, or holds no rigid body.
+        MissingPackageError: If usd-core is not installed.
+    """
+    check_type("usd", path, str | Path)
+    path = Path(path)
+    pxr = _library()
+    _check_file(path)
+    with _quietly(pxr) as said:
+        try:
+            _check_size(pxr, path)
+            stage = pxr.Usd.Stage.Open(str(path.absolute()), pxr.Usd.Stage.LoadAll)
+            stage.Reload()  # a layer that was open already may be older than its file
+        except pxr.Tf.ErrorException as error:
+            raise refusal(Place(path), diagnose("usd-not-valid", message=_words(error))) from error
+        missing = sorted({name for text in said() for name in _MISSING.findall(text)})
+    notes = (diagnose("usd-files-missing", files=missing),) if missing else ()
+    bodies, joints = [], []
+    for prim in pxr.Usd.PrimRange(stage.GetPseudoRoot(), pxr.Usd.TraverseInstanceProxies()):
+        if prim.HasAPI(pxr.UsdPhysics.RigidBodyAPI):
+            if pxr.UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr().Get() is not False:
+                bodies.append(prim)
+        elif prim.IsA(pxr.UsdPhysics.Joint):
+            joints.append(prim)
+    if not bodies:
+        raise refusal(Place(path), diagnose("usd-without-bodies"))
+    return UsdFile(path, stage, _named(bodies), _named(joints), notes)
+
+
+def _library() -> Any:
+    """Returns the library; nothing of it is imported before a USD file is read.
+
+    Raises:
+        MissingPackageError: If it is not installed.
+    """
+    try:
+        import pxr
+        from pxr import Ar, Gf, Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdUtils  # noqa: F401
+    except ImportError as error:
+        raise MissingPackageError("usd-core", "usd") from error
+    return pxr
+
+
+def _check_file(path: Path) -> None:
+    """Refuses what is no file, too large, empty, or a pointer of Git LFS."""
+    try:
+        if path.is_dir():
+            raise refusal(Place(path), diagnose("file-is-folder"))
+        if not path.exists():
+            raise refusal(Place(path), diagnose("no-such-file"))
+        if not path.is_file():
+            raise refusal(Place(path), diagnose("file-not-regular"))
+        if path.stat().st_size > MAX_BYTES:
+            raise refusal(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
+        with path.open("rb") as file:
+            start = file.read(len(LFS_POINTER))
+            if start == LFS_POINTER:
+                raise refusal(Place(path), diagnose("model-is-lfs-pointer"))
+            if not start.strip():
+                raise refusal(Place(path), diagnose("file-is-empty"))
+            if start.startswith(b"#usda"):
+                _check_depth(path, start + file.read())
+    except (OSError, ValueError) as error:
+        raise refusal(Place(path), diagnose("file-not-read", message=one_line(error))) from error
+
+
+def _check_depth(path: Path, text: bytes) -> None:
+    """Refuses a text layer whose brackets are nested too deep; those in strings do not count."""
+    depth = 0
+    for bracket in _BRACKETS.findall(text):
+        depth += {b"{": 1, b"(": 1, b"[": 1, b"}": -1, b")": -1, b"]": -1}.get(bracket, 0)
+        if depth > MAX_DEPTH:
+            raise refusal(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
+
+
+def _check_size(pxr: Any, path: Path) -> None:
+    """Refuses a file that brings in more prims than ``MAX_PRIMS``, before they are put together."""
+    counts: dict[tuple[str, str], int] = {}
+    top = pxr.Sdf.Layer.FindOrOpen(str(path.absolute()))
+    if top is None:
+        raise refusal(Place(path), diagnose("usd-not-valid", message=""))
+
+    def layer_of(layer: Any, asset: str) -> Any:
+        """Returns a layer that is brought in; None where it is no file beside this one."""
+        if "://" in asset:
+            return None
+        name = pxr.Sdf.ComputeAssetPathRelativeToLayer(layer, asset)
+        file = Path(name.split("[")[0])
+        if not file.is_file():
+            return None
+        _check_file(file)
+        return pxr.Sdf.Layer.FindOrOpen(name)
+
+    def count(layer: Any, prim: Any) -> int:
+        """Returns at least as many prims as one becomes, itself and what it brings in."""
+        key = layer.identifier, str(prim.path)
+        if key in counts:
+            return counts[key]
+        counts[key] = 0  # what references itself is refused by USD
+        total = 1
+        for child in _children(prim):
+            total += count(layer, child)
+        for arc in _arcs(prim):
+            other = layer_of(layer, arc.assetPath) if arc.assetPath else layer
+            total += 0 if other is None else _of_target(other, arc.primPath)
+            if total > MAX_PRIMS:
+                break
+        counts[key] = min(total, MAX_PRIMS + 1)
+        return counts[key]
+
+    def _of_target(layer: Any, target: Any) -> int:
+        if not target.isEmpty:
+            prim = layer.GetPrimAtPath(target)
+            return whole(layer) if prim is None else count(layer, prim)
+        return whole(layer)
+
+    def whole(layer: Any) -> int:
+        key = layer.identifier, ""
+        if key not in counts:
+            counts[key] = 0
+            below = (layer_of(layer, name) for name in layer.subLayerPaths)
+            total = sum(count(layer, prim) for prim in layer.rootPrims)
+            total += sum(whole(other) for other in below if other is not None)
+            counts[key] = total
+        return counts[key]
+
+    if whole(top) > MAX_PRIMS:
+        raise refusal(Place(path), diagnose("too-many-elements", count=whole(top), most=MAX_PRIMS))
+
+
+def _children(prim: Any) -> Iterator[Any]:
+    """Yields the prims below one, those of its variants too."""
+    yield from prim.nameChildren
+    for variants in prim.variantSets.values():
+        for variant in variants.variants.values():
+            yield variant.primSpec
+
+
+def _arcs(prim: Any) -> Iterator[Any]:
+    """Yields the references and payloads of a prim."""
+    for listed in (prim.referenceList, prim.payloadList):
+        for items in (listed.explicitItems, listed.prependedItems, listed.appendedItems):
+            yield from items
+        yield from listed.addedItems
+
+
+def _named(prims: list[Any]) -> dict[str, str]:
+    """Names prims: by what they are called, and where several are alike, by more of their paths."""
+    names = [prim.GetDisplayName() or prim.GetName() for prim in prims]
+    named = {}
+    for prim, name in zip(prims, names, strict=True):
+        parts = str(prim.GetPath()).strip("/").split("/")
+        length = 1
+        while name in named or (length == 1 and names.count(name) > 1):
+            length += 1
+            name = "/".join(parts[-length:])
+            if length > len(parts):
+                break
+        named[name] = str(prim.GetPath())
+    return named
+
+
+@contextmanager
+def _quietly(pxr: Any) -> Iterator[Any]:
+    """Keeps USD from writing its warnings to the terminal; yields what returns them."""
+    delegate = pxr.UsdUtils.CoalescingDiagnosticDelegate()
+    try:
+        yield lambda: [one.commentary for one in delegate.TakeUncoalescedDiagnostics()]
+    finally:
+        delegate.TakeUncoalescedDiagnostics()
+
+
+def _words(error: Any) -> str:
+    """Returns what USD says of a file, without where in its own sources it says so."""
+    said = [one_line(getattr(one, "commentary", one)) for one in error.args]
+    return said[0] if said else one_line(error)
+
+
+_MISSING: Final = re.compile(r"Could not open asset @([^@]*)@")
+_BRACKETS: Final = re.compile(rb'"(?:[^"\\\n]|\\.)*"|[][{}()]')

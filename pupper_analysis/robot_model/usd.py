@@ -1,0 +1,365 @@
+"""Reads the model of a USD file: bodies and joints of UsdPhysics, made a tree.
+
+Where bodies are follows from the frames of the joints, as engines with reduced coordinates have it;
+the transforms of the prims are a pose of the robot, at whatever angles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pupper_analysis.diagnostics import Diagnostic, Vector, diagnose
+from pupper_analysis.models.attributes import JointAttribute
+from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.usd_file import UsdFile
+from pupper_analysis.robot_model.model import (
+    FIXED,
+    FREE,
+    HINGE,
+    SLIDE,
+    Frame,
+    Joint,
+    Link,
+    RobotModel,
+)
+from pupper_analysis.robot_model.pose import Array, Pose
+from pupper_analysis.robot_model.usd_joints import Drive, Edge, edge_of
+from pupper_analysis.robot_model.usd_mass import Weighed, weigh
+from pupper_analysis.robot_model.usd_shapes import (
+    Placed,
+    Units,
+    own_prims,
+    placed,
+    shapes_of,
+    units_of,
+    written,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class UsdModel(RobotModel):
+    """A model in a USD.
+
+    Attributes:
+        file: The file.
+        units: What the file's numbers are in.
+        edges: {joint: what the file states of it}, all that are switched on.
+        weights: {body: what it weighs, and where that comes from}.
+        loops: The joints that close loops, or are to be left out of the tree.
+        apart: {joint: (m, rad) how far its two frames are apart, as the prims stand, but for its
+            own motion}.
+        floating: Whether the base can move.
+        mount: Where the base is, in the world, z up (m).
+        gravity: (3,) m/s^2, z up; None where the file leaves it to the engine.
+        idle: {path of a prim: kg} of masses that no engine looks at.
+    """
+
+    file: UsdFile
+    units: Units
+    edges: Mapping[str, Edge]
+    weights: Mapping[str, Weighed]
+    loops: tuple[Edge, ...]
+    apart: Mapping[str, tuple[float, float]]
+    floating: bool
+    mount: Pose
+    gravity: Array | None
+    idle: Mapping[str, float]
+
+    def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
+        """Returns what a joint's number is: several schemas have several names for it."""
+        return attribute.kind, None
+
+    def drive(self, joint: str) -> Drive | None:
+        """Returns the motor of a joint; None if it has none."""
+        return self.edges[joint].drive if joint in self.edges else None
+
+
+def read_usd_model(file: UsdFile) -> UsdModel:
+    """Returns the model of a USD.
+
+    Raises:
+        ModelError: If the frame of a body or a joint is sheared or mirrored.
+    """
+    from pxr import UsdGeom
+
+    units, cache = units_of(file.stage), UsdGeom.XformCache()
+    prims = {name: file.stage.GetPrimAtPath(path) for name, path in file.bodies.items()}
+    places = {
+        name: placed(file, prim, cache.GetLocalToWorldTransform(prim), units)
+        for name, prim in prims.items()
+    }
+    for name, place in places.items():
+        if np.ptp(place.scale) > 1e-4 * place.scale.max():
+            told = diagnose("usd-body-scaled-unevenly", scale=Vector(tuple(place.scale), "1"))
+            raise refusal(file.place("body", name), told)
+    edges = {edge.name: edge for edge in _edges(file, places, units, cache)}
+    trees = _Forest(list(prims), edges, _article_roots(file))
+    base = trees.base
+    poses, parents, loops = trees.poses(places)
+    to_base = poses[base].inverse()
+    shapes = {name: shapes_of(file, prims[name], places[name], units, cache) for name in prims}
+    weights = {name: weigh(prims[name], places[name], shapes[name], units) for name in prims}
+    links = {}
+    for name in trees.order:
+        above = parents.get(name)
+        parent = above[0] if above is not None else None
+        joints: tuple[Joint, ...] = ()
+        if above is not None:
+            joints = (_joint(above[1], above[0], name, to_base * poses[above[0]]),)
+        elif not trees.anchored(name):
+            joints = (_free(name, to_base * poses[name]),)
+        links[name] = Link(
+            name,
+            parent,
+            to_base * poses[name],
+            joints,
+            weights[name].inertial,
+            tuple(shapes[name]),
+            tuple(_frames(file, prims[name], places[name], units, cache)),
+        )
+    return UsdModel(
+        "usd",
+        "body",
+        base,
+        links,
+        file.notes,
+        file,
+        units,
+        edges,
+        weights,
+        tuple(loops),
+        {name: _apart(edge, places) for name, edge in edges.items() if all(edge.bodies)},
+        not trees.anchored(base),
+        Pose(units.up @ poses[base].position, units.up @ poses[base].rotation),
+        _gravity(file, units),
+        _idle(file, prims, units),
+    )
+
+
+def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any) -> Iterator[Edge]:
+    """Yields the joints that are switched on, with what they join."""
+    names = {path: name for name, path in file.bodies.items()}
+    paths = {path: name for name, path in file.joints.items()}
+    for name, path in file.joints.items():
+        prim = file.stage.GetPrimAtPath(path)
+        if prim.GetAttribute("physics:jointEnabled").Get() is False:
+            continue
+        bodies, frames = [], []
+        for end in (0, 1):
+            targets = prim.GetRelationship(f"physics:body{end}").GetTargets()
+            target = file.stage.GetPrimAtPath(targets[0]) if targets else None
+            if targets and not target:
+                told = diagnose("usd-joint-of-no-prim", end=f"body{end}", prim=str(targets[0]))
+                raise refusal(Place(file.path, None, path), told)
+            body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
+            if target:
+                matrix = cache.GetLocalToWorldTransform(target)
+                place = placed(file, target, matrix, units)
+            position = prim.GetAttribute(f"physics:localPos{end}").Get()
+            rotation = prim.GetAttribute(f"physics:localRot{end}").Get()
+            frame = place.frame(position, rotation)
+            if not body:
+                frame = place.pose * frame
+            elif str(targets[0]) != file.bodies[body]:  # else as it is written, with all its digits
+                frame = places[body].pose.inverse() * place.pose * frame
+            bodies.append(body)
+            frames.append(frame)
+        if bodies[0] != bodies[1]:
+            yield edge_of(name, prim, (bodies[0], bodies[1]), (frames[0], frames[1]), units, paths)
+
+
+def _carrier(target: Any, names: Mapping[str, str]) -> str:
+    """Returns the body that a prim is of: itself, or the nearest above it; "" of the world."""
+    while target:
+        name = names.get(str(target.GetPath()))
+        if name is not None:
+            return name
+        target = target.GetParent()
+    return ""
+
+
+def _article_roots(file: UsdFile) -> set[str]:
+    """Returns the bodies that are said to be roots of articulations."""
+    from pxr import UsdPhysics
+
+    return {
+        name
+        for name, path in file.bodies.items()
+        if file.stage.GetPrimAtPath(path).HasAPI(UsdPhysics.ArticulationRootAPI)
+    }
+
+
+class _Forest:
+    """Bodies and joints as trees, each from its root: what a tree leaves over closes a loop."""
+
+    def __init__(self, bodies: list[str], edges: Mapping[str, Edge], roots: set[str]) -> None:
+        self._edges, self._roots = edges, roots
+        self._at: dict[str, list[Edge]] = {name: [] for name in bodies}
+        self._held: dict[str, Edge] = {}
+        self._below: dict[str, int] = dict.fromkeys(bodies, 0)
+        for edge in edges.values():
+            for end in edge.bodies:
+                if end and not edge.outside:
+                    self._at[end].append(edge)
+            if not all(edge.bodies) and not edge.outside and edge.kind == FIXED:
+                self._held.setdefault(edge.bodies[0] or edge.bodies[1], edge)
+            if all(edge.bodies):
+                self._below[edge.bodies[1]] += 1
+        self.order: list[str] = []
+        self._parents: dict[str, tuple[str, Edge]] = {}
+        self._sizes: dict[str, int] = {}
+        self._used: set[str] = {edge.name for edge in self._held.values()}
+        for root in sorted(bodies, key=self._rank):
+            if root not in self.order:
+                self._grow(root)
+        self.base = max(self._sizes, key=lambda root: (self._sizes[root], root in roots))
+
+    def _rank(self, body: str) -> tuple[bool, bool, bool, int]:
+        """Orders roots: what is called one, is held, has none above it, carries most."""
+        edges = self._at[body]
+        carried = sum(edge.bodies[0] == body for edge in edges)
+        return body not in self._roots, body not in self._held, self._below[body] > 0, -carried
+
+    def _grow(self, root: str) -> None:
+        tree = [root]
+        for body in tree:
+            for edge in self._at[body]:
+                other = edge.bodies[1] if edge.bodies[0] == body else edge.bodies[0]
+                if other and other not in tree and other not in self.order:
+                    self._parents[other] = body, edge
+                    self._used.add(edge.name)
+                    tree.append(other)
+        self._sizes[root] = len(tree)
+        self.order += tree
+
+    def anchored(self, body: str) -> bool:
+        """Says whether a root is fixed to the world."""
+        return body in self._held
+
+    def poses(
+        self, places: Mapping[str, Placed]
+    ) -> tuple[dict[str, Pose], dict[str, tuple[str, Edge]], list[Edge]]:
+        """Returns bodies' poses in the stage at zero angles, {body: parent, joint}, and loops."""
+        poses: dict[str, Pose] = {}
+        for body in self.order:
+            above = self._parents.get(body)
+            if above is not None:
+                parent, edge = above
+                one, two = edge.frames if edge.bodies[0] == parent else edge.frames[::-1]
+                poses[body] = poses[parent] * one * two.inverse()
+            elif body in self._held:
+                edge = self._held[body]
+                one, two = edge.frames if edge.bodies[1] == body else edge.frames[::-1]
+                poses[body] = one * two.inverse()
+            else:
+                poses[body] = places[body].pose
+        loops = [edge for edge in self._edges.values() if edge.name not in self._used]
+        return poses, self._parents, loops
+
+
+def _joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
+    """Returns a joint in the base's frame, of the pose of the parent there.
+
+    One that is written from the child to the parent turns the other way about its axis.
+    """
+    forward = edge.bodies[0] == parent
+    frame = pose * (edge.frames[0] if forward else edge.frames[1])
+    raw = np.eye(3)[edge.axis]
+    moves = edge.kind in (HINGE, SLIDE)
+    axis = frame.rotation @ raw * (1.0 if forward else -1.0) if moves else np.zeros(3)
+    return Joint(
+        name=edge.name,
+        kind=edge.kind,
+        parent=parent,
+        child=child,
+        position=frame.position,
+        axis=axis,
+        raw_axis=raw,
+        stated=edge.numbers,
+        lower=edge.lower,
+        upper=edge.upper,
+        effort=edge.numbers.get("effort", math.inf),
+    )
+
+
+def _free(body: str, pose: Pose) -> Joint:
+    """Returns the joint of a body that nothing holds."""
+    none, infinite = np.zeros(3), (-math.inf, math.inf, math.inf)
+    return Joint(f"({body})", FREE, "world", body, pose.position, none, none, {}, *infinite)
+
+
+def _frames(file: UsdFile, body: Any, place: Placed, units: Units, cache: Any) -> Iterator[Frame]:
+    """Yields what only marks a place on a body: transforms without anything in them, and guides."""
+    from pxr import UsdGeom, UsdPhysics
+
+    for prim in own_prims(file, body):
+        if prim == body or prim.HasAPI(UsdPhysics.CollisionAPI) or not prim.IsA(UsdGeom.Xformable):
+            continue
+        guide = UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide
+        empty = prim.GetTypeName() == "Xform" and not prim.GetChildren()
+        if guide or empty:
+            world = np.array(cache.GetLocalToWorldTransform(prim))[3, :3] * units.length
+            yield Frame(prim.GetDisplayName() or prim.GetName(), place.pose.inverse().point(world))
+
+
+def _apart(edge: Edge, places: Mapping[str, Placed]) -> tuple[float, float]:
+    """Returns how far a joint's frames are apart as the prims stand, but for its own motion."""
+    one, two = (places[b].pose * f for b, f in zip(edge.bodies, edge.frames, strict=True))
+    between = one.inverse() * two
+    axis = np.eye(3)[edge.axis]
+    offset = between.position.copy()
+    if edge.kind == SLIDE:
+        offset -= axis * (axis @ offset)
+    cosine = (np.trace(between.rotation) - 1.0) / 2.0
+    if edge.kind == HINGE:
+        cosine = float(axis @ between.rotation @ axis)
+    elif edge.kind not in (SLIDE, FIXED):
+        cosine = 1.0
+    if edge.kind == FREE:
+        offset = np.zeros(3)
+    return float(np.linalg.norm(offset)), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _gravity(file: UsdFile, units: Units) -> Array | None:
+    """Returns the gravity of the first scene that states one, z up; None where none does."""
+    from pxr import Usd, UsdPhysics
+
+    for prim in Usd.PrimRange(file.stage.GetPseudoRoot()):
+        if not prim.IsA(UsdPhysics.Scene):
+            continue
+        size = prim.GetAttribute("physics:gravityMagnitude").Get()
+        way = np.array(prim.GetAttribute("physics:gravityDirection").Get(), dtype=float)
+        if size is None or not np.isfinite(size) or size < 0:
+            continue
+        if not way.any():
+            way = units.up.T @ np.array([0.0, 0.0, -1.0])
+        found: Array = units.up @ way / np.linalg.norm(way) * float(written(size)) * units.length
+        return found
+    return None
+
+
+def _idle(file: UsdFile, prims: Mapping[str, Any], units: Units) -> dict[str, float]:
+    """Returns the masses on prims that are neither bodies nor touch anything (kg)."""
+    from pxr import UsdPhysics
+
+    found = {}
+    for body in prims.values():
+        for prim in own_prims(file, body):
+            if prim == body or prim.HasAPI(UsdPhysics.CollisionAPI):
+                continue
+            mass = prim.GetAttribute("physics:mass").Get()
+            if mass:
+                found[str(prim.GetPath())] = float(written(mass)) * units.mass
+    return found
+
+
+def told_of(model: UsdModel) -> Iterator[Diagnostic]:
+    """Yields what a comparison of the robot rests on, or leaves out."""
+    water = {n: one.water for n, one in model.weights.items() if one.water > 0}
+    if water:
+        yield diagnose("usd-masses-of-water", bodies=list(water))

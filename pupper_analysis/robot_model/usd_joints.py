@@ -1,0 +1,294 @@
+"""Joints of a USD: what they join, where, and their numbers, in m, rad, N m and seconds.
+
+UsdPhysics states angles in degrees, and with them all that is per angle: gains, damping, speeds.
+What it has no words for (damping, dry friction, armature) stands in the schemas of engines.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE
+from pupper_analysis.robot_model.pose import Pose
+from pupper_analysis.robot_model.usd_shapes import Units, written
+
+DEGREE: Final = math.pi / 180
+
+_KINDS: Final = {
+    "PhysicsRevoluteJoint": HINGE,
+    "PhysicsPrismaticJoint": SLIDE,
+    "PhysicsSphericalJoint": BALL,
+    "PhysicsFixedJoint": FIXED,
+}
+
+_AXES: Final = {"X": 0, "Y": 1, "Z": 2}
+_FREEDOMS: Final = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
+
+
+@dataclass(frozen=True)
+class Statement:
+    """An attribute that states a number of a joint, in the schema of an engine.
+
+    Attributes:
+        name: Its name; ``{axis}`` is ``angular`` or ``linear``, or ``rotX`` and the like.
+        per_angle: Whether it is per degree, of a hinge.
+        angle: Whether it is in degrees (per second), of a hinge.
+    """
+
+    name: str
+    per_angle: bool = False
+    angle: bool = False
+
+
+STATEMENTS: Final[Mapping[str, tuple[Statement, ...]]] = {
+    "damping": (
+        Statement("newton:damping", per_angle=True),
+        Statement("mjc:damping"),
+        Statement("physxJointAxis:{axis}:viscousFrictionCoefficient", per_angle=True),
+    ),
+    "friction": (
+        Statement("newton:friction"),
+        Statement("mjc:frictionloss"),
+        Statement("physxJointAxis:{axis}:staticFrictionEffort"),
+    ),
+    "armature": (
+        Statement("newton:armature"),
+        Statement("mjc:armature"),
+        Statement("physxJointAxis:{axis}:armature"),
+        Statement("physxJoint:armature"),
+    ),
+    "effort": (
+        Statement("newton:effortLimit"),
+        Statement("drive:{axis}:physics:maxForce"),
+    ),
+    "velocity": (
+        Statement("newton:velocityLimit", angle=True),
+        Statement("physxJointAxis:{axis}:maxJointVelocity", angle=True),
+        Statement("physxJoint:maxJointVelocity", angle=True),
+    ),
+    "spring": (Statement("mjc:stiffness"),),
+}
+"""{kind, as in `models.attributes`: what states it}; the first that does is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A motor of a joint.
+
+    Attributes:
+        stiffness: N m/rad or N/m.
+        damping: N m s/rad or N s/m.
+        target: The position that it holds (rad, m); None if not stated.
+        accelerates: Whether gains are per inertia: it gives an acceleration, not a force.
+        written: The stiffness as it is written, per degree.
+    """
+
+    stiffness: float
+    damping: float
+    target: float | None
+    accelerates: bool
+    written: float
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A joint between two bodies of a USD.
+
+    Attributes:
+        name: Its name.
+        prim: Its `pxr.Usd.Prim`.
+        kind: As of `model.Joint`.
+        bodies: Names of both; "" for the world.
+        frames: Its frame in each of them, in m.
+        axis: 0 to 2, in its frame.
+        lower: rad or m; -inf if unlimited.
+        upper: rad or m.
+        numbers: {kind: what is stated}; what is not there is not known.
+        stated: {kind: {attribute: what it states}}, in the same units, of all that do.
+        drive: Its motor; None if it has none.
+        outside: Whether it is to be left out of the tree.
+        mimic: The joint that it follows as q = multiplier q' + offset; None if it follows none.
+    """
+
+    name: str
+    prim: Any
+    kind: str
+    bodies: tuple[str, str]
+    frames: tuple[Pose, Pose]
+    axis: int
+    lower: float
+    upper: float
+    numbers: Mapping[str, float] = field(default_factory=dict)
+    stated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    drive: Drive | None = None
+    outside: bool = False
+    mimic: tuple[str, float, float] | None = None
+
+
+def edge_of(
+    name: str,
+    prim: Any,
+    bodies: tuple[str, str],
+    frames: tuple[Pose, Pose],
+    units: Units,
+    paths: Mapping[str, str],
+) -> Edge:
+    """Reads a joint, between bodies that have been found.
+
+    Args:
+        name: Its name.
+        prim: Its prim.
+        bodies: Names of both; "" for the world.
+        frames: Its frame in each.
+        units: Of the stage.
+        paths: {path of a joint's prim: its name}.
+    """
+    kind, axis, lower, upper = _freedom(prim)
+    turns = kind == HINGE
+    unit = DEGREE if turns else units.length
+    word = _word(prim, kind, axis)
+    ends = {"lower limit": lower * unit, "upper limit": upper * unit}
+    stated = {
+        what: found
+        for what, statements in STATEMENTS.items()
+        if kind in (HINGE, SLIDE) and (found := _stated(prim, what, statements, word, turns, units))
+    }
+    return Edge(
+        name=name,
+        prim=prim,
+        kind=kind,
+        bodies=bodies,
+        frames=frames,
+        axis=axis,
+        lower=lower * unit,
+        upper=upper * unit,
+        numbers={what: value for what, value in ends.items() if math.isfinite(value)}
+        | {what: next(iter(found.values())) for what, found in stated.items()},
+        stated=stated,
+        drive=_drive(prim, word, turns, units) if kind in (HINGE, SLIDE) else None,
+        outside=bool(prim.GetAttribute("physics:excludeFromArticulation").Get()),
+        mimic=_mimic(prim, turns, units, paths),
+    )
+
+
+def _freedom(prim: Any) -> tuple[str, int, float, float]:
+    """Returns a joint's kind, its axis, and its limits as they are written."""
+    kind = _KINDS.get(str(prim.GetTypeName()))
+    if kind is not None:
+        axis = _AXES[str(prim.GetAttribute("physics:axis").Get() or "X")]
+        lower, upper = (
+            default
+            if (value := prim.GetAttribute(f"physics:{end}Limit").Get()) is None
+            else float(written(value))
+            for end, default in (("lower", -math.inf), ("upper", math.inf))
+        )
+        return (kind, axis, *((lower, upper) if kind in (HINGE, SLIDE) else (-math.inf, math.inf)))
+    # A general joint is free about and along all axes but those whose limits are exchanged.
+    free: dict[str, tuple[float, float]] = {}
+    for word in _FREEDOMS:
+        low, high = (prim.GetAttribute(f"limit:{word}:physics:{end}").Get() for end in _ENDS)
+        low = -math.inf if low is None else float(written(low))
+        high = math.inf if high is None else float(written(high))
+        if not low > high:
+            free[word] = low, high
+    if not free:
+        return FIXED, 0, -math.inf, math.inf
+    if len(free) == 1:
+        (word, (low, high)), *_ = free.items()
+        return HINGE if word.startswith("rot") else SLIDE, _AXES[word[-1]], low, high
+    ball = set(free) == set(_FREEDOMS[3:])
+    return BALL if ball else FREE, 0, -math.inf, math.inf
+
+
+_ENDS: Final = ("low", "high")
+
+
+def _word(prim: Any, kind: str, axis: int) -> str:
+    """Returns what a joint's axis is called in the names of its drive's attributes."""
+    if str(prim.GetTypeName()) in _KINDS:
+        return "angular" if kind == HINGE else "linear"
+    return ("rot" if kind == HINGE else "trans") + "XYZ"[axis]
+
+
+def _stated(
+    prim: Any,
+    what: str,
+    statements: tuple[Statement, ...],
+    word: str,
+    turns: bool,
+    units: Units,
+) -> dict[str, float]:
+    """Returns all that states a number, in SI units."""
+    found = {}
+    for statement in statements:
+        name = statement.name.format(axis=word)
+        value = prim.GetAttribute(name).Get()
+        if value is None or not np.isfinite(value) or not prim.GetAttribute(name).IsAuthored():
+            continue
+        if what == "velocity":
+            unit = units.length
+        elif what in ("effort", "friction"):
+            unit = units.inertia if turns else units.force
+        else:
+            unit = units.inertia if turns else units.mass
+        if turns:
+            if statement.per_angle:
+                unit /= DEGREE
+            elif statement.angle:
+                unit = DEGREE
+        found[name] = float(written(value)) * unit
+    return found
+
+
+def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:
+    """Returns a joint's drive of UsdPhysics; None if it has none."""
+    if f"PhysicsDriveAPI:{word}" not in prim.GetAppliedSchemas():
+        return None
+
+    def of(name: str) -> float | None:
+        value = prim.GetAttribute(f"drive:{word}:physics:{name}").Get()
+        return None if value is None else float(written(value))
+
+    accelerates = prim.GetAttribute(f"drive:{word}:physics:type").Get() == "acceleration"
+    force = 1.0 if accelerates else units.inertia if turns else units.mass
+    unit = force / DEGREE if turns else force
+    authored = prim.GetAttribute(f"drive:{word}:physics:targetPosition").IsAuthored()
+    target = of("targetPosition") if authored else None
+    stiffness = of("stiffness") or 0.0
+    return Drive(
+        stiffness=stiffness * unit,
+        damping=(of("damping") or 0.0) * unit,
+        target=None if target is None else target * (DEGREE if turns else units.length),
+        accelerates=accelerates,
+        written=stiffness,
+    )
+
+
+def _mimic(
+    prim: Any, turns: bool, units: Units, paths: Mapping[str, str]
+) -> tuple[str, float, float] | None:
+    """Returns the joint that one follows, as Newton's or PhysX's schema states it."""
+    unit = DEGREE if turns else units.length
+    for name in prim.GetAuthoredPropertyNames():
+        if not name.endswith(("newton:mimicJoint", ":referenceJoint")):
+            continue
+        targets = prim.GetRelationship(name).GetTargets()
+        leader = paths.get(str(targets[0])) if targets else None
+        if leader is None:
+            continue
+        if name.startswith("newton:"):
+            one, two = (prim.GetAttribute(f"newton:mimicCoef{n}").Get() for n in (1, 0))
+            return (
+                leader,
+                1.0 if one is None else float(written(one)),
+                float(written(two or 0.0)) * unit,
+            )
+        start = name.removesuffix(":referenceJoint")
+        gearing, offset = (prim.GetAttribute(f"{start}:{w}").Get() for w in ("gearing", "offset"))
+        return leader, -float(written(gearing or 0.0)), -float(written(offset or 0.0)) * unit
+    return None

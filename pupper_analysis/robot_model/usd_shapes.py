@@ -1,0 +1,301 @@
+"""Shapes of a USD's bodies, what they would weigh, and poses of prims."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.diagnostics import Vector, diagnose
+from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.usd_file import UsdFile
+from pupper_analysis.robot_model.model import Shape
+from pupper_analysis.robot_model.pose import Array, Pose
+
+SCALE_ROUNDING: Final = 1e-6
+"""A scale so near to 1 is 1: orientations are written in single precision."""
+
+_TO_Z: Final = {
+    "X": np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    "Y": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "Z": np.eye(3),
+}
+"""Rotations that turn z to the axis of a shape."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """What a stage's numbers are in.
+
+    Attributes:
+        length: m.
+        mass: kg.
+        up: The rotation (3, 3) that turns its vertical axis to z.
+    """
+
+    length: float
+    mass: float
+    up: Array
+
+    @property
+    def force(self) -> float:
+        """N; seconds are seconds."""
+        return self.mass * self.length
+
+    @property
+    def inertia(self) -> float:
+        """Kg m^2; so are torques in N m."""
+        return self.mass * self.length**2
+
+    @property
+    def density(self) -> float:
+        """kg/m^3."""
+        return self.mass / self.length**3
+
+
+def units_of(stage: Any) -> Units:
+    """Returns a stage's units; a robot's stage says that they are metres, or it is in cm."""
+    from pxr import UsdGeom, UsdPhysics
+
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    return Units(
+        float(UsdGeom.GetStageMetersPerUnit(stage)),
+        float(UsdPhysics.GetStageKilogramsPerUnit(stage)),
+        turn if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """Where a prim is in the world of its stage.
+
+    Attributes:
+        pose: In m, in the stage's axes.
+        scale: (3,) What its own lengths are multiplied by, in m.
+    """
+
+    pose: Pose
+    scale: Array
+
+    def frame(self, position: Any, rotation: Any) -> Pose:
+        """Returns a frame in the prim's, of a position in its lengths and a quaternion."""
+        turned = rotation.GetReal(), *rotation.GetImaginary()
+        return Pose(written(position) * self.scale, rotation_of(turned))
+
+
+def written(value: Any) -> Array:
+    """Returns numbers as they are written: of one in single precision its shortest decimal.
+
+    A file's 0.18 is read as 0.18000000715. Nothing else has that as its nearest number in single
+    precision and as few digits.
+    """
+    values = np.array(value, dtype=float)
+    with np.errstate(over="ignore"):
+        single = values.astype(np.float32)
+    exact = np.array([float(str(one)) for one in single.ravel()]).reshape(values.shape)
+    return np.where(single == values, exact, values)
+
+
+def rotation_of(quaternion: Any) -> Array:
+    """Returns the rotation (3, 3) of a quaternion (w, x, y, z) in single precision; 0 is none."""
+    values = np.array(quaternion, dtype=float)
+    length = float(np.linalg.norm(values))
+    return np.eye(3) if length == 0 else rotation_from_quaternion(values / length)
+
+
+def placed(file: UsdFile, prim: Any, matrix: Any, units: Units) -> Placed:
+    """Splits the transform of a prim into a pose and a scale.
+
+    Raises:
+        ModelError: If it shears or mirrors: no joint's or body's frame can.
+    """
+    whole = np.array(matrix).T
+    scale = np.linalg.norm(whole[:3, :3], axis=0)
+    turn = whole[:3, :3] / np.where(scale > 0, scale, 1.0)
+    if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
+        told = diagnose("usd-frame-sheared", scale=Vector(tuple(scale), "1"))
+        raise refusal(Place(file.path, None, str(prim.GetPath())), told)
+    scale = np.where(np.abs(scale - 1.0) < SCALE_ROUNDING, 1.0, scale)
+    left, _, right = np.linalg.svd(turn)
+    return Placed(Pose(whole[:3, 3] * units.length, left @ right), scale * units.length)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """What a shape would be of a density of 1.
+
+    Attributes:
+        volume: m^3.
+        com: (3,) in the shape's frame (m).
+        inertia: (3, 3) about the com, of 1 kg/m^3 (m^5).
+    """
+
+    volume: float
+    com: Array
+    inertia: Array
+
+
+@dataclass(frozen=True, eq=False)
+class UsdShape(Shape):
+    """A shape of a USD.
+
+    Attributes:
+        prim: Its `pxr.Usd.Prim`.
+        scale: (3,) What the prim's own lengths are multiplied by, in m.
+        hull: Whether the engine takes a mesh's convex hull.
+    """
+
+    prim: Any = None
+    scale: Any = None
+    hull: bool = False
+
+    @cached_property
+    def solid(self) -> Solid | None:
+        """What it would weigh; None where that is not known: a mesh that is not closed."""
+        return _mesh_solid(self) if self.kind == "mesh" else _solid(self.kind, self.size)
+
+
+def shapes_of(file: UsdFile, body: Any, place: Placed, units: Units, cache: Any) -> list[UsdShape]:
+    """Returns the shapes below a body's prim, but not below another body's."""
+    from pxr import UsdGeom, UsdPhysics
+
+    found = []
+    for prim in own_prims(file, body):
+        if not prim.IsA(UsdGeom.Gprim):
+            continue
+        collides = prim.HasAPI(UsdPhysics.CollisionAPI) and (
+            UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr().Get() is not False
+        )
+        if not collides and UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide:
+            continue
+        world = np.array(cache.GetLocalToWorldTransform(prim)).T
+        world[:3] *= units.length
+        inverse = place.pose.inverse()
+        local = Pose(inverse.point(world[:3, 3]), inverse.rotation @ world[:3, :3])
+        found.append(_shape(prim, local, bool(collides)))
+    return found
+
+
+def own_prims(file: UsdFile, body: Any) -> Iterator[Any]:
+    """Yields the prims of a body: itself and what is below it, but for other bodies."""
+    from pxr import Usd
+
+    others = set(file.bodies.values()) - {str(body.GetPath())}
+    prims = iter(Usd.PrimRange(body, Usd.TraverseInstanceProxies()))
+    for prim in prims:
+        if str(prim.GetPath()) in others:
+            prims.PruneChildren()
+        else:
+            yield prim
+
+
+def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
+    """Returns a shape, of where it is in its body: a rotation times a scale, in m."""
+    from pxr import UsdGeom
+
+    def of(name: str, default: float) -> float:
+        value = prim.GetAttribute(name).Get()
+        return default if value is None else float(written(value))
+
+    kind = str(prim.GetTypeName()).removesuffix("_1").lower()
+    axis = str(prim.GetAttribute("axis").Get() or "Z")
+    turn = (
+        local.rotation @ _TO_Z[axis] if kind in ("cylinder", "capsule", "cone") else local.rotation
+    )
+    scale = np.linalg.norm(turn, axis=0)
+    pose = Pose(local.position, turn / np.where(scale > 0, scale, 1.0))
+    own = np.linalg.norm(local.rotation, axis=0)
+    size: tuple[float, ...] = ()
+    round_ = abs(scale[0] - scale[1]) <= 1e-4 * scale[0]
+    match kind:
+        case "cube":
+            kind, size = "box", tuple(of("size", 2.0) / 2 * scale)
+        case "sphere":
+            size = tuple(of("radius", 1.0) * scale)
+            alike = float(np.ptp(scale)) <= 1e-4 * float(scale.max())
+            kind, size = ("sphere", size[:1]) if alike else ("ellipsoid", size)
+        case "cylinder" | "capsule" | "cone" if round_:
+            half = of("height", 1.0 if kind == "capsule" else 2.0) / 2
+            radius = of("radius", 0.5 if kind == "capsule" else 1.0)
+            size = (float(radius * scale[0]), float(half * scale[2]))
+        case "mesh":
+            points = prim.GetAttribute("points")
+            approximation = str(prim.GetAttribute("physics:approximation").Get() or "none")
+
+            def vertices() -> Array | None:
+                values = np.array(points.Get() or (), dtype=float).reshape(-1, 3)
+                return values @ local.rotation.T if len(values) else None
+
+            place = Pose(local.position, np.eye(3))
+            name, hull = prim.GetName(), approximation == "convexHull"
+            return UsdShape(name, kind, place, (), collides, vertices, prim, own, hull)
+        case _:
+            kind = "plane" if prim.IsA(UsdGeom.Plane) else "other"
+    return UsdShape(prim.GetName(), kind, pose, size, collides, prim=prim, scale=own)
+
+
+def _solid(kind: str, size: tuple[float, ...]) -> Solid | None:
+    """Returns a shape's volume and second moments in closed form, z its axis."""
+    middle = np.zeros(3)
+    match kind, size:
+        case "box", (a, b, c):
+            volume = 8 * a * b * c
+            moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 3
+        case "sphere", (r,):
+            volume, moments = 4 / 3 * math.pi * r**3, np.full(3, 0.4 * r * r)
+        case "ellipsoid", (a, b, c):
+            volume = 4 / 3 * math.pi * a * b * c
+            moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 5
+        case "cylinder", (r, h):
+            volume = 2 * math.pi * r * r * h
+            across = r * r / 4 + h * h / 3
+            moments = np.array([across, across, r * r / 2])
+        case "cone", (r, h):
+            volume = 2 / 3 * math.pi * r * r * h
+            across = 0.15 * (r * r + h * h)  # 3/80 of the height squared, which is 2 h
+            moments = np.array([across, across, 0.3 * r * r])
+            middle = np.array([0.0, 0.0, -h / 2])  # a quarter of the height above the base
+        case "capsule", (r, h):
+            tube, ball = 2 * math.pi * r * r * h, 4 / 3 * math.pi * r**3
+            volume = tube + ball
+            # The two halves of the ball, their coms 3/8 r beyond the ends of the tube.
+            across = tube * (r * r / 4 + h * h / 3) + ball * (0.4 * r * r + h * h + 0.75 * h * r)
+            moments = np.array([across, across, (tube / 2 + 0.4 * ball) * r * r]) / volume
+        case _:
+            return None
+    return Solid(float(volume), middle, np.diag(volume * moments))
+
+
+def _mesh_solid(shape: UsdShape) -> Solid | None:
+    """Returns the volume and second moments of a mesh, or of its convex hull."""
+    import trimesh  # slow to import; yourdfpy depends on it
+
+    points = shape.vertices()
+    counts = np.array(shape.prim.GetAttribute("faceVertexCounts").Get() or (), dtype=int)
+    indices = np.array(shape.prim.GetAttribute("faceVertexIndices").Get() or (), dtype=int)
+    if points is None or counts.sum() != len(indices) or not np.isfinite(points).all():
+        return None
+    if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):
+        return None
+    starts = np.cumsum(counts) - counts
+    faces = [
+        (indices[start], indices[start + k], indices[start + k + 1])
+        for start, count in zip(starts, counts, strict=True)
+        for k in range(1, count - 1)
+    ]
+    try:
+        mesh = trimesh.Trimesh(points, faces)
+        mesh = mesh.convex_hull if shape.hull else mesh
+        if not mesh.is_watertight or not abs(mesh.volume) > 0:
+            return None
+        if mesh.volume < 0:
+            mesh.invert()
+        mesh.density = 1.0
+        return Solid(float(mesh.volume), np.array(mesh.center_mass), np.array(mesh.moment_inertia))
+    except Exception:  # whatever a degenerate mesh makes qhull or trimesh raise
+        return None

@@ -1,0 +1,80 @@
+"""What is wrong in a USD is found, at its prim."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pxr", reason="usd-core is not installed")
+
+from pupper_analysis.checks.audit import audit_model
+from tests.support import usd
+from tests.support.commands import answer
+
+
+def test_a_sound_robot_is_sound(tmp_path: Path) -> None:
+    audit = audit_model(usd.write(tmp_path))
+    assert audit.format == "usd"
+    assert audit.passed
+    assert {found.rule for found in audit.findings} <= {"base-fixed", "start-outside-limits"}
+
+
+THIGH, SHANK, HIP, BASE = "/leg/base/thigh", "/leg/base/thigh/shank", "/leg/joints/hip", "/leg/base"
+
+SLIPS = {
+    "mass-of-water": (("float physics:mass = 2000\n", "\n"), BASE),
+    "mass-unstated": (("float physics:mass = 500\n", "\n"), THIGH),
+    "mass-not-positive": (("float physics:mass = 500\n", "float physics:mass = -500\n"), THIGH),
+    "inertia-unstated": (("float3 physics:diagonalInertia = (20000, 19000, 2000)", ""), SHANK),
+    "triangle-inequality": (("(30000, 25000, 5000)", "(30000, 2500, 5000)"), THIGH),
+    "inertias-contradict": (
+        ("float physics:mass = 500\n", "float physics:mass = 500\n"
+         "double[] newton:inertia = [25000, 30000, 5000, 0, 0, 0]\n"), THIGH),
+    "mass-not-counted": (
+        ('def Xform "thigh" (', 'def Cube "hull" ( prepend apiSchemas = ["PhysicsMassAPI"] )\n'
+         '{\nfloat physics:mass = 7\n}\ndef Xform "thigh" ('), "/leg/base/hull"),
+    "joint-frames-apart": (("localPos0 = (10, 20, 0)", "localPos0 = (10, 21, 0)"), HIP),
+    "joint-numbers-contradict": (
+        ("double mjc:damping = 1000000", "double mjc:damping = 1000000\n"
+         "float newton:damping = 1000000"), HIP),
+    "drive-gain-in-wrong-unit": (("stiffness = 5000000\n", "stiffness = 300000000\n"), HIP),
+    "units-unstated": (("metersPerUnit = 0.01\n", ""), None),
+    "range-empty": (("lowerLimit = -30", "lowerLimit = 70"), HIP),
+    "limit-missing": (("float physics:lowerLimit = -30\n", ""), HIP),
+    "value-impossible": (("double mjc:damping = 1000000", "double mjc:damping = -1000000"), HIP),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("rule", SLIPS)
+def test_a_slip_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
+    change, prim = SLIPS[rule]
+    sound = {found.rule for found in audit_model(usd.write(tmp_path)).findings}
+    assert rule not in sound
+    path = usd.write(tmp_path, change)
+    found = [one for one in audit_model(path).findings if one.rule == rule]
+    assert [one.prim for one in found] == [prim]
+    assert found[0].file == str(path)
+    assert found[0].line is None
+
+
+def test_radians_among_degrees_are_found(tmp_path: Path) -> None:
+    path = usd.write(
+        tmp_path,
+        ("lowerLimit = -30", "lowerLimit = -0.5236"),
+        ("upperLimit = 60", "upperLimit = 1.0472"),
+        ("lowerLimit = -120", "lowerLimit = -2.0944"),
+        ("upperLimit = -30", "upperLimit = -0.5236"),
+        ("def PhysicsPrismaticJoint", "def PhysicsRevoluteJoint"),
+    )
+    assert "limits-in-wrong-unit" in {found.rule for found in audit_model(path).findings}
+
+
+def test_the_command_shows_the_prim(tmp_path: Path) -> None:
+    path = usd.write(tmp_path, SLIPS["mass-not-positive"][0])
+    result = answer("audit", str(path))
+    assert result.returncode == 1
+    assert "leg.usda:</leg/base/thigh>" in result.stdout
+    annotated = answer("audit", str(path), "--format", "github").stdout
+    assert f"file={path}" in annotated
+    assert "line=" not in annotated

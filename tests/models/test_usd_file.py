@@ -1,0 +1,144 @@
+"""A USD that cannot be read, or should not be, is refused in one line that names it."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pxr", reason="usd-core is not installed")
+
+from pupper_analysis.errors import MissingPackageError, ModelError
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.usd_file import MAX_DEPTH, read_usd
+from tests.support import usd
+
+HEAD = "#usda 1.0\n"
+BODY = 'def Xform "b" ( prepend apiSchemas = ["PhysicsRigidBodyAPI"] )\n{\n}\n'
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "code"),
+    [
+        ("broken.usda", b'#usda 1.0\ndef Xform "a"\n{\n junk\n', "usd-not-valid"),
+        ("old.usdc", b"PXR-USDC" + b"\x07" * 90, "usd-not-valid"),
+        ("cut.usdz", b"PK\x03\x04" + b"\x07" * 90, "usd-not-valid"),
+        ("none.usd", b"", "file-is-empty"),
+        ("xml.usd", b"<robot/>", "usd-not-valid"),
+        ("lfs.usd", b"version https://git-lfs.github.com/spec/v1\noid", "model-is-lfs-pointer"),
+        ("world.usda", b'#usda 1.0\ndef Xform "a"\n{\n}\n', "usd-without-bodies"),
+    ],
+)
+def test_what_is_no_robot_is_refused(
+    name: str, content: bytes, code: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / name
+    file.write_bytes(content)
+    with pytest.raises(ModelError, match=name) as refused:
+        read_usd(file)
+    assert refused.value.diagnostic.values["problem"].code == code
+    assert "\n" not in str(refused.value)
+    assert capfd.readouterr() == ("", "")  # USD's own warnings are not written
+
+
+def test_a_file_that_is_not_there_and_a_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.usda", tmp_path):
+        with pytest.raises(ModelError):
+            read_usd(path)
+
+
+def test_nesting_that_usd_would_die_of_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "deep.usda"
+    depth = MAX_DEPTH + 1
+    file.write_text(HEAD + 'def "a"\n{\n' * depth + "}\n" * depth)
+    with pytest.raises(ModelError, match="nested"):
+        read_usd(file)
+    file.write_text(HEAD + BODY + f'def "c" ( doc = "{"{" * depth}" )\n{{\n}}\n')
+    assert read_usd(file).bodies == {"b": "/b"}
+
+
+def test_references_that_multiply_are_counted_before_they_are_followed(tmp_path: Path) -> None:
+    """Ten layers that each bring in the next ten times are 10^10 prims."""
+    for level in range(10):
+        below = f"./{level + 1}.usda"
+        prims = "".join(f'def "p{k}" ( references = @{below}@ )\n{{\n}}\n' for k in range(10))
+        (tmp_path / f"{level}.usda").write_text(
+            HEAD + '( defaultPrim = "r" )\n' + f'def "r"\n{{\n{prims}}}\n'
+        )
+    (tmp_path / "10.usda").write_text(HEAD + '( defaultPrim = "b" )\n' + BODY)
+    with pytest.raises(ModelError, match="elements"):
+        read_usd(tmp_path / "0.usda")
+
+
+def test_what_is_missing_is_told_and_nothing_is_fetched(tmp_path: Path) -> None:
+    file = tmp_path / "a.usda"
+    away = 'def "w" ( references = @https://example.com/x.usd@ )\n{\n}\n'
+    file.write_text(HEAD + BODY + 'def "v" ( payload = @./none.usda@ )\n{\n}\n' + away)
+    (note,) = read_usd(file).notes
+    assert note.code == "usd-files-missing"
+    assert {Path(name).name for name in note.values["files"]} == {"x.usd", "none.usda"}
+
+
+def test_references_payloads_variants_and_instances_are_read(tmp_path: Path) -> None:
+    usd.write(tmp_path, name="robot.usda")
+    text = (
+        HEAD
+        + """( metersPerUnit = 0.01
+  kilogramsPerUnit = 0.001
+  upAxis = "Y" )
+def Xform "w"
+{
+    def Xform "one" (
+        instanceable = true
+        payload = @./robot.usda@
+        variants = { string size = "big" }
+        prepend variantSets = "size"
+    )
+    {
+        variantSet "size" = {
+            "big" {
+                over "base"
+                {
+                    float physics:mass = 3000
+                }
+            }
+        }
+    }
+}
+"""
+    )
+    file = tmp_path / "scene.usda"
+    file.write_text(text)
+    found = read_usd(file)
+    assert found.bodies["thigh"] == "/w/one/base/thigh"
+    assert found.joints["hip"] == "/w/one/joints/hip"
+    assert str(found.place("joint", "hip")) == "scene.usda:</w/one/joints/hip>"
+
+
+def test_a_file_that_changes_is_read_anew(tmp_path: Path) -> None:
+    """USD holds layers that are open: a second reading must not be of the first's."""
+    first = read_usd(usd.write(tmp_path))
+    second = read_usd(usd.write(tmp_path, ('def Xform "rod"', 'def Xform "stick"')))
+    assert "stick" in second.bodies
+    assert "rod" in first.bodies
+
+
+def test_names_that_are_alike_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    file = tmp_path / "two.usda"
+    two = "".join(f'def Xform "{name}"\n{{\n{BODY}}}\n' for name in ("left", "right"))
+    file.write_text(HEAD + two)
+    assert read_usd(file).bodies == {"left/b": "/left/b", "right/b": "/right/b"}
+
+
+def test_elsewhere_a_usd_is_told_from_xml(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="is a USD"):
+        read_model(usd.write(tmp_path))
+
+
+def test_without_the_library_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    with pytest.raises(MissingPackageError, match=r"pupper-analysis\[usd\]"):
+        read_usd(usd.write(tmp_path))
