@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, Vector, diagnose
+from pupper_analysis.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, refusal
 from pupper_analysis.models.usd_file import UsdFile
@@ -356,10 +356,3 @@ def _idle(file: UsdFile, prims: Mapping[str, Any], units: Units) -> dict[str, fl
             if mass:
                 found[str(prim.GetPath())] = float(written(mass)) * units.mass
     return found
-
-
-def told_of(model: UsdModel) -> Iterator[Diagnostic]:
-    """Yields what a comparison of the robot rests on, or leaves out."""
-    water = {n: one.water for n, one in model.weights.items() if one.water > 0}
-    if water:
-        yield diagnose("usd-masses-of-water", bodies=list(water))

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from pupper_analysis.checks.audit import audit_model
+from pupper_analysis.checks.audit import RULES, audit_model
 from tests.support import usd
 from tests.support.commands import answer
 
@@ -56,6 +56,10 @@ def test_a_slip_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
     assert [one.prim for one in found] == [prim]
     assert found[0].file == str(path)
     assert found[0].line is None
+
+
+def test_every_rule_of_usd_has_a_test() -> None:
+    assert {name for name, rule in RULES.items() if rule.formats == ("usd",)} <= set(SLIPS)
 
 
 def test_radians_among_degrees_are_found(tmp_path: Path) -> None:
