@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 
 from pupper_analysis.diagnostics import Quantity, diagnose
@@ -14,7 +12,6 @@ _ROUNDING = 1e-6
 """Of a body's largest moment of inertia: so much less than nothing is rounding, also a file's."""
 
 
-@functools.lru_cache(maxsize=8)
 def check_bodies(robot: Robot) -> None:
     """Checks that what moves with each joint has no negative mass or moment of inertia.
 
@@ -23,6 +20,10 @@ def check_bodies(robot: Robot) -> None:
     Raises:
         ModelError: If one has; it names the joint.
     """
+    robot.once(_check_bodies)
+
+
+def _check_bodies(robot: Robot) -> None:
     model = robot.pin_model
     for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
         moments = np.linalg.eigvalsh(inertia.inertia)

@@ -265,15 +265,14 @@ class Closure:
         """Returns MuJoCo's data, a thread's own, at a configuration, with the constraints' rows."""
         own, model = self._own, self._model
         if not hasattr(own, "data"):
-            own.data, own.at = mujoco.MjData(model), b""
-        key = qpos.tobytes()
-        if key != own.at:
+            own.data, own.at = mujoco.MjData(model), np.full(len(qpos), np.nan)
+        if not np.array_equal(qpos, own.at):
             self._convention.set_state(own.data, qpos)
             mujoco.mj_kinematics(model, own.data)
             mujoco.mj_comPos(model, own.data)
             mujoco.mj_tendon(model, own.data)
             mujoco.mj_makeConstraint(model, own.data)
-            own.at = key
+            own.at = qpos.copy()
         data: mujoco.MjData = own.data
         return data
 

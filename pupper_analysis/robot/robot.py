@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -30,7 +30,11 @@ from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
 
-_MADE = ("structure", "closure", "efforts", "effort_ranges", "effort_limits")
+_T = TypeVar("_T")
+
+_MADE = (
+    "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "_kept",
+)  # fmt: skip
 """What is worked out again, quicker than it travels."""
 
 
@@ -106,14 +110,7 @@ class Robot:
 
     def __getstate__(self) -> dict[str, Any]:
         state = plain_state(self)
-        for made in (
-            "structure",
-            "closure",
-            "efforts",
-            "effort_ranges",
-            "effort_limits",
-            "shapes",
-        ):  # worked out again, quicker than they travel
+        for made in _MADE:
             state.pop(made, None)
         return state
 
@@ -165,6 +162,26 @@ class Robot:
     def shapes(self) -> tuple[Shape, ...]:
         """The shapes with which MuJoCo has it touch, feet included."""
         return shapes_of(self)
+
+    @cached_property
+    def _kept(self) -> dict[tuple[Hashable, ...], Any]:
+        return {}
+
+    def once(self, make: Callable[..., _T], *given: Hashable) -> _T:
+        """Returns what a function makes of the robot alone: made once, and the robot's own.
+
+        It lasts as long as the robot, which does not change. What is made must not hold the robot:
+        it would only go when Python looks for circles.
+
+        Args:
+            make: Called with the robot, and what is given.
+            given: Further arguments, which cannot be changed.
+        """
+        key = make, *given
+        if key not in self._kept:
+            self._kept[key] = make(self, *given)
+        made: _T = self._kept[key]
+        return made
 
     @property
     def lower_limits(self) -> Array:

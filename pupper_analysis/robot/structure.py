@@ -69,7 +69,7 @@ class Structure:
         foot_frames: Mapping[str, str],
     ) -> None:
         self.model = in_public_coordinates(model, joint_names)
-        self._given, self._convention = model, convention
+        self._given = model
         self.floating = convention.floating
         self.nv = convention.base_nv + len(joint_names)
         self.nq = self.nv + self.floating
@@ -93,7 +93,8 @@ class Structure:
         rest.flags.writeable = False
         self.rest = rest[:]
         self._own = PinocchioConvention.of(self.model, joint_names)
-        self._armature = b""
+        self._order = np.arange(self.nv)  # of the given model's coordinates in the own one's
+        self._order[self._own.v_index] = convention.v_index
         columns = np.concatenate([np.arange(convention.base_nv), self._own.v_index])
         one, other = np.meshgrid(columns, columns, indexing="ij")
         self._upper = np.minimum(one, other) * self.nv + np.maximum(one, other)
@@ -123,12 +124,7 @@ class Structure:
 
     def loaded(self) -> pin.Model:
         """Returns the model with the armature that the robot's has now: it may be changed."""
-        given = self._given.armature
-        if given.tobytes() != self._armature:
-            armature, free = np.zeros(self.nv), self._convention.base_nv
-            armature[:free] = given[:free]
-            armature[self._own.v_index] = given[self._convention.v_index]
-            self.model.armature, self._armature = armature, given.tobytes()
+        self.model.armature = self._given.armature.take(self._order)
         return self.model
 
     def state(self, qpos: ArrayLike) -> Array:

@@ -30,14 +30,16 @@ class Contacts:
     """Contacts of a robot with the ground, wherever the robot is.
 
     Attributes:
-        robot: The robot.
+        nv: The robot's degrees of freedom.
+        free: Those of its base.
         feet: The n feet that carry.
         normals: (n, 3) out of the ground, unit vectors in the world.
         friction: (n,) coefficients.
         offsets: (n, 3) from each foot's centre to its contact, in the world (m).
     """
 
-    robot: Robot
+    nv: int
+    free: int
     feet: tuple[str, ...]
     normals: Array
     friction: Array
@@ -64,7 +66,7 @@ class Contacts:
 
     def jacobian(self, config: Configuration) -> Array:
         """Returns J^T (nv, 3 n): what generalised force their forces make."""
-        return (self._moved @ config.foot_twists(self.feet).reshape(-1, self.robot.nv)).T
+        return (self._moved @ config.foot_twists(self.feet).reshape(-1, self.nv)).T
 
     @functools.cached_property
     def _moved(self) -> Array:
@@ -83,12 +85,11 @@ class Contacts:
             transposed: (nv, 3 n) see ``jacobian``.
             load: (nv,) what motors and contacts must add up to (N, N m).
         """
-        base_rows = self.robot.nv - self.robot.nu
         return Balance(
-            base=transposed[:base_rows],
-            weight=load[:base_rows],
-            joints=transposed[base_rows:],
-            torques=load[base_rows:],
+            base=transposed[: self.free],
+            weight=load[: self.free],
+            joints=transposed[self.free :],
+            torques=load[self.free :],
             normals=self.normals,
         )
 
@@ -109,11 +110,10 @@ def contacts_of(
     """
     feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
-        return _usual(robot, feet)
+        return robot.once(_usual, feet)
     return _contacts(robot, feet, friction, normals, depths)
 
 
-@functools.lru_cache(maxsize=8)
 def _usual(robot: Robot, feet: tuple[str, ...]) -> Contacts:
     """Returns the contacts of feet on level ground, which depend on the robot alone."""
     made = _contacts(robot, feet, None, None, None)
@@ -138,7 +138,7 @@ def _contacts(
         raise ConfigurationError("contacts", problem)
     if not feet:
         nothing = np.zeros((0, 3))
-        return Contacts(robot, feet, nothing, np.zeros(0), nothing)
+        return Contacts(robot.nv, robot.nv - robot.nu, feet, nothing, np.zeros(0), nothing)
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
@@ -150,7 +150,8 @@ def _contacts(
     )
     radii = [robot.foot_radius[foot] for foot in feet]
     return Contacts(
-        robot=robot,
+        nv=robot.nv,
+        free=robot.nv - robot.nu,
         feet=feet,
         normals=out,
         friction=np.array([_friction(robot, foot, friction) for foot in feet]),

@@ -16,6 +16,7 @@ from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInf
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, ForceBounds
 from pupper_analysis.statics.contacts import Contacts, contacts_of
 from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
@@ -200,9 +201,9 @@ def equilibrium(
     else:
         forces = problem.minimum_tangential(limits, np.ones(len(carrying.feet)), bounds)
         if forces is not None and robot.contacts and limits is not None:
-            forces = _creeping(problem, forces, carrying, bounds)
+            forces = _creeping(robot, problem, forces, carrying, bounds)
     if forces is None and bounds is not None:
-        _explain_bounds(problem, carrying, bounds)
+        _explain_bounds(robot, problem, carrying, bounds)
     if forces is None:
         points = dict(zip(carrying.feet, carrying.points(config), strict=True))
         raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
@@ -240,12 +241,12 @@ def distribution_of(value: str) -> ForceDistribution:
 
 
 def _creeping(
-    problem: Balance, forces: Array, carrying: Contacts, bounds: ForceBounds | None
+    robot: Robot, problem: Balance, forces: Array, carrying: Contacts, bounds: ForceBounds | None
 ) -> Array | None:
     """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
     if carrying.level:
         return forces  # nothing creeps
-    robot, friction = carrying.robot, carrying.friction
+    friction = carrying.friction
     scale = np.abs(forces).max()
     laws = [GroundLaw.of(robot, foot) for foot in carrying.feet]
     for _ in range(_MAX_ITERATIONS):
@@ -262,7 +263,9 @@ def _creeping(
     return forces
 
 
-def _explain_bounds(problem: Balance, carrying: Contacts, bounds: ForceBounds) -> None:
+def _explain_bounds(
+    robot: Robot, problem: Balance, carrying: Contacts, bounds: ForceBounds
+) -> None:
     """Raises if forces exist without these bounds: by the motors', or by a foot's load.
 
     Raises:
@@ -277,7 +280,7 @@ def _explain_bounds(problem: Balance, carrying: Contacts, bounds: ForceBounds) -
         torques = np.abs(problem.torques - problem.joints @ free)
         with np.errstate(divide="ignore", invalid="ignore"):
             worst = int(np.nanargmax(torques / bounds.torques))
-        name = carrying.robot.joint_names[worst]
+        name = robot.joint_names[worst]
         detail = diagnose(
             "motor-too-weak",
             subject=("joint", name),

@@ -100,7 +100,7 @@ def gravity_compensations(
     """
     wanted = distribution_of(distribution)
     carrying = contacts_of(robot, contacts, friction, normals, depths)
-    states = _States.of(carrying, _rows(robot, qpos))
+    states = _States.of(robot, carrying, _rows(robot, qpos))
     count, base_rows = len(states.qpos), robot.nv - robot.nu
     size = 3 * len(carrying.feet)
     forces, found = np.zeros((count, size)), np.full(count, not size)
@@ -131,7 +131,7 @@ def gravity_compensations(
             forces[state] = np.nan
         else:
             forces[state] = np.concatenate([alone.contact_forces[foot] for foot in carrying.feet])
-    return _results(carrying, states, forces, infeasible)
+    return _results(robot, carrying, states, forces, infeasible)
 
 
 def _rows(robot: Robot, qpos: ArrayLike) -> Array:
@@ -162,13 +162,13 @@ class _States:
     coms: Array
 
     @staticmethod
-    def of(carrying: Contacts, rows: Array) -> _States:
+    def of(robot: Robot, carrying: Contacts, rows: Array) -> _States:
         """Works it out.
 
         Raises:
             ConfigurationError: If one of the rows (k, nq) is no state; it says which.
         """
-        robot, count, feet = carrying.robot, len(rows), len(carrying.feet)
+        count, feet = len(rows), len(carrying.feet)
         states = _States(
             qpos=rows,
             loads=np.empty((count, robot.nv)),
@@ -192,17 +192,22 @@ class _States:
 
 
 def _results(
-    carrying: Contacts, states: _States, forces: Array, infeasible: dict[int, Diagnostic]
+    robot: Robot,
+    carrying: Contacts,
+    states: _States,
+    forces: Array,
+    infeasible: dict[int, Diagnostic],
 ) -> GravityCompensations:
     """Puts the results together.
 
     Args:
+        robot: The robot.
         carrying: The contacts.
         states: The k states.
         forces: (k, 3 n) of the contacts.
         infeasible: See ``GravityCompensations``.
     """
-    robot, feet = carrying.robot, carrying.feet
+    feet = carrying.feet
     base_rows = robot.nv - robot.nu
     per_foot = forces.reshape(states.points.shape)
     left = states.loads - (states.transposed @ forces[:, :, None])[..., 0]

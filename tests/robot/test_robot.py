@@ -1,6 +1,7 @@
 """Loading pairs of files: what is taken from which, and what is refused with which words."""
 
-from dataclasses import FrozenInstanceError
+import pickle
+from dataclasses import FrozenInstanceError, replace
 from pathlib import Path
 
 import mujoco
@@ -330,3 +331,20 @@ def test_a_foot_on_a_low_step_touches_the_step_alone() -> None:
         on_step.mj_model, mujoco_at(on_step, qpos), on_step.foot_geoms
     )
     assert "base_link" in bodies
+
+
+def test_what_is_made_of_a_robot_is_made_once_and_its_own() -> None:
+    made = []
+
+    def mass_and(robot: pa.Robot, more: float) -> float:
+        made.append(robot)
+        return robot.total_mass + more
+
+    robot = pa.load_variant("v3")
+    assert robot.once(mass_and, 1.0) == robot.once(mass_and, 1.0) == robot.total_mass + 1.0
+    assert robot.once(mass_and, 2.0) == robot.total_mass + 2.0
+    assert made == [robot, robot]
+    other = replace(robot, name="other")
+    assert other.once(mass_and, 1.0) == robot.total_mass + 1.0
+    assert made == [robot, robot, other]
+    assert not vars(pickle.loads(pickle.dumps(robot))).keys() & {"_kept"}

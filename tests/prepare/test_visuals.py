@@ -1,0 +1,50 @@
+"""What is only seen is left out while a robot is made, and is there in the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import pupper_analysis as pa
+from pupper_analysis.prepare.visuals import geoms_by_id, leave_out_visuals
+from tests.support.legged import quadruped
+
+SPEC = """<mujoco><worldbody><body name="a"><freejoint/>
+  <geom name="seen" type="box" size=".1 .2 .3" contype="0" conaffinity="0" mass="2"/>
+  <geom type="sphere" size=".1" pos="0 0 1"/>
+  <geom name="last" type="sphere" size=".2" pos="0 0 -1"/></body></worldbody></mujoco>"""
+
+
+def test_a_body_weighs_what_it_does_with_its_visuals() -> None:
+    spec = mujoco.MjSpec.from_string(SPEC)
+    whole = spec.copy().compile()
+    leave_out_visuals(spec)
+    model = spec.copy().compile()
+    assert (whole.ngeom, model.ngeom) == (3, 2)
+    np.testing.assert_allclose(model.body_mass, whole.body_mass, rtol=1e-14)
+    np.testing.assert_allclose(model.body_inertia, whole.body_inertia, rtol=1e-12)
+    by_id = geoms_by_id(spec)
+    assert [by_id[index].pos[2] for index in range(2)] == [1.0, -1.0]
+    assert len(spec.geoms) == 3  # what is compiled is a copy
+
+
+def test_in_a_fluid_they_stay() -> None:
+    spec = mujoco.MjSpec.from_string(SPEC)
+    spec.option.viscosity = 1e-3
+    leave_out_visuals(spec)
+    assert spec.copy().compile().ngeom == 3
+
+
+def test_a_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path)
+    seen = '<geom name="hat" type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
+    text = pair.mjcf.read_text()
+    pair.mjcf.write_text(text.replace("<freejoint/>", f"<freejoint/>{seen}", 1))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
+    assert robot.mj_model.geom("hat").contype[0] == 0
+    assert not robot.description.mjcf.compiler.discardvisual
+    assert set(robot.foot_geoms.values()) == set(robot.soles)
+    for geom in robot.foot_geoms:
+        assert robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value

@@ -1,0 +1,54 @@
+"""Whether a robot comes to rest: quicker than the verification of a stand, and of the same mind."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.simulation import settling
+from pupper_analysis.simulation.settling import comes_to_rest
+from pupper_analysis.stance.stand import Stand
+from tests.support.variants import load
+
+
+@pytest.fixture(scope="module")
+def standing() -> tuple[pa.Robot, Stand]:
+    robot = load("v3")
+    return robot, pa.sunk_stand(robot)
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize(
+    ("kp", "kd", "feedforward"),
+    [(5.0, 0.1, True), (20.0, 0.5, False), (0.05, 0.001, False), (5e4, 0.0, True)],
+)
+def test_it_agrees_with_the_verification(
+    standing: tuple[pa.Robot, Stand], kp: float, kd: float, feedforward: bool
+) -> None:
+    """Held, sagging a little, falling, and shaking to pieces."""
+    robot, stand = standing
+    gains = {"kp": np.full(robot.nu, kp), "kd": np.full(robot.nu, kd)}
+    seen = pa.verify_stand(robot, stand, feedforward=feedforward, **gains)
+    assert comes_to_rest(robot, stand, feedforward=feedforward, **gains) == seen.stays
+    assert seen.stays == (5.0 <= kp <= 20.0)
+
+
+def test_it_simulates_no_longer_than_it_takes(
+    standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, stand = standing
+    simulated = []
+    run = settling.run
+    step = float(robot.mj_model.opt.timestep)
+
+    def counted(*given: object) -> object:
+        simulated.append(len(given[2]) * step)  # type: ignore[arg-type]
+        return run(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(settling, "run", counted)
+    assert comes_to_rest(robot, stand)
+    assert sum(simulated) == pytest.approx(2.0)  # of 5 s in which a stand may settle
+    simulated.clear()
+    assert not comes_to_rest(robot, stand, feedforward=False, kp=0.05, kd=0.001)
+    assert sum(simulated) < 5.0
