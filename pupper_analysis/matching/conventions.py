@@ -240,7 +240,12 @@ def _samples(count: int) -> Iterator[list[int]]:
 
 
 def _fitted(one: Array, two: Array) -> pin.SE3 | None:
-    """Returns the pose that brings points nearest to others; None if they lie in a line."""
+    """Returns the pose that brings points nearest to others; None if they lie in a line.
+
+    Or if one has no place: the com of bodies whose masses, one negative, add up to none.
+    """
+    if not (np.isfinite(one).all() and np.isfinite(two).all()):
+        return None
     here, there = one - one.mean(axis=0), two - two.mean(axis=0)
     if len(one) < 3 or min(np.linalg.matrix_rank(points, tol=1e-6) for points in (here, there)) < 2:
         return None

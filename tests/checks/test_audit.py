@@ -23,6 +23,7 @@ from pupper_analysis.checks.audit.rules.joints import expected_axis
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Source
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.robot_model.urdf import read_urdf_model
+from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 
 OWN = {
@@ -1025,3 +1026,16 @@ def test_links_without_inertial_are_told_once(tmp_path: Path) -> None:
     assert bare.element == "link 'body_imu_site'"
     rules = {each.rule for each in audit_model(ROOT / "urdf/pupper_v3.urdf").findings}
     assert not rules & {"link-without-inertial", "massless-link-collides"}
+
+
+def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path) -> None:
+    """In degrees, say: 5.73 m, on a leg of 0.6 m."""
+    pair = quadruped(tmp_path)
+    thigh = '<inertial pos="0 0 -0.1" mass="0.5"'
+    assert not any(one.rule == "com-outside-shapes" for one in pa.audit_model(pair.mjcf).findings)
+    pair.mjcf.write_text(pair.mjcf.read_text().replace(thigh, thigh.replace("-0.1", "-5.73"), 1))
+    (told,) = (
+        one for one in pa.audit_model(pair.mjcf).findings if one.rule == "com-outside-shapes"
+    )
+    assert told.severity == "warning"
+    assert told.diagnostic.code == "com-far-from-joints"

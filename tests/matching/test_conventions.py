@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from pupper_analysis.matching.conventions import _fitted
 from tests.report.test_comparison import lines
 from tests.support.robots import (
     FEET,
@@ -315,3 +316,13 @@ def test_the_limits_of_the_one_joint_on_a_base_tell_where_its_zero_is(tmp_path: 
     moved = changed(mjcf, "column", lower=column.lower + quarter, upper=column.upper + quarter)
     comparison = compared(pair(tmp_path, moved, urdf=bare))
     assert not comparison.agree
+
+
+def test_a_com_of_masses_that_add_up_to_none_is_nowhere() -> None:
+    """By a negative mass: singular values of what is not a number are none."""
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    pose = _fitted(points, points + 1.0)
+    assert pose is not None
+    np.testing.assert_allclose(pose.translation, 1.0)
+    points[2] = np.nan
+    assert _fitted(points, points) is None

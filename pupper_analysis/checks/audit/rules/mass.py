@@ -59,14 +59,29 @@ def moving_body_without_mass(robot: RobotModel) -> Iterator[Found]:
 
 @rule
 def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
-    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it."""
+    """Compares coms with the convex hull of a body's shapes, joints, and what is fixed to it.
+
+    That of a body without shapes is compared with the robot: no com is farther from the body's
+    joints than its longest limb is long.
+    """
+    span = max((_reach(robot, name) for name in robot.links), default=0.0)
     for body in robot.links.values():
         inertial = body.inertial
-        if inertial is None or not inertial.stated or not body.shapes or robot.is_negligible(body):
+        if inertial is None or not inertial.stated or robot.is_negligible(body):
             continue
         group = robot.fixed_group(body.name)
         points = extent_points(group, body)
         if points is None:
+            outside = outside_hull(link_points(robot, body), inertial.com)
+            if 0 < span < outside:
+                told = diagnose(
+                    "com-far-from-joints",
+                    com=Vector(tuple(inertial.com), "m"),
+                    outside=Quantity(outside, "m"),
+                    size=Quantity(span, "m"),
+                )
+                yield Found(robot.link_tag, body.name, told, robot.inertial_part("origin"))
+        if points is None or not body.shapes:
             continue
         points = np.concatenate([points, link_points(robot, body)])
         size = float(np.ptp(points, axis=0).max())
@@ -81,6 +96,12 @@ def com_outside_shapes(robot: RobotModel) -> Iterator[Found]:
                 size=Quantity(size, "m"),
             )
             yield Found(robot.link_tag, body.name, told, robot.inertial_part("origin"))
+
+
+def _reach(robot: RobotModel, name: str) -> float:
+    """Returns how far a link is from its root along the joints (m)."""
+    chain = [robot.links[one].pose.position for one in (name, *robot.ancestors(name))]
+    return float(sum(np.linalg.norm(np.diff(chain, axis=0), axis=1)))
 
 
 @rule
