@@ -13,7 +13,7 @@ from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.checks.differences import Difference, Effect, Stated
 from pupper_analysis.checks.words import (
     FORMATS,
-    Sides,
+    ModelNames,
     in_degrees,
     mirrored,
     pair,
@@ -46,7 +46,7 @@ NOTHING = Tolerances(**{kind.name: 1e-300 for kind in fields(Tolerances)})
 
 
 def changes_between(
-    one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: Sides = FORMATS
+    one: MultibodyTree, two: MultibodyTree, tolerances: Tolerances, sides: ModelNames = FORMATS
 ) -> Iterable[Change]:
     """Yields the differences of two sets of parameters.
 
@@ -92,7 +92,7 @@ def changes_between(
 
 
 def patched_with(
-    first: MultibodyTree, second: MultibodyTree, sides: Sides = FORMATS
+    first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMATS
 ) -> MultibodyTree:
     """Returns the first parameters with the second's value for every difference.
 
@@ -105,7 +105,7 @@ def patched_with(
 
 
 def body_changes(
-    name: str, one: TreeBody, two: TreeBody, tolerances: Tolerances, sides: Sides = FORMATS
+    name: str, one: TreeBody, two: TreeBody, tolerances: Tolerances, sides: ModelNames = FORMATS
 ) -> Iterable[Change]:
     """Yields the differences of two bodies."""
     body = ("body", name)
@@ -163,7 +163,7 @@ def _turned(one: TreeBody, two: TreeBody) -> Diagnostic | None:
 
 
 def _joint_changes(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
     yield from _kinds_of_joints(name, one, two, sides)
     yield from _placements(name, one, two, tolerances, sides)
@@ -171,7 +171,9 @@ def _joint_changes(
     yield from _joint_numbers(name, one, two, tolerances, sides)
 
 
-def _kinds_of_joints(name: str, one: TreeJoint, two: TreeJoint, sides: Sides) -> Iterable[Change]:
+def _kinds_of_joints(
+    name: str, one: TreeJoint, two: TreeJoint, sides: ModelNames
+) -> Iterable[Change]:
     """Yields another parent, and another type."""
     if one.parent != two.parent:
         both = {"one": one.parent, "two": two.parent, **sides.named}
@@ -196,7 +198,7 @@ def _kinds_of_joints(name: str, one: TreeJoint, two: TreeJoint, sides: Sides) ->
 
 
 def _placements(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
     """Yields another position or orientation in the parent's frame."""
     apart = float(np.linalg.norm(two.position - one.position))
@@ -244,7 +246,7 @@ def _placements(
 
 
 def _axes(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
     """Yields another axis."""
     between = math.acos(min(1.0, max(-1.0, float(one.axis @ two.axis))))
@@ -263,7 +265,7 @@ def _axes(
 
 
 def _joint_numbers(
-    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: Sides
+    name: str, one: TreeJoint, two: TreeJoint, tolerances: Tolerances, sides: ModelNames
 ) -> Iterable[Change]:
     """Yields other limits, damping and friction; and armature, where both can state it."""
     for attribute in IN_A_TREE:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.words import FORMATS, Sides
+from pupper_analysis.checks.words import FORMATS, ModelNames
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import Conventions, pose_told, with_zero
@@ -15,7 +15,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 
 
 def convention_changes(
-    found: Conventions, first: MultibodyTree, sides: Sides = FORMATS
+    found: Conventions, first: MultibodyTree, sides: ModelNames = FORMATS
 ) -> Iterator[tuple[Difference, MultibodyTree]]:
     """Yields each convention as a difference, and the first robot without that change.
 

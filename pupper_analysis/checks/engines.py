@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import checked
 from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
 from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
-from pupper_analysis.checks.backends.quantities import Evaluation, Quantity
+from pupper_analysis.checks.backends.quantities import Evaluation, QuantityValues
 from pupper_analysis.checks.backends.yourdfpy import yourdfpy_evaluation
 from pupper_analysis.checks.mjcf_only.effect import as_it_is, without
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
@@ -324,7 +324,9 @@ def _least_scale(name: str, evaluation: Evaluation) -> float:
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
 
 
-def _deviation(one: Quantity, two: Quantity, least: float) -> tuple[float, float, float, str]:
+def _deviation(
+    one: QuantityValues, two: QuantityValues, least: float
+) -> tuple[float, float, float, str]:
     """Returns the worst relative and absolute deviation, the scale, and the place."""
     with np.errstate(invalid="ignore"):
         difference = np.abs(one.values - two.values)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class ComparedLink:
     """One link's inertial, in the frame of the body that it is a part of.
 
     Attributes:
@@ -39,14 +39,14 @@ class Link:
     axes: Array
 
 
-Links = Mapping[str, tuple[Link, ...]]
+Links = Mapping[str, tuple[ComparedLink, ...]]
 """{base or joint: the links with mass that move with it}."""
 
 
 def urdf_links(robot: Robot) -> Links:
     """Returns the links of the URDF's bodies, in the frames of its own tree."""
     model = robot.pin_model
-    found: dict[str, list[Link]] = {}
+    found: dict[str, list[ComparedLink]] = {}
     for name, link in UrdfTree.of(robot.description.urdf).links.items():
         inertial = link.inertial
         if inertial is None or not model.existFrame(name, pin.FrameType.BODY):
@@ -57,7 +57,7 @@ def urdf_links(robot: Robot) -> Links:
             moved = _placed(body, frame.placement)
             mover = _mover(robot, model, int(frame.parentJoint))
             found.setdefault(mover, []).append(
-                Link(name, moved, np.array(frame.placement.rotation))
+                ComparedLink(name, moved, np.array(frame.placement.rotation))
             )
     return {mover: tuple(links) for mover, links in found.items()}
 
@@ -72,7 +72,7 @@ def mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Link
     """
     model, mujoco_model = pinocchio_from_mujoco(robot.mj_model), robot.mj_model
     here, there = poses_at_zero(raw), poses_at_zero(aligned)
-    found: dict[str, list[Link]] = {}
+    found: dict[str, list[ComparedLink]] = {}
     for index in np.flatnonzero(mujoco_model.body_mass > 0):
         name = str(mujoco_model.body(index).name)
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
@@ -83,7 +83,9 @@ def mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Link
         own = TreeBody(
             float(mujoco_model.body_mass[index]), np.array(mujoco_model.body_ipos[index]), inertia
         )
-        found.setdefault(mover, []).append(Link(name, _placed(own, pose), np.array(pose.rotation)))
+        found.setdefault(mover, []).append(
+            ComparedLink(name, _placed(own, pose), np.array(pose.rotation))
+        )
     return {mover: tuple(links) for mover, links in found.items()}
 
 

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Sides:
+class ModelNames:
     """What two models are called that are compared.
 
     Attributes:
@@ -35,10 +35,10 @@ class Sides:
         return {"first": self.first, "second": self.second}
 
 
-FORMATS = Sides(Term("the URDF"), Term("the MJCF"), alike=False)
+FORMATS = ModelNames(Term("the URDF"), Term("the MJCF"), alike=False)
 """A URDF and an MJCF."""
 
-VERSIONS = Sides(Term("the old file"), Term("the new file"), alike=True)
+VERSIONS = ModelNames(Term("the old file"), Term("the new file"), alike=True)
 """Two files of one format."""
 
 

@@ -44,7 +44,9 @@ from pupper_analysis.errors import ConfigurationError, OutputError
     help="Rotor inertia (kg m^2), of all joints or by pattern: '*knee*=0.01'.",
 )
 @click.option(
-    "--sag", type=shared.Quantity("angle"), help="The joint that holds most gives way so far (rad)."
+    "--sag",
+    type=shared.QuantityType("angle"),
+    help="The joint that holds most gives way so far (rad).",
 )
 @click.option("--damping-ratio", type=float, help="Of the base's bounce on its servos.")
 @click.option(

@@ -110,7 +110,7 @@ class Ended(BaseException):
 
 
 @dataclass
-class Ending:
+class ProcessEnding:
     """Which signal has asked the process to end; 0: none.
 
     Attributes:
@@ -133,7 +133,7 @@ class Ending:
 AGAIN = 0.3
 """After so many seconds a signal is an exception once more, if the first was swallowed."""
 
-_now: list[Ending] = []
+_now: list[ProcessEnding] = []
 
 
 def go_on() -> None:
@@ -147,13 +147,13 @@ def go_on() -> None:
 
 
 @contextlib.contextmanager
-def endings() -> Iterator[Ending]:
+def endings() -> Iterator[ProcessEnding]:
     """Turns the signals that end a process into an exception, and remembers them.
 
     What a library makes of the exception, or whether it swallows it, does not matter then. A second
     signal ends the process at once.
     """
-    ending = Ending()
+    ending = ProcessEnding()
     _now.append(ending)
 
     def end(number: int, _frame: FrameType | None) -> None:

@@ -130,7 +130,7 @@ UNITS = {
 """Units that a value may end in, per kind of quantity; the first is meant without one."""
 
 
-class Quantity(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
     """A number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
 
     def __init__(self, kind: str) -> None:

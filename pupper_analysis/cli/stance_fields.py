@@ -29,7 +29,7 @@ def option_of(field: Field) -> Callable[[Command], Command]:
     elif point:
         options |= {"metavar": ",".join(field.axes or "xy").upper()}
     elif field.kind in shared.UNITS:
-        options |= {"type": shared.Quantity(field.kind), "default": field.usual}
+        options |= {"type": shared.QuantityType(field.kind), "default": field.usual}
     else:
         options |= {"type": float, "metavar": field.unit.upper(), "default": field.usual}
     return click.option(f"--{field.option}", field.name, **options)

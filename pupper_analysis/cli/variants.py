@@ -165,7 +165,7 @@ def _compared(specs: list[VariantSpec], analyses: list[Analysis]) -> list[Compar
     references = {}
     for name in {spec.base for spec in specs}:
         robot = load_variant(VariantSpec(base=name))
-        references[name] = comparison.Reference(
+        references[name] = comparison.RatioReference(
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
     return [

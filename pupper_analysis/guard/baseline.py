@@ -11,7 +11,7 @@ from typing import Any, Final
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.files import whole_file
-from pupper_analysis.guard.remarks import REFUSED, Remark, State
+from pupper_analysis.guard.remarks import REFUSED, Remark, RemarkState
 from pupper_analysis.guard.toml import read_toml, toml_table
 from pupper_analysis.models.places import source_name
 from pupper_analysis.results import Result
@@ -36,7 +36,7 @@ different machines.
 
 
 @dataclass(frozen=True)
-class Entry(Result):
+class BaselineEntry(Result):
     """One remark that is known.
 
     Attributes:
@@ -67,7 +67,7 @@ class Entry(Result):
         return f"{check} of {pair or file}: {kind}{f' of {element}' if element else ''}"
 
 
-def read_baseline(path: Path) -> tuple[Entry, ...]:
+def read_baseline(path: Path) -> tuple[BaselineEntry, ...]:
     """Reads a baseline; one that does not exist is empty.
 
     Raises:
@@ -100,11 +100,11 @@ def read_baseline(path: Path) -> tuple[Entry, ...]:
                 told = diagnose("baseline-value-no-text", key=name, value=repr(value))
                 raise file.error((*key, name), told)
         identity = tuple(values.get(name, "") for name in _IDENTITY)
-        entries.append(Entry(identity, {k: v for k, v in values.items() if k in _VALUES}))
+        entries.append(BaselineEntry(identity, {k: v for k, v in values.items() if k in _VALUES}))
     return tuple(entries)
 
 
-def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
+def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
     """Writes a baseline: sorted, whole or not at all.
 
     Raises:
@@ -121,20 +121,20 @@ def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
         file.write("\n".join(tables).encode())
 
 
-def entry_of(remark: Remark) -> Entry:
+def entry_of(remark: Remark) -> BaselineEntry:
     """Returns what a baseline keeps of a remark."""
-    return Entry(remark.identity, remark.values, str(remark.diagnostic))
+    return BaselineEntry(remark.identity, remark.values, str(remark.diagnostic))
 
 
 def judged(
-    remarks: Iterable[Remark], entries: Iterable[Entry]
-) -> tuple[tuple[Remark, ...], tuple[Entry, ...]]:
+    remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
+) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
     """Tells which remarks are known, which have changed, and which are new.
 
     Returns:
         The remarks with their states; and the stale entries, to which there is no remark any more.
     """
-    waiting: dict[tuple[str, ...], list[Entry]] = {}
+    waiting: dict[tuple[str, ...], list[BaselineEntry]] = {}
     for entry in entries:
         if entry.identity[3] == REFUSED:
             continue  # nobody can know what is in a file that cannot be read
@@ -145,13 +145,13 @@ def judged(
         found = next((entry for entry in here if entry.is_of(remark)), None)
         if found is not None:
             here.remove(found)
-            result[number] = replace(remark, state=State.KNOWN)
+            result[number] = replace(remark, state=RemarkState.KNOWN)
     # Only what is the same nowhere has changed: there may be several of one identity.
     for number, remark in enumerate(result):
         here = waiting.get(remark.identity, [])
-        if remark.state is State.NEW and here:
+        if remark.state is RemarkState.NEW and here:
             before = here.pop(0).values
-            result[number] = replace(remark, state=State.CHANGED, before=before)
+            result[number] = replace(remark, state=RemarkState.CHANGED, before=before)
     return tuple(result), tuple(entry for here in waiting.values() for entry in here)
 
 

@@ -13,17 +13,17 @@ from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.files import check_writable
 from pupper_analysis.guard.baseline import (
-    Entry,
+    BaselineEntry,
     entry_of,
     judged,
     read_baseline,
     write_baseline,
 )
-from pupper_analysis.guard.config import GuardConfig, Pair, find_config, read_config
+from pupper_analysis.guard.config import GuardConfig, GuardedPair, find_config, read_config
 from pupper_analysis.guard.remarks import (
     REFUSED,
     Remark,
-    State,
+    RemarkState,
     of_audit,
     of_comparison,
     of_error,
@@ -78,7 +78,7 @@ class RepositoryCheck(Result):
     pairs: tuple[PairCheck, ...]
     remarks: tuple[Remark, ...]
     failures: int
-    stale: tuple[Entry, ...]
+    stale: tuple[BaselineEntry, ...]
     outdated: int
     updated: bool
     passed: bool
@@ -118,7 +118,7 @@ def check_repository(
         taken = [entry_of(remark) for remark in known if remark.kind != REFUSED]
         write_baseline(settings.baseline, [*taken, *unseen])
         known = tuple(
-            remark if remark.kind == REFUSED else replace(remark, state=State.KNOWN)
+            remark if remark.kind == REFUSED else replace(remark, state=RemarkState.KNOWN)
             for remark in known
         )
     ordered = sorted(
@@ -143,15 +143,15 @@ def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
     """Returns what was checked of a pair, with what came of it."""
     own = [one for one in remarks if one.pair == pair.name
            or (not one.pair and one.file in pair.files)]  # fmt: skip
-    known = sum(one.state is State.KNOWN for one in own)
+    known = sum(one.state is RemarkState.KNOWN for one in own)
     return replace(pair, failures=sum(one.fails for one in own), known=known)
 
 
 def _fails(remark: Remark, config: GuardConfig) -> bool:
-    return remark.state is not State.KNOWN and remark.severity.rank <= config.fail_on.rank
+    return remark.state is not RemarkState.KNOWN and remark.severity.rank <= config.fail_on.rank
 
 
-def _check_pair(pair: Pair, folder: Path) -> tuple[PairCheck, list[Remark]]:
+def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark]]:
     """Compares a pair's files, and audits each."""
     files = [file for file in (pair.urdf, pair.mjcf) if file is not None]
     remarks: list[Remark] = []
@@ -201,8 +201,8 @@ def _distinct(remarks: Iterable[Remark]) -> Iterator[Remark]:
 
 
 def _unseen(
-    config: GuardConfig, remarks: Iterable[Remark], entries: Iterable[Entry]
-) -> list[Entry]:
+    config: GuardConfig, remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
+) -> list[BaselineEntry]:
     """Returns the entries that may have no remark because their files could not be read."""
     folder = config.path.parent
     refused = {remark.pair for remark in remarks if remark.kind == REFUSED}

@@ -24,7 +24,7 @@ BASELINE: Final = "pupper-analysis-baseline.toml"
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class GuardedPair:
     """One robot: its URDF, its MJCF, or both.
 
     Attributes:
@@ -64,7 +64,7 @@ class GuardConfig:
     """
 
     path: Path
-    pairs: tuple[Pair, ...]
+    pairs: tuple[GuardedPair, ...]
     fail_on: Severity
     baseline: Path
     file: TomlFile = field(repr=False)
@@ -133,7 +133,7 @@ class _Reader:
             raise self.invalid(("pair",), entries, Term("tables that begin with [[pair]]"))
         if not entries:
             raise ModelError(self.file.path, diagnose("config-without-pair"))
-        pairs: tuple[Pair, ...] = ()
+        pairs: tuple[GuardedPair, ...] = ()
         for number, entry in enumerate(entries):
             for pair in self.pairs(entry, ("pair", number)):
                 if pair.name in [other.name for other in pairs]:
@@ -143,7 +143,7 @@ class _Reader:
         baseline = self.folder / (self.text(top, (), "baseline") or BASELINE)
         return GuardConfig(self.file.path, pairs, fail_on, baseline, self.file)
 
-    def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[Pair]:
+    def pairs(self, entry: dict[str, Any], key: Key) -> Iterator[GuardedPair]:
         """Yields the robots of an entry: one, or one for each file that its pattern matches."""
         self.check_keys(entry, key, _PAIR)
         given = {kind: self.text(entry, key, kind) for kind in ("urdf", "mjcf")}
@@ -181,7 +181,7 @@ class _Reader:
             raise self.file.error(key, told)
         return [path.relative_to(self.folder).as_posix() for path in paths]
 
-    def pair(self, entry: dict[str, Any], key: Key) -> Pair:
+    def pair(self, entry: dict[str, Any], key: Key) -> GuardedPair:
         self.check_keys(entry, key, _PAIR)
         name = self.text(entry, key, "name")
         urdf, mjcf = (self.model(entry, key, kind) for kind in ("urdf", "mjcf"))
@@ -192,7 +192,7 @@ class _Reader:
         top = self.file.values
         tolerances = Tolerances.strict() if self.flag(entry, key, "strict") else Tolerances()
         given = {**self.tolerances(top, ()), **self.tolerances(entry, key)}
-        return Pair(
+        return GuardedPair(
             name=name,
             urdf=urdf,
             mjcf=mjcf,

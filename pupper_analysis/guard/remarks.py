@@ -23,7 +23,7 @@ from pupper_analysis.diagnostics import (
     diagnose,
 )
 from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.guard.config import Pair
+from pupper_analysis.guard.config import GuardedPair
 from pupper_analysis.results import Result
 
 DIGITS = 9
@@ -34,7 +34,7 @@ REFUSED = "refused"
 """The kind of a remark that a file cannot be read, or two cannot be compared; never known."""
 
 
-class State(StrEnum):
+class RemarkState(StrEnum):
     """What the baseline knows of a remark."""
 
     NEW = "new"
@@ -79,7 +79,7 @@ class Remark(Result):
     about: str
     place: str | None
     other_place: str | None = None
-    state: State = State.NEW
+    state: RemarkState = RemarkState.NEW
     before: Mapping[str, Any] | None = None
     fails: bool = False
 
@@ -107,7 +107,7 @@ class Remark(Result):
         return f"{self.kind}{joint}{self.element}"
 
 
-def of_comparison(comparison: Comparison, pair: Pair, folder: Path) -> Iterator[Remark]:
+def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
     """Yields a remark per difference, per joint in one file only, and per objection."""
     file = relative(comparison.urdf, folder)
     for difference in comparison.differences:
@@ -173,7 +173,7 @@ def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
 
 
 def of_error(
-    error: PupperAnalysisError, check: str, pair: Pair, path: Path, folder: Path
+    error: PupperAnalysisError, check: str, pair: GuardedPair, path: Path, folder: Path
 ) -> Remark:
     """Returns the remark that a file cannot be read, or two cannot be compared."""
     place = str(getattr(error, "source", path))

@@ -24,7 +24,7 @@ _KINDS = (
 
 
 @dataclass(frozen=True)
-class Part:
+class RemovablePart:
     """A subtree with joints that the other file lacks, as it may be taken off.
 
     Attributes:
@@ -40,7 +40,7 @@ class Part:
     mass: float
 
 
-def lacking(part: Part, has: str, lacks: str) -> Diagnostic:
+def lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
     """Tells what one file has and the other lacks."""
     names = [part.root, *part.joints]
     kind = next(
@@ -59,7 +59,7 @@ def lacking(part: Part, has: str, lacks: str) -> Diagnostic:
     )
 
 
-def best_parts(candidates: list[list[Part]], short: float) -> list[Part]:
+def best_parts(candidates: list[list[RemovablePart]], short: float) -> list[RemovablePart]:
     """Chooses how much to take off a carrier, so that its mass becomes the other file's.
 
     Args:
@@ -69,7 +69,7 @@ def best_parts(candidates: list[list[Part]], short: float) -> list[Part]:
     Returns:
         The parts to be taken off; none if the mass fits best with them left on, at rest.
     """
-    best: list[Part] = []
+    best: list[RemovablePart] = []
     least = abs(short)
     for parts in candidates:
         off = abs(short - sum(part.mass for part in parts))
@@ -78,10 +78,10 @@ def best_parts(candidates: list[list[Part]], short: float) -> list[Part]:
     return best
 
 
-def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[Part]]]:
+def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[RemovablePart]]]:
     """Returns {carrier: ways to take off the joints of a file that the other one lacks}."""
 
-    def part(link: str) -> Part | None:
+    def part(link: str) -> RemovablePart | None:
         inside = list(tree.subtree(link))
         joints = tuple(joint for name in inside for joint in tree.movers(name))
         if any(joint not in extra for joint in joints):
@@ -90,7 +90,7 @@ def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[Par
         while carrier is not None and not tree.movers(carrier):
             carrier = tree.parent(carrier)
         mover = tree.movers(carrier)[-1] if carrier is not None else ""
-        return Part(link, mover, joints, sum(map(tree.weight, inside)))
+        return RemovablePart(link, mover, joints, sum(map(tree.weight, inside)))
 
     def holder(link: str) -> str | None:
         up = tree.parent(link)
@@ -101,20 +101,20 @@ def parts_of(tree: ModelTree, extra: Collection[str]) -> dict[str, list[list[Par
 
 
 def _ways(
-    tops: list[Part],
-    part: Callable[[str], Part | None],
+    tops: list[RemovablePart],
+    part: Callable[[str], RemovablePart | None],
     parent: Callable[[str], str | None],
-) -> dict[str, list[list[Part]]]:
+) -> dict[str, list[list[RemovablePart]]]:
     """Returns {carrier: the parts as they move, and then with more and more of what holds them}."""
     largest = [
         top for top in tops if not any(set(top.joints) < set(other.joints) for other in tops)
     ]
-    ways: dict[str, list[list[Part]]] = {}
+    ways: dict[str, list[list[RemovablePart]]] = {}
     for carrier in dict.fromkeys(top.carrier for top in largest):
         level = [top for top in largest if top.carrier == carrier]
         ways[carrier] = [level]
         while True:
-            higher: dict[str, Part] = {}
+            higher: dict[str, RemovablePart] = {}
             for each in level:
                 up = parent(each.root)
                 found = part(up) if up is not None else None
@@ -130,7 +130,7 @@ def _ways(
     return ways
 
 
-Ways = Mapping[str, list[list[Part]]]
+Ways = Mapping[str, list[list[RemovablePart]]]
 
 
 def removable(

@@ -86,7 +86,7 @@ class ComparisonRow(Result):
 
 
 @dataclass(frozen=True)
-class Reference:
+class RatioReference:
     """What ratios are taken to.
 
     Attributes:
@@ -100,7 +100,7 @@ class Reference:
     thigh_shape_length: float | None
 
 
-def compare(analysis: Analysis, base: str, reference: Reference) -> ComparisonRow:
+def compare(analysis: Analysis, base: str, reference: RatioReference) -> ComparisonRow:
     """Puts an analysis beside its base model.
 
     Args:

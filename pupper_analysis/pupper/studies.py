@@ -15,7 +15,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study import study
 from pupper_analysis.study.numbers import plain
-from pupper_analysis.study.source import Source
+from pupper_analysis.study.source import RobotSource
 
 
 class Variants(Scaled):
@@ -43,7 +43,7 @@ class Study(study.Study):
     ``torso_mass_scale``}; ``leg_scale`` and ``torso_mass_scale`` can be varied then.
     """
 
-    def _source(self, robot: Any) -> Source:
+    def _source(self, robot: Any) -> RobotSource:
         if isinstance(robot, str | VariantSpec):
             return Variants(variant_spec(robot))
         if isinstance(robot, Mapping) and "base" in robot:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
-from pupper_analysis.report.formats import Annotation, Case
+from pupper_analysis.report.formats import Annotation, CheckedItem
 
 LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
 """Of annotations."""
@@ -25,7 +25,7 @@ def remarks(audit: Audit) -> list[Annotation]:
     ]
 
 
-def cases(audit: Audit) -> list[Case]:
+def cases(audit: Audit) -> list[CheckedItem]:
     """Returns one case per rule; errors and warnings are its failures."""
     failures: dict[str, list[Finding]] = {}
     for finding in audit.findings:
@@ -34,9 +34,9 @@ def cases(audit: Audit) -> list[Case]:
     return [_case(rule, failures.get(rule, [])) for rule in audit.rules_run]
 
 
-def _case(rule: str, found: list[Finding]) -> Case:
+def _case(rule: str, found: list[Finding]) -> CheckedItem:
     lines = [f"{one.place.path}: {one.element}: {one.message}" for one in found]
-    return Case(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))
+    return CheckedItem(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))
 
 
 def rank(severity: str) -> int:

@@ -10,7 +10,7 @@ from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference, about_kind
 from pupper_analysis.checks.patterns import Cause
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.report.formats import Annotation, Case
+from pupper_analysis.report.formats import Annotation, CheckedItem
 
 
 def by_cause(comparison: Comparison) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
@@ -135,7 +135,7 @@ def _remark(
     return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=told)
 
 
-def cases(comparison: Comparison) -> list[Case]:
+def cases(comparison: Comparison) -> list[CheckedItem]:
     """Returns one case per kind of number of each joint and body, and one per quantity."""
     missing = [told for _, told, _ in _left_over(comparison)]
     result = [_case("the same joints", missing)]
@@ -160,7 +160,7 @@ def cases(comparison: Comparison) -> list[Case]:
     return result
 
 
-def _case(name: str, told: Sequence[Diagnostic], places: Sequence[str] = ()) -> Case:
+def _case(name: str, told: Sequence[Diagnostic], places: Sequence[str] = ()) -> CheckedItem:
     """Returns a case with a line per diagnostic, each with its places."""
     lines = map("".join, zip(map(str, told), places or [""] * len(told), strict=True))
-    return Case(name, "\n".join(lines) or None, tuple(told))
+    return CheckedItem(name, "\n".join(lines) or None, tuple(told))

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 from pupper_analysis.diagnostics import Diagnostic, fill, phrase
-from pupper_analysis.report.sarif import Result, Rule, code_and_values, from_root, sarif
+from pupper_analysis.report.sarif import SarifResult, SarifRule, code_and_values, from_root, sarif
 
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
@@ -132,7 +132,7 @@ def _property(text: str) -> str:
 
 
 @dataclass(frozen=True)
-class Case:
+class CheckedItem:
     """One thing that was checked.
 
     Attributes:
@@ -146,7 +146,7 @@ class Case:
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
-def junit(suite: str, cases: Iterable[Case]) -> str:
+def junit(suite: str, cases: Iterable[CheckedItem]) -> str:
     """Returns the XML that test reports are made of.
 
     Args:
@@ -182,7 +182,7 @@ def _properties(case: ElementTree.Element, diagnostics: Iterable[Diagnostic]) ->
 
 
 def for_machines(
-    style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[Case]
+    style: str, suite: str, annotations: Iterable[Annotation], cases: Iterable[CheckedItem]
 ) -> str:
     """Returns what is said to machines.
 
@@ -201,10 +201,10 @@ def for_machines(
     return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)
 
 
-def _result(annotation: Annotation) -> Result:
+def _result(annotation: Annotation) -> SarifResult:
     file, line = annotation.file_and_line
-    rule = Rule(annotation.rule or annotation.title, annotation.about)
-    return Result(
+    rule = SarifRule(annotation.rule or annotation.title, annotation.about)
+    return SarifResult(
         rule,
         annotation.level,
         annotation.message,

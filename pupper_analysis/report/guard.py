@@ -7,23 +7,23 @@ from collections.abc import Iterator
 from pupper_analysis.checks.differences import about_kind
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.guard.check import RepositoryCheck
-from pupper_analysis.guard.remarks import Remark, State
+from pupper_analysis.guard.remarks import Remark, RemarkState
 from pupper_analysis.report.audit import LEVELS
 from pupper_analysis.report.document import Name, Text
-from pupper_analysis.report.formats import Annotation, Case
+from pupper_analysis.report.formats import Annotation, CheckedItem
 from pupper_analysis.report.sarif import from_root
 from pupper_analysis.report.words import joined, text
 
 
 def summary(check: RepositoryCheck) -> Text:
     """Returns how much was found, in a line."""
-    counts = {state: sum(r.state is state for r in check.remarks) for state in State}
-    minor = sum(r.state is not State.KNOWN and not r.fails for r in check.remarks)
+    counts = {state: sum(r.state is state for r in check.remarks) for state in RemarkState}
+    minor = sum(r.state is not RemarkState.KNOWN and not r.fails for r in check.remarks)
     parts = [text("count-to-mend", count=check.failures)]
     if minor:
         parts.append(text("count-of-less-severity-than", count=minor))
-    if counts[State.KNOWN]:
-        parts.append(text("count-known", count=counts[State.KNOWN]))
+    if counts[RemarkState.KNOWN]:
+        parts.append(text("count-known", count=counts[RemarkState.KNOWN]))
     if check.stale:
         parts.append(text("count-stale", count=len(check.stale)))
     found = joined(parts)
@@ -123,7 +123,7 @@ def _annotation(remark: Remark, place: str | None) -> Annotation:
         place,
         rule=f"{remark.check}/{remark.kind}",
         about=remark.about,
-        known=remark.state is State.KNOWN,
+        known=remark.state is RemarkState.KNOWN,
         diagnostic=remark.diagnostic,
     )
 
@@ -133,7 +133,7 @@ def unknown(annotations: list[Annotation]) -> list[Annotation]:
     return [annotation for annotation in annotations if not annotation.known]
 
 
-def cases(check: RepositoryCheck) -> Iterator[Case]:
+def cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
     """Yields a case per pair that was compared, and per file that was audited."""
     for pair in check.pairs:
         if len(pair.files) > 1:
@@ -146,7 +146,7 @@ def cases(check: RepositoryCheck) -> Iterator[Case]:
         yield _case(f"{file}: audit", own)
 
 
-def _case(name: str, remarks: list[Remark]) -> Case:
+def _case(name: str, remarks: list[Remark]) -> CheckedItem:
     failing = [remark for remark in remarks if remark.fails]
     lines = [f"{from_the_root(one.place)}: {one.message}" for one in failing]
-    return Case(name, "\n".join(lines) or None, tuple(one.diagnostic for one in failing))
+    return CheckedItem(name, "\n".join(lines) or None, tuple(one.diagnostic for one in failing))

@@ -28,7 +28,7 @@ _LEVELS = {"error": "error", "warning": "warning", "notice": "note"}
 
 
 @dataclass(frozen=True)
-class Rule:
+class SarifRule:
     """What kind of thing a result is about.
 
     Attributes:
@@ -41,7 +41,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Result:
+class SarifResult:
     """One finding.
 
     Attributes:
@@ -56,7 +56,7 @@ class Result:
         diagnostic: It as a code and values, if it is one.
     """
 
-    rule: Rule
+    rule: SarifRule
     level: str
     message: str
     subject: str
@@ -80,7 +80,7 @@ def from_root(file: str | Path) -> str:
     return path.as_posix()
 
 
-def sarif(results: Iterable[Result]) -> str:
+def sarif(results: Iterable[SarifResult]) -> str:
     """Returns a log of one run, as indented JSON."""
     listed = list(results)
     rules = {result.rule.id: result.rule for result in listed}
@@ -101,7 +101,7 @@ def sarif(results: Iterable[Result]) -> str:
     return json.dumps({"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2)
 
 
-def _results(results: Iterable[Result], numbers: dict[str, int]) -> Iterator[dict[str, Any]]:
+def _results(results: Iterable[SarifResult], numbers: dict[str, int]) -> Iterator[dict[str, Any]]:
     before: Counter[tuple[str, str, str]] = Counter()
     for result in results:
         entry: dict[str, Any] = {

@@ -32,13 +32,13 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.measures import MEASURES, Design, Measure
 from pupper_analysis.study.named import AXES, SERVOS, Named
 from pupper_analysis.study.numbers import scaled, with_friction, with_gains
-from pupper_analysis.study.source import Source
+from pupper_analysis.study.source import RobotSource
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
-class Number:
+class DesignNumber:
     """A number of a design that is neither a scale nor a factor.
 
     Attributes:
@@ -70,11 +70,11 @@ MODEL = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
 """Numbers of the robot, for all joints and feet alike."""
 
 NUMBERS = {
-    name: Number(known.low, known.high, known.unit, known.open)
+    name: DesignNumber(known.low, known.high, known.unit, known.open)
     for name, known in ({name: one for name, (one, _) in STANCE.items()} | MODEL).items()
 }
 
-OFFSET = Number(-math.inf, math.inf, "m")
+OFFSET = DesignNumber(-math.inf, math.inf, "m")
 """How far a centre of mass is moved."""
 
 KEPT = 8
@@ -108,7 +108,7 @@ class Maker:
         point: (3,) where a payload is, in the base's frame (m).
     """
 
-    source: Source
+    source: RobotSource
     task: StandTask
     point: tuple[float, ...]
     _robots: Remembered = field(default_factory=Remembered)
@@ -175,7 +175,7 @@ def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     return task.having(changes)
 
 
-def check_name(name: str, source: Source) -> None:
+def check_name(name: str, source: RobotSource) -> None:
     """Checks that a study can vary a number.
 
     Raises:
@@ -192,12 +192,14 @@ def check_range(name: str, low: float, high: float) -> None:
     Raises:
         ConfigurationError: If not.
     """
-    known = NUMBERS.get(name, Number(0.0, math.inf, "x", open=True))
+    known = NUMBERS.get(name, DesignNumber(0.0, math.inf, "x", open=True))
     named = Named.of(name)
     if named is not None and named.kind in AXES:
         known = OFFSET
     elif named is not None:
-        known = Number(0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp"))
+        known = DesignNumber(
+            0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp")
+        )
     below = low <= known.low if known.open else low < known.low
     if (math.isfinite(low) and below) or (math.isfinite(high) and high > known.high):
         told = diagnose(

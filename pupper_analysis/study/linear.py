@@ -30,7 +30,7 @@ _STEP = 1e-5
 
 
 @dataclass(frozen=True)
-class Inertial:
+class InertialRates:
     """How a number changes the inertial parameters of bodies.
 
     Attributes:
@@ -127,7 +127,7 @@ def _gravity_regressor(config: Configuration) -> Array:
 
 def _inertial(
     config: Configuration, name: str, numbers: Mapping[str, float], point: Sequence[float]
-) -> Inertial:
+) -> InertialRates:
     robot, named = config.robot, Named.of(name)
     model, data = robot.pin_model, robot.pin_model.createData()
     pin.forwardKinematics(model, data, robot.pin_convention.unit_q(config.qpos))
@@ -163,7 +163,7 @@ def _inertial(
         change[body - 1] += times * np.array(inertia.toDynamicParameters())
         mass += times * float(inertia.mass)
         moment += times * float(inertia.mass) * np.array(data.oMi[body].act(inertia.lever))
-    return Inertial(change, mass, moment)
+    return InertialRates(change, mass, moment)
 
 
 @dataclass(frozen=True)

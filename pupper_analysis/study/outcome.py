@@ -53,7 +53,7 @@ class Failures(Result):
 
 
 @dataclass(frozen=True)
-class Measured(Result):
+class MeasureSummary(Result):
     """What was measured, of all designs together.
 
     Attributes:
@@ -104,7 +104,7 @@ class StudyOutcome(Result):
     variables: dict[str, dict[str, Any]]
     table: pd.DataFrame
     designs: int
-    measured: tuple[Measured, ...]
+    measured: tuple[MeasureSummary, ...]
     failures: tuple[Failures, ...]
     axes: tuple[str, ...]
     objectives: dict[str, str]
@@ -223,11 +223,13 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) ->
     return found
 
 
-def _measured(table: pd.DataFrame, name: str, spread: Sequence[str], study: Study) -> Measured:
+def _measured(
+    table: pd.DataFrame, name: str, spread: Sequence[str], study: Study
+) -> MeasureSummary:
     column = table[name].dropna()
     own = {one.name: one for one in study.measures}
     kind = own[name if name in own else name.partition(".")[0]]
-    return Measured(
+    return MeasureSummary(
         measure=name,
         meaning=kind.meaning.partition("\n")[0],
         unit=kind.unit,

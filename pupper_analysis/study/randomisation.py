@@ -25,7 +25,7 @@ _WIDE = math.sqrt(3.0)
 
 
 @dataclass(frozen=True)
-class Term:
+class RandomisationTerm:
     """An event term of a training framework.
 
     Attributes:
@@ -144,7 +144,7 @@ def _range(kind: str, numbers: tuple[float, ...], *, gaussian: bool) -> tuple[st
     return _pair(low, high), '"log_uniform"' if kind == "log_uniform" else '"uniform"', ""
 
 
-def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
+def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> RandomisationTerm | None:
     """Returns the term of mjlab's ``dr`` for a number."""
     named = Named.of(name)
     if name in ("payload", "friction"):
@@ -154,7 +154,9 @@ def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
         )
         which = 'body_names=("BASE",)' if name == "payload" else 'geom_names=("FEET",)'
         told = f"{about}; put in the names of your {'base' if name == 'payload' else 'feet'}"
-        return Term(f"dr.{function}", _dr(which, "ranges", span, operation, drawn), told)
+        return RandomisationTerm(
+            f"dr.{function}", _dr(which, "ranges", span, operation, drawn), told
+        )
     if named is None or named.kind not in _DR:
         return None
     function, argument, entity = _DR[named.kind]
@@ -176,7 +178,7 @@ def _mjlab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
         about += _ALONE
     if function == "pd_gains":  # of the gain that does not vary, the model's own
         params |= {other: "(1.0, 1.0)" for other in ("kp_range", "kd_range") if other != argument}
-    return Term(f"dr.{function}", params, about)
+    return RandomisationTerm(f"dr.{function}", params, about)
 
 
 _DR = {
@@ -201,7 +203,7 @@ def _dr(which: str, argument: str, span: str, operation: str, drawn: str) -> dic
     }
 
 
-def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
+def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> RandomisationTerm | None:
     """Returns the event term of Isaac Lab for a number."""
     span, drawn, about = _range(kind, numbers, gaussian=True)
     named = Named.of(name)
@@ -212,7 +214,7 @@ def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
         params = {"asset_cfg": which, "static_friction_range": span}
         params |= {"dynamic_friction_range": span, "restitution_range": "(0.0, 0.0)"}
         params |= {"num_buckets": "64", "make_consistent": "True"}
-        return Term(
+        return RandomisationTerm(
             "mdp.randomize_rigid_body_material", params, f"{about}; put in your feet's names"
         )
     if name in ("kp", "kd"):
@@ -227,7 +229,7 @@ def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
         if named.each:
             about += "; drawn once for all that match, where the study has one for each"
         params = {"asset_cfg": which, "com_range": f'{{"{named.kind[-1]}": {span}}}'}
-        return Term("mdp.randomize_rigid_body_com", params, about)
+        return RandomisationTerm("mdp.randomize_rigid_body_com", params, about)
     elif named is not None and named.kind in _ISAAC:
         function, argument, entity = _ISAAC[named.kind]
         which, operation = f"{entity}=[{_regex(named.pattern)!r}]", "scale"
@@ -237,7 +239,7 @@ def _isaaclab(name: str, kind: str, numbers: tuple[float, ...]) -> Term | None:
         return None
     params = {"asset_cfg": robot.format(which=which), argument: span}
     params |= {"operation": f'"{operation}"', "distribution": drawn}
-    return Term(f"mdp.{function}", params, about)
+    return RandomisationTerm(f"mdp.{function}", params, about)
 
 
 _ISAAC = {
@@ -250,7 +252,8 @@ _ISAAC = {
 """{kind of a factor: (function of ``isaaclab.envs.mdp``, its range, what names are of)}."""
 
 _FRAMEWORKS: Mapping[
-    str, tuple[str, tuple[str, ...], Callable[[str, str, tuple[float, ...]], Term | None]]
+    str,
+    tuple[str, tuple[str, ...], Callable[[str, str, tuple[float, ...]], RandomisationTerm | None]],
 ] = {
     "mjlab": (
         "mjlab",

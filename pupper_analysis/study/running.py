@@ -29,7 +29,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import PupperAnalysisError, StudyError
 from pupper_analysis.study.design import Row, ended, servo_number
 from pupper_analysis.study.store import Store, keys
-from pupper_analysis.study.worker import Chunk, Measured, begin, chunks, measured, ready
+from pupper_analysis.study.worker import Chunk, ChunkOutcome, begin, chunks, measured, ready
 
 Array = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ class Crew:
         self.end()
         self.check()  # that the time of the next design is not that of its worker's start
 
-    def submit(self, chunk: Chunk) -> Future[Measured]:
+    def submit(self, chunk: Chunk) -> Future[ChunkOutcome]:
         """Hands a chunk over."""
         self._taken += len(chunk.names)
         with self._beginning():
@@ -221,7 +221,7 @@ class Run:
         self._begun = self._written = time.monotonic()
         self._tries: Counter[str] = Counter()
         self._suspects: deque[Chunk] = deque()
-        self._flying: dict[Future[Measured], tuple[Chunk, float]] = {}
+        self._flying: dict[Future[ChunkOutcome], tuple[Chunk, float]] = {}
 
     def all(
         self,
@@ -317,7 +317,7 @@ class Run:
             self._suspects.append(chunk)
             self._lost(crew, None)
 
-    def _land(self, crew: Crew, future: Future[Measured]) -> None:
+    def _land(self, crew: Crew, future: Future[ChunkOutcome]) -> None:
         chunk, begun = self._flying.pop(future)
         try:
             found = future.result()

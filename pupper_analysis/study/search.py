@@ -33,7 +33,7 @@ on, there or elsewhere, asks for the same ones."""
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum(Result):
+class SearchOptimum(Result):
     """What a search has found.
 
     Attributes:
@@ -58,7 +58,7 @@ def optimise(
     executor: Executor | None = None,
     workers: int | None = None,
     progress: Callable[[Progress], None] | None = None,
-) -> Optimum:
+) -> SearchOptimum:
     """Searches a study's ranges for the designs that are best.
 
     Optuna's tree-structured Parzen estimator proposes designs from what is known of the others
@@ -112,7 +112,7 @@ def optimise(
         ]
         told = diagnose("none-keeps-to-bounds", designs=len(tried), failures=failures)
         raise ConfigurationError("subject_to", told)
-    return Optimum(pareto_front(kept, objectives), tried, len(kept))
+    return SearchOptimum(pareto_front(kept, objectives), tried, len(kept))
 
 
 def _check(study: Study, columns: Sequence[str], bounds: Mapping[str, Any]) -> None:

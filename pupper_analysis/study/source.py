@@ -20,7 +20,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.numbers import plain
 
 
-class Source(Protocol):
+class RobotSource(Protocol):
     """Makes robots, here and in other processes: it can be pickled.
 
     Attributes:
@@ -43,7 +43,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class FilePair:
     """The robot of a URDF and an MJCF.
 
     Attributes:
@@ -55,7 +55,7 @@ class Pair:
     loaded: Robot
 
     @staticmethod
-    def of(options: Mapping[str, Any]) -> Pair:
+    def of(options: Mapping[str, Any]) -> FilePair:
         """Loads it.
 
         Args:
@@ -75,7 +75,7 @@ class Pair:
             raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
         paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
         bare = rebuilt(robot, mjcf=plain(robot.description).mjcf)
-        return Pair({**options, **paths}, bare)
+        return FilePair({**options, **paths}, bare)
 
     @property
     def scales(self) -> Mapping[str, float]:

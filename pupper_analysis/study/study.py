@@ -36,7 +36,7 @@ from pupper_analysis.study.measures import (
 from pupper_analysis.study.named import SERVOS, Named, groups_of, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
-from pupper_analysis.study.source import Pair, Source, digest_of
+from pupper_analysis.study.source import FilePair, RobotSource, digest_of
 from pupper_analysis.study.store import Store, needed
 from pupper_analysis.study.table import names_of, ordered
 from pupper_analysis.study.variables import Variable, variable
@@ -45,7 +45,7 @@ from pupper_analysis.study.worker import Work, versions
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pupper_analysis.study.search import Optimum
+    from pupper_analysis.study.search import SearchOptimum
 
 Array = NDArray[np.float64]
 
@@ -130,12 +130,12 @@ class Study:
         if twice is not None:
             raise ConfigurationError("measure", diagnose("there-twice", name=twice))
 
-    def _source(self, robot: Any) -> Source:
+    def _source(self, robot: Any) -> RobotSource:
         """Returns the source of a robot that is given in one of several ways."""
         if isinstance(robot, Mapping):
-            return Pair.of(robot)
+            return FilePair.of(robot)
         if hasattr(robot, "robot") and hasattr(robot, "scales"):
-            source: Source = robot
+            source: RobotSource = robot
             return source
         raise ConfigurationError("robot", diagnose("no-source-of-robots", given=repr(robot)))
 
@@ -327,7 +327,7 @@ class Study:
         self.execute(folder, executor=executor, workers=workers, progress=progress)
         return self.table(folder)
 
-    def optimise(self, folder: str | Path, **options: Any) -> Optimum:
+    def optimise(self, folder: str | Path, **options: Any) -> SearchOptimum:
         """Searches the study's ranges for the designs that are best: see ``search.optimise``.
 
         Args:

@@ -21,7 +21,7 @@ from pupper_analysis.errors import StudyError
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import Maker, Row, row_of
 from pupper_analysis.study.measures import Function, Measure, measure_of
-from pupper_analysis.study.source import Source
+from pupper_analysis.study.source import RobotSource
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
 """Whose versions results depend on."""
@@ -53,7 +53,7 @@ class Work:
         limit: How long a design may take (s), where a worker can be ended; else None.
     """
 
-    source: Source
+    source: RobotSource
     measures: tuple[str | Function, ...]
     variables: tuple[str, ...]
     task: StandTask
@@ -78,7 +78,7 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class Measured:
+class ChunkOutcome:
     """What came of a chunk.
 
     Attributes:
@@ -118,7 +118,7 @@ class _Ready(threading.local):
 _ready = _Ready()
 
 
-def measured(chunk: Chunk) -> Measured:
+def measured(chunk: Chunk) -> ChunkOutcome:
     """Measures some designs.
 
     Raises:
@@ -132,7 +132,7 @@ def measured(chunk: Chunk) -> Measured:
         with _time_limit(work.limit):
             row = row_of(maker, numbers, measures)
         rows.append({"design": name, **numbers, **row})
-    return Measured(tuple(rows), time.perf_counter() - start)
+    return ChunkOutcome(tuple(rows), time.perf_counter() - start)
 
 
 _alone = threading.Lock()

@@ -8,10 +8,10 @@ from pupper_analysis.checks.differences import LIMITS, OF_INERTIALS
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.sync.frames import Key, Sides
+from pupper_analysis.sync.frames import Key, MatchedRobots
 
 
-def is_absent(key: Key, whose: str, both: Sides, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
+def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
     """Says whether the file whose value shall be taken states none.
 
     A limit that is not there is infinite, a damping or a friction 0, and so is the mass of a body

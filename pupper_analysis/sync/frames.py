@@ -34,7 +34,7 @@ _JOINT = {
 
 
 @dataclass(frozen=True, eq=False)
-class Sides:
+class MatchedRobots:
     """Both robots, in the URDF's link frames and in the MJCF's conventions.
 
     Attributes:
@@ -82,7 +82,7 @@ class Sides:
         return result
 
 
-def sides(matched: Match, alignment: Alignment) -> Sides:
+def sides(matched: Match, alignment: Alignment) -> MatchedRobots:
     """Puts the two robots side by side.
 
     Args:
@@ -97,7 +97,7 @@ def sides(matched: Match, alignment: Alignment) -> Sides:
     urdf_frames = {robot.base: base} | {name: pin.SE3.Identity() for name in urdf.joints}
     model = pinocchio_from_mujoco(robot.mj_model)
     names = [str(robot.mj_model.body(index).name) for index in range(1, robot.mj_model.nbody)]
-    return Sides(
+    return MatchedRobots(
         matched=matched,
         urdf=urdf,
         mjcf=alignment.values,

@@ -10,8 +10,8 @@ import pinocchio as pin
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing
-from pupper_analysis.sync.orientation import Units, numbers, stated_rotation
-from pupper_analysis.sync.xml_bytes import Document, Element, read_document
+from pupper_analysis.sync.orientation import AngleUnits, numbers, stated_rotation
+from pupper_analysis.sync.xml_bytes import Element, XmlDocument, read_document
 
 
 class MjcfElements:
@@ -24,12 +24,12 @@ class MjcfElements:
     """
 
     def __init__(self, file: MjcfFile) -> None:
-        self.documents: dict[Path, Document] = {}
+        self.documents: dict[Path, XmlDocument] = {}
         self._main = file.path
         self.root = self._read(file.path)
         compiler = file.spec.compiler
         sequence = "".join(str(letter) for letter in compiler.eulerseq)
-        self.units = Units(bool(compiler.degree), sequence)
+        self.units = AngleUnits(bool(compiler.degree), sequence)
         self.autolimits = bool(compiler.autolimits)
         self._bodies = self._named_bodies(file.spec)
 

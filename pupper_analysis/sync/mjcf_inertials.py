@@ -18,7 +18,7 @@ from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, mass_of
 from pupper_analysis.sync.inertia import Mass, same, total, turned_like
 from pupper_analysis.sync.mjcf_elements import within
-from pupper_analysis.sync.orientation import Units, orientation_change, stated_rotation
+from pupper_analysis.sync.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.sync.xml_bytes import Element
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
 
 
 def inertial_changes(
-    element: Element, now: Mass, wanted: Mass, units: Units, digits: Digits
+    element: Element, now: Mass, wanted: Mass, units: AngleUnits, digits: Digits
 ) -> dict[str, str]:
     """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
     changes = {}
@@ -160,7 +160,9 @@ def inertial_changes(
     return changes | _principal(element, wanted.inertia, units, digits)
 
 
-def _principal(element: Element, wanted: Array, units: Units, digits: Digits) -> dict[str, str]:
+def _principal(
+    element: Element, wanted: Array, units: AngleUnits, digits: Digits
+) -> dict[str, str]:
     """Returns the changes of principal moments, or of their axes, or of both."""
     moments = np.array([float(word) for word in (element.get("diaginertia") or "").split()])
     own = stated_rotation(element, units)

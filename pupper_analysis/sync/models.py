@@ -19,7 +19,7 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
 from pupper_analysis.sync.choices import chosen, label
 from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.plan import Cause, Edit, Files, Plan, made
+from pupper_analysis.sync.plan import Edit, Files, Plan, UnwrittenCause, made
 from pupper_analysis.sync.writing import as_given, staged, unified_diff
 from pupper_analysis.together import Writing, write_together
 
@@ -39,7 +39,7 @@ class Left(Result):
 
     difference: str
     reason: Diagnostic
-    cause: Cause
+    cause: UnwrittenCause
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,9 @@ def sync_models(
         if side is not None
     }
     plan, after = _tried(files, tolerances, comparison, keys, absent=take_absent)
-    withheld = not partial and any(plan.cause(key) == Cause.NOT_MENDED for key in plan.left)
+    withheld = not partial and any(
+        plan.cause(key) == UnwrittenCause.NOT_MENDED for key in plan.left
+    )
     idle = dry_run or withheld
     written, backups = ((), ()) if idle else _written(plan, backup=backup, force=force)
     labels = {(d.kind, d.element): label(d) for d in comparison.differences}
@@ -253,20 +255,20 @@ def _left(
         if key in plan.left:
             yield Left(name, plan.left[key], plan.cause(key))
         elif key not in keys and key in still:
-            yield Left(name, diagnose("nothing-chosen"), Cause.NOT_CHOSEN)
+            yield Left(name, diagnose("nothing-chosen"), UnwrittenCause.NOT_CHOSEN)
     for key, difference in still.items():
         if key not in labels:
             reason = diagnose("there-since", difference=difference.diagnostic)
-            yield Left(label(difference), reason, Cause.NEW)
+            yield Left(label(difference), reason, UnwrittenCause.NEW)
     for part in before.parts:
-        yield Left("part", diagnose("part-unwritten", part=part), Cause.NO_WORDS)
+        yield Left("part", diagnose("part-unwritten", part=part), UnwrittenCause.NO_WORDS)
     for joints, there, other in (
         (before.only_urdf, "URDF", "MJCF"),
         (before.only_mjcf, "MJCF", "URDF"),
     ):
         for joint in joints:
             reason = diagnose("one-file-alone-has-it", one=there, other=other)
-            yield Left(f"joint {joint}", reason, Cause.NO_WORDS)
+            yield Left(f"joint {joint}", reason, UnwrittenCause.NO_WORDS)
     if not after.differences:
         for objection in after.objections:
-            yield Left("agreement", objection, Cause.NO_WORDS)
+            yield Left("agreement", objection, UnwrittenCause.NO_WORDS)

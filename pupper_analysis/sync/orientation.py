@@ -22,7 +22,7 @@ FORMS: Final = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 
 @dataclass(frozen=True)
-class Units:
+class AngleUnits:
     """What an MJCF's compiler says of angles.
 
     Attributes:
@@ -69,7 +69,7 @@ def origin_changes(element: Element | None, pose: pin.SE3, digits: Digits) -> di
     return changes
 
 
-def stated_rotation(element: Element, units: Units) -> Array:
+def stated_rotation(element: Element, units: AngleUnits) -> Array:
     """Returns the orientation that an MJCF's element states, by MuJoCo's own reading."""
     form = stated_orientation(element)
     if form is None:
@@ -88,7 +88,7 @@ def stated_orientation(element: Element) -> str | None:
 
 
 def orientation_change(
-    element: Element, now: Array, wanted: Array, units: Units, digits: Digits
+    element: Element, now: Array, wanted: Array, units: AngleUnits, digits: Digits
 ) -> dict[str, str]:
     """Returns what must change for an element of an MJCF to have another orientation.
 

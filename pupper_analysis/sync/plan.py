@@ -18,11 +18,11 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
 from pupper_analysis.sync.absent import is_absent
 from pupper_analysis.sync.digits import Digits
-from pupper_analysis.sync.frames import Key, Sides, sides
+from pupper_analysis.sync.frames import Key, MatchedRobots, sides
 from pupper_analysis.sync.mjcf_elements import MjcfElements
 from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
-from pupper_analysis.sync.xml_bytes import Document, Element, read_document
+from pupper_analysis.sync.xml_bytes import Element, XmlDocument, read_document
 
 _OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 
@@ -41,7 +41,7 @@ _REASONS = {
 }
 
 
-class Cause(StrEnum):
+class UnwrittenCause(StrEnum):
     """Why a difference is left."""
 
     NOT_CHOSEN = "not chosen"
@@ -101,17 +101,17 @@ class Plan:
     """
 
     files: Files
-    urdf: dict[Path, Document]
-    mjcf: dict[Path, Document]
+    urdf: dict[Path, XmlDocument]
+    mjcf: dict[Path, XmlDocument]
     left: dict[Key, Diagnostic] = field(default_factory=dict)
-    causes: dict[Key, Cause] = field(default_factory=dict)
+    causes: dict[Key, UnwrittenCause] = field(default_factory=dict)
     notes: dict[Key, Diagnostic] = field(default_factory=dict)
 
-    def cause(self, key: Key) -> Cause:
+    def cause(self, key: Key) -> UnwrittenCause:
         """Returns why a difference is not written."""
-        return self.causes.get(key, Cause.NOT_MENDED)
+        return self.causes.get(key, UnwrittenCause.NOT_MENDED)
 
-    def documents(self) -> Iterator[Document]:
+    def documents(self) -> Iterator[XmlDocument]:
         """Yields all documents."""
         yield from self.urdf.values()
         yield from self.mjcf.values()
@@ -161,9 +161,9 @@ def made(
         keys = [key for key, whose in taken.items() if whose == other]
         for key in keys:
             if reason := _reason(key, other, both):
-                plan.left[key], plan.causes[key] = reason, Cause.NO_WORDS
+                plan.left[key], plan.causes[key] = reason, UnwrittenCause.NO_WORDS
             elif not absent and is_absent(key, other, both, urdf, mjcf):
-                plan.left[key], plan.causes[key] = _unstated(other), Cause.NOT_STATED
+                plan.left[key], plan.causes[key] = _unstated(other), UnwrittenCause.NOT_STATED
         keys = [key for key in keys if key not in plan.left]
         side.wanted = both.wanted("urdf" if other == "mjcf" else "mjcf", keys)
         side.plan(keys)
@@ -172,7 +172,7 @@ def made(
     return plan
 
 
-def _reason(key: Key, whose: str, both: Sides) -> Diagnostic | None:
+def _reason(key: Key, whose: str, both: MatchedRobots) -> Diagnostic | None:
     """Says why a difference is nothing to write; None if it is."""
     kind, name = key
     if kind not in _WRITTEN:

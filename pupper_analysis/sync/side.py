@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.sync.digits import Digits
-from pupper_analysis.sync.frames import Key, Sides
+from pupper_analysis.sync.frames import Key, MatchedRobots
 
 
 @dataclass(eq=False, kw_only=True)
@@ -21,7 +21,7 @@ class Side:
         notes: What else is to be said, per difference.
     """
 
-    sides: Sides
+    sides: MatchedRobots
     wanted: MultibodyTree
     digits: Digits
     left: dict[Key, Diagnostic] = field(default_factory=dict)

@@ -24,7 +24,7 @@ from pupper_analysis.sync.inertia import (
 )
 from pupper_analysis.sync.orientation import numbers, origin, origin_changes
 from pupper_analysis.sync.side import Side
-from pupper_analysis.sync.xml_bytes import Document, Element
+from pupper_analysis.sync.xml_bytes import Element, XmlDocument
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class UrdfSide(Side):
         document: The file.
     """
 
-    document: Document
+    document: XmlDocument
 
     def __post_init__(self) -> None:
         root = self.document.root

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import OutputError
-from pupper_analysis.sync.xml_bytes import Document
+from pupper_analysis.sync.xml_bytes import XmlDocument
 
 
 def unified_diff(path: Path, before: bytes, after: bytes) -> str:
@@ -30,7 +30,7 @@ def as_given(text: str) -> str:
 
 
 @contextmanager
-def staged(*groups: Mapping[Path, Document]) -> Iterator[list[Path]]:
+def staged(*groups: Mapping[Path, XmlDocument]) -> Iterator[list[Path]]:
     """Writes changed files beside the old ones, under other names, to be tried.
 
     Args:
@@ -69,7 +69,7 @@ def _write_trial(place: Path, data: bytes, path: Path) -> None:
         raise OutputError(path, told) from error
 
 
-def _with_includes(document: Document, main: Path, places: Mapping[Path, Path]) -> bytes:
+def _with_includes(document: XmlDocument, main: Path, places: Mapping[Path, Path]) -> bytes:
     """Returns a document's bytes, with the includes of files that are tried put to those."""
     meant = []
     for element in document.elements:

@@ -82,7 +82,7 @@ class Element:
 
 
 @dataclass(eq=False)
-class Document:
+class XmlDocument:
     """A file of XML.
 
     Attributes:
@@ -111,7 +111,7 @@ class Document:
         return data
 
 
-def read_document(path: Path) -> Document:
+def read_document(path: Path) -> XmlDocument:
     """Reads a file of XML that is known to be well-formed UTF-8."""
     data = path.read_bytes()
     parser = expat.ParserCreate("utf-8")
@@ -132,7 +132,7 @@ def read_document(path: Path) -> Document:
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.Parse(data, True)
-    return Document(path, data, elements[0], elements)
+    return XmlDocument(path, data, elements[0], elements)
 
 
 def _tag_end(data: bytes, element: Element) -> int:

@@ -17,9 +17,15 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.diagnostics import Severity, catalogue, diagnose, diagnostic
-from pupper_analysis.guard.baseline import Entry, judged, read_baseline, same, write_baseline
+from pupper_analysis.guard.baseline import (
+    BaselineEntry,
+    judged,
+    read_baseline,
+    same,
+    write_baseline,
+)
 from pupper_analysis.guard.config import read_config
-from pupper_analysis.guard.remarks import Remark, State, plain
+from pupper_analysis.guard.remarks import Remark, RemarkState, plain
 from pupper_analysis.report import formats
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
@@ -94,7 +100,7 @@ def test_a_known_difference_that_grows_or_shrinks_has_changed(folder: Path) -> N
         check = pa.check_repository(folder / "pupper-analysis.toml")
         assert not check.passed
         (remark,) = check.remarks
-        assert remark.state is State.CHANGED
+        assert remark.state is RemarkState.CHANGED
         assert remark.values == {"urdf": 0.2, "mjcf": float(mass)}
         assert remark.before == {"urdf": 0.2, "mjcf": 0.22}
         assert check.stale == ()
@@ -149,7 +155,7 @@ def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -
         "audit",
         "hopper",
         "refused",
-        State.NEW,
+        RemarkState.NEW,
         True,
     )
     assert check.remarks[0].place == f"{folder / 'hopper.urdf'}:{line}"
@@ -165,11 +171,11 @@ def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path
     change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     config = folder / "pupper-analysis.toml"
     (remark,) = (r for r in pa.check_repository(config).remarks if r.kind == "refused")
-    entries = [*read_baseline(folder / BASELINE), Entry(remark.identity, remark.values)]
+    entries = [*read_baseline(folder / BASELINE), BaselineEntry(remark.identity, remark.values)]
     write_baseline(folder / BASELINE, entries)
     check = pa.check_repository(config)
     assert not check.passed
-    assert [r.state for r in check.remarks if r.kind == "refused"] == [State.NEW]
+    assert [r.state for r in check.remarks if r.kind == "refused"] == [RemarkState.NEW]
 
 
 def test_two_files_that_cannot_be_compared(folder: Path) -> None:
@@ -362,14 +368,14 @@ def test_a_baseline_of_an_older_version_is_read(folder: Path) -> None:
     check = pa.check_repository(config)
     assert check.passed
     assert check.stale == ()
-    assert {remark.state for remark in check.remarks} == {State.KNOWN}
+    assert {remark.state for remark in check.remarks} == {RemarkState.KNOWN}
     assert len(check.remarks) == 6
     assert check.outdated == 3
     assert "3 entries of the baseline are sentences" in run(folder).stdout
     assert "--update-baseline renews it" in run(folder, "--format", "github").stdout
     change(folder / BASELINE, "its mass is -0.4 kg", "it weighs -0.4 kg")
     (other,) = (one for one in pa.check_repository(config).remarks if one.fails)
-    assert (other.kind, other.state) == ("mass-not-positive", State.CHANGED)
+    assert (other.kind, other.state) == ("mass-not-positive", RemarkState.CHANGED)
     assert pa.check_repository(config, update_baseline=True).outdated == 0
     assert pa.check_repository(config).passed
     assert not any(one.outdated for one in read_baseline(folder / BASELINE))
@@ -386,12 +392,12 @@ def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPat
     )
     check = pa.check_repository(config)
     assert said & {one.message for one in check.remarks} == set()
-    assert {one.state for one in check.remarks} == {State.KNOWN}
+    assert {one.state for one in check.remarks} == {RemarkState.KNOWN}
     change(folder / "hopper.urdf", '<mass value="-0.4"/>', '<mass value="-0.5"/>')
     (found,) = (
         one for one in pa.check_repository(config).remarks if one.kind == "mass-not-positive"
     )
-    assert found.state is State.CHANGED
+    assert found.state is RemarkState.CHANGED
     assert (found.before or {})["values"]["mass"] == -0.4
 
 
@@ -453,8 +459,8 @@ def remark(element: str, value: object, kind: str = "mass", file: str = "a.urdf"
     )
 
 
-def entry(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> Entry:
-    return Entry(("crosscheck", "a", file, kind, element), {"urdf": value})
+def entry(element: str, value: object, kind: str = "mass", file: str = "a.urdf") -> BaselineEntry:
+    return BaselineEntry(("crosscheck", "a", file, kind, element), {"urdf": value})
 
 
 def test_every_part_of_an_identity_counts() -> None:
@@ -465,9 +471,9 @@ def test_every_part_of_an_identity_counts() -> None:
         remark("base", 1.0, file="b.urdf"),
     ):
         ((judged_one,), stale) = judged([other], [known])
-        assert judged_one.state is State.NEW
+        assert judged_one.state is RemarkState.NEW
         assert stale == (known,)
-    assert judged([remark("base", 1.0)], [known])[0][0].state is State.KNOWN
+    assert judged([remark("base", 1.0)], [known])[0][0].state is RemarkState.KNOWN
 
 
 def test_several_of_one_identity() -> None:
@@ -475,10 +481,10 @@ def test_several_of_one_identity() -> None:
     remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
     found, stale = judged(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
     assert [one.state for one in found] == [
-        State.CHANGED,
-        State.KNOWN,
-        State.KNOWN,
-        State.NEW,
+        RemarkState.CHANGED,
+        RemarkState.KNOWN,
+        RemarkState.KNOWN,
+        RemarkState.NEW,
     ]
     assert found[0].before == {"urdf": 5.0}
     assert stale == ()
@@ -518,7 +524,7 @@ def test_values_that_are_the_same(one: object, two: object, expected: bool) -> N
 NAMES = st.text(st.characters(codec="utf-8"), max_size=12)
 ENTRIES = st.lists(
     st.builds(
-        Entry,
+        BaselineEntry,
         st.tuples(NAMES, NAMES, NAMES, NAMES, NAMES),
         st.dictionaries(
             st.sampled_from(["urdf", "mjcf", "message"]),
@@ -532,7 +538,7 @@ ENTRIES = st.lists(
 
 @given(entries=ENTRIES)
 def test_a_baseline_is_read_as_it_was_written(
-    entries: list[Entry], tmp_path_factory: pytest.TempPathFactory
+    entries: list[BaselineEntry], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "known.toml"
     write_baseline(path, entries)

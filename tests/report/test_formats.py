@@ -25,7 +25,7 @@ from pupper_analysis.report.document import (
     Table,
     tell,
 )
-from pupper_analysis.report.formats import Annotation, Case, github, junit, visible
+from pupper_analysis.report.formats import Annotation, CheckedItem, github, junit, visible
 from pupper_analysis.report.terminal import SafeConsole, print_document
 from tests.support.commands import run_command
 from tests.support.printing import printed
@@ -105,7 +105,11 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
 
 
 def test_junit_counts() -> None:
-    cases = [Case("masses"), Case("limits", "0.9 rad\nand 1.1 rad"), Case("a < b & c", "5 % > 4 %")]
+    cases = [
+        CheckedItem("masses"),
+        CheckedItem("limits", "0.9 rad\nand 1.1 rad"),
+        CheckedItem("a < b & c", "5 % > 4 %"),
+    ]
     root = ElementTree.fromstring(junit("go1.urdf against go1.xml", cases))
     assert root.tag == "testsuites"
     (suite,) = root
@@ -122,7 +126,9 @@ def test_junit_counts() -> None:
 
 def test_junit_has_codes_and_values() -> None:
     differs = diagnose("foot-misses-target", subject=("foot", "FL"), gap=Quantity(0.002, "m"))
-    root = ElementTree.fromstring(junit("s", [Case("feet", "off", (differs, problem("<a>")))]))
+    root = ElementTree.fromstring(
+        junit("s", [CheckedItem("feet", "off", (differs, problem("<a>")))])
+    )
     (case,) = root.iter("testcase")
     assert [(one.tag, one.get("type")) for one in case][1] == (
         "failure",
@@ -146,7 +152,7 @@ PRINTABLE = st.text(CHARACTERS, max_size=30)
 
 @given(names=st.lists(PRINTABLE, max_size=4), failure=st.none() | PRINTABLE)
 def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) -> None:
-    text = junit("suite", (Case(name, failure) for name in names))
+    text = junit("suite", (CheckedItem(name, failure) for name in names))
     root = ElementTree.fromstring(text.encode())
     assert [case.get("name") for case in root.iter("testcase")] == names
     assert int(root.get("failures", "-1")) == (0 if failure is None else len(names))

@@ -62,7 +62,7 @@ def test_what_is_compared_is_what_is_meant() -> None:
             "stand": Stub(task=Stub(height=0.1234)),
         }
     )
-    found = vars(comparison.compare(stub, "v3", comparison.Reference(1.5, 0.05, 0.045)))
+    found = vars(comparison.compare(stub, "v3", comparison.RatioReference(1.5, 0.05, 0.045)))
     assert {key: value for key, value in found.items() if not isinstance(value, float)} == {
         "name": "stub",
         "base": "v3",

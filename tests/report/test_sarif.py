@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.report.sarif import Result, Rule, from_root, sarif
+from pupper_analysis.report.sarif import SarifResult, SarifRule, from_root, sarif
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -49,20 +49,20 @@ def checked_log(text: str) -> dict[str, Any]:
     return dict(run)
 
 
-def result(**values: Any) -> Result:
+def result(**values: Any) -> SarifResult:
     usual = {
-        "rule": Rule("audit/mass"),
+        "rule": SarifRule("audit/mass"),
         "level": "error",
         "message": "too heavy",
         "subject": "base",
         "file": "a.urdf",
         "line": 3,
     }
-    return Result(**{**usual, **values})
+    return SarifResult(**{**usual, **values})
 
 
 def test_a_result() -> None:
-    run = checked_log(sarif([result(rule=Rule("audit/mass", "A mass"), known=True)]))
+    run = checked_log(sarif([result(rule=SarifRule("audit/mass", "A mass"), known=True)]))
     assert run["tool"]["driver"]["rules"] == [
         {"id": "audit/mass", "shortDescription": {"text": "A mass"}}
     ]
@@ -95,8 +95,8 @@ def test_levels_rules_and_states() -> None:
         sarif(
             [
                 result(level="notice", known=False),
-                result(level="warning", rule=Rule("b"), line=None),
-                result(rule=Rule("b"), subject="hip", file=""),
+                result(level="warning", rule=SarifRule("b"), line=None),
+                result(rule=SarifRule("b"), subject="hip", file=""),
             ]
         )
     )
@@ -116,7 +116,7 @@ def test_a_fingerprint_is_of_the_subject_not_of_its_line_or_numbers() -> None:
         return str(found["partialFingerprints"])
 
     assert print_of(line=9, message="too light", level="warning") == print_of()
-    for other in ({"subject": "hip"}, {"file": "b.urdf"}, {"rule": Rule("audit/com")}):
+    for other in ({"subject": "hip"}, {"file": "b.urdf"}, {"rule": SarifRule("audit/com")}):
         assert print_of(**other) != print_of()
 
 
@@ -183,6 +183,8 @@ def test_of_the_commands(tmp_path: Path) -> None:
 def test_names_in_messages_are_no_links() -> None:
     """Source: SARIF 2.1.0, 3.11.6; in a viewer "[click](address)" would be one."""
     name = r"[click](javascript:alert(1)) a\b"
-    log = checked_log(sarif([Result(Rule("r"), "error", f"joint {name}", name, "a.urdf", 1)]))
+    log = checked_log(
+        sarif([SarifResult(SarifRule("r"), "error", f"joint {name}", name, "a.urdf", 1)])
+    )
     text = log["results"][0]["message"]["text"]
     assert text == r"joint \[click\](javascript:alert(1)) a\\b"

@@ -18,7 +18,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.inertia import Mass, same
-from pupper_analysis.sync.plan import Cause
+from pupper_analysis.sync.plan import UnwrittenCause
 from pupper_analysis.sync.xml_bytes import read_document
 from tests.support.robots import (
     Files,
@@ -313,7 +313,7 @@ def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) 
     files = write(tmp_path, re.sub("<dynamics [^>]*/>", "", stated), mjcf_text(ROBOT))
     result = sync(files, "urdf")
     assert [(e, a) for e, a, *_ in edits(result)] == [("body base > inertial", "mass")]
-    assert {left.cause for left in result.left} == {Cause.NOT_STATED}
+    assert {left.cause for left in result.left} == {UnwrittenCause.NOT_STATED}
     assert len([left for left in result.left if left.difference.endswith("effort")]) == 8
     values = [left.reason.values for left in result.left]
     assert {(told["lacking"], told["stating"]) for told in values} == {("URDF", "MJCF")}
@@ -325,7 +325,7 @@ def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) 
     before = files.urdf.read_text()
     result = sync(files, "mjcf")
     assert edits(result) == [("link base > inertial > mass", "value", "7.0", "6")]
-    assert {left.cause for left in result.left} == {Cause.NOT_STATED}
+    assert {left.cause for left in result.left} == {UnwrittenCause.NOT_STATED}
     values = [left.reason.values for left in result.left]
     assert {(told["lacking"], told["stating"]) for told in values} == {("MJCF", "URDF")}
     assert files.urdf.read_text().count("damping") == before.count("damping") > 0
@@ -344,7 +344,7 @@ def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
         assert result.withheld
         assert result.written == ()
         assert [edit[0] for edit in edits(result)] == ["link thigh1 > inertial > mass"]
-        assert {left.cause for left in result.left} == {Cause.NOT_MENDED}
+        assert {left.cause for left in result.left} == {UnwrittenCause.NOT_MENDED}
         assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
     for choice, options in (("mjcf", {"partial": True}), ("mjcf:body of hip1", {})):
         files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Quantity:
+class QuantityValues:
     """One quantity's values in one evaluation.
 
     Attributes:
@@ -33,7 +33,7 @@ class Quantity:
     of_state: bool = False
 
 
-Evaluation = dict[str, Quantity]
+Evaluation = dict[str, QuantityValues]
 
 
 def model_quantities(
@@ -68,7 +68,9 @@ def model_quantities(
         ("joint friction", friction, joints, "N m", False),
     ]
     return {
-        name: Quantity(np.array(values, dtype=float).reshape(len(labels), -1), labels, unit, each)
+        name: QuantityValues(
+            np.array(values, dtype=float).reshape(len(labels), -1), labels, unit, each
+        )
         for name, values, labels, unit, each in rows
     }
 
@@ -97,5 +99,5 @@ def state_quantities(robot: Robot, rows: Mapping[str, list[Array]]) -> Evaluatio
     for name, values in rows.items():
         labels, unit = about[name]
         array = np.array(values).reshape(len(values), len(labels), -1)
-        result[name] = Quantity(array, labels, unit, of_state=True)
+        result[name] = QuantityValues(array, labels, unit, of_state=True)
     return result

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pupper_analysis.checks.differences import OF_INERTIALS, Difference
 from pupper_analysis.checks.links import mjcf_links, urdf_links
 from pupper_analysis.checks.patterns.angles import other_angles
-from pupper_analysis.checks.patterns.case import Case
+from pupper_analysis.checks.patterns.case import PatternCase
 from pupper_analysis.checks.patterns.dropped import dropped
 from pupper_analysis.checks.patterns.exchanged import exchanged
 from pupper_analysis.checks.patterns.gears import before_gears
@@ -79,7 +79,7 @@ def causes(
     urdf = urdf_links(robot) if bodies else {}
     mjcf = mjcf_links(robot, raw, second) if bodies else {}
     raw = replace(raw, gravity=first.gravity)
-    case = Case(robot, first, raw, second, keys, tolerances, urdf, mjcf)
+    case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf)
     found: list[Cause] = []
     taken: set[int] = set()
     for look in _LOOKS:

@@ -8,14 +8,14 @@ from functools import partial
 
 import mujoco
 
-from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
+from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.matching.trees import trees
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
-def other_angles(case: Case) -> Found:
+def other_angles(case: PatternCase) -> Found:
     """Finds another eulerseq, or degrees for radians, that ends differences."""
     if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
         kind for kind, _ in case.keys
@@ -51,7 +51,7 @@ def other_angles(case: Case) -> Found:
     limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
     concerned = turned or limits
     if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
-        yield Finding(
+        yield PatternFinding(
             "angles",
             diagnose(
                 "angles-meant-otherwise",

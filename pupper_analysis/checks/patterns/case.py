@@ -22,7 +22,7 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class PatternCase:
     """Two trees that differ.
 
     Attributes:
@@ -85,7 +85,7 @@ class Case:
 
 
 @dataclass(frozen=True, eq=False)
-class Finding:
+class PatternFinding:
     """A slip that explains differences.
 
     Attributes:
@@ -98,7 +98,7 @@ class Finding:
     kind: str
     diagnostic: Diagnostic
     explained: set[Key]
-    undone: Case | None = None
+    undone: PatternCase | None = None
 
 
-Found = Iterator[Finding]
+Found = Iterator[PatternFinding]

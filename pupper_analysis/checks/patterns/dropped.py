@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.changes import body_changes
-from pupper_analysis.checks.links import Link, fold
-from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
+from pupper_analysis.checks.links import ComparedLink, fold
+from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.multibody import MultibodyTree
 
@@ -21,7 +21,7 @@ _MANY = 4  # bodies that have their coms in their links' origins by no accident
 _ORIGIN = 1e-9  # m: a com that is nearer to its link's origin is there
 
 
-def dropped_products(case: Case, lacking: str) -> Found:
+def dropped_products(case: PatternCase, lacking: str) -> Found:
     """Finds that one file has no products of inertia at all.
 
     They are dropped in the other file, in each link's own axes or, had they been folded before, in
@@ -60,7 +60,7 @@ def dropped_products(case: Case, lacking: str) -> Found:
                 if lacking == "URDF"
                 else replace(case, first=mended, urdf=links)
             )
-            yield Finding(
+            yield PatternFinding(
                 "products",
                 diagnose("products-of-inertia-dropped", file=lacking, count=count),
                 gone,
@@ -69,12 +69,12 @@ def dropped_products(case: Case, lacking: str) -> Found:
             return
 
 
-def _own(link: Link) -> Array:
+def _own(link: ComparedLink) -> Array:
     """Returns the inertia of a link in its own axes."""
     return link.axes.T @ link.body.inertia @ link.axes
 
 
-def _without_products(link: Link) -> Link:
+def _without_products(link: ComparedLink) -> ComparedLink:
     bare = link.axes @ _diagonal(_own(link)) @ link.axes.T
     return replace(link, body=replace(link.body, inertia=bare))
 
@@ -102,14 +102,14 @@ def dropped_coms(words: str, one: MultibodyTree, keys: Sequence[Key]) -> Found:
         if kind == "com" and float(np.linalg.norm(one.bodies[element].com)) < _ORIGIN
     ]
     if len(names) >= _MANY:
-        yield Finding(
+        yield PatternFinding(
             "coms",
             diagnose("coms-dropped", file=words, count=len(names), bodies=names),
             {("com", name) for name in names},
         )
 
 
-def dropped(case: Case) -> Found:
+def dropped(case: PatternCase) -> Found:
     """Finds what one file has left out of its inertials."""
     trees_of = (("URDF", case.first), ("MJCF", case.raw))
     for words, own in trees_of:

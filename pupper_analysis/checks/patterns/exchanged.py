@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, islice
 
-from pupper_analysis.checks.patterns.case import Case, Finding, Found, Key
+from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.multibody import MultibodyTree
 
 
-def exchanged(case: Case) -> Found:
+def exchanged(case: PatternCase) -> Found:
     """Finds limbs whose names are exchanged."""
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.below(top)] for top in tops}
@@ -40,7 +40,7 @@ def exchanged(case: Case) -> Found:
             second, gone = _renamed(second, exchange), gone | (before - after)
     if pairs:
         limbs_told = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
-        yield Finding(
+        yield PatternFinding(
             "exchanged",
             diagnose("limbs-exchanged", pairs=limbs_told, count=len(gone), total=len(case.keys)),
             gone,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 
-from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.efforts import gear_left_out
 
 
-def before_gears(case: Case) -> Found:
+def before_gears(case: PatternCase) -> Found:
     """Finds efforts that are the MJCF's once they are multiplied by the gears there."""
     model = case.robot.mj_model
     found: dict[tuple[float, float], list[str]] = defaultdict(list)
@@ -26,7 +26,7 @@ def before_gears(case: Case) -> Found:
         for (effort, gear), names in found.items()
     ]
     joints = [name for names in found.values() for name in names]
-    yield Finding(
+    yield PatternFinding(
         "gears",
         diagnose("efforts-before-gears", count=len(joints), efforts=efforts),
         {("effort", name) for name in joints},

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Quantity, diagnose
 
 _MANY = 4  # bodies that are told in one line
@@ -18,7 +18,7 @@ _PLACEHOLDER = 1e-3
 """Share of the other's mass below which a body is there for the sake of the joint alone."""
 
 
-def other_inertials(case: Case) -> Found:
+def other_inertials(case: PatternCase) -> Found:
     """Finds bodies of which nothing is the other file's."""
     kinds = ("mass", "com", "inertia")
     others = []
@@ -29,7 +29,7 @@ def other_inertials(case: Case) -> Found:
         if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER * one.mass:
             others.append(name)
     if len(others) >= _MANY:
-        yield Finding(
+        yield PatternFinding(
             "inertial",
             diagnose("inertials-of-another-robot", count=len(others), bodies=others),
             {(kind, name) for kind in kinds for name in others},
@@ -53,7 +53,7 @@ def other_inertials(case: Case) -> Found:
             guess = diagnose("guess-inertial-of-another-body", body=twin)
         else:
             guess = diagnose("guess-another-version")
-        yield Finding(
+        yield PatternFinding(
             "inertial",
             diagnose(
                 "inertial-of-another",

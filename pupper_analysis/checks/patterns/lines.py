@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.models.multibody import MultibodyTree, TreeJoint
 
@@ -18,7 +18,7 @@ _MANY = 20
 long as a comparison."""
 
 
-def other_lines(case: Case) -> Found:
+def other_lines(case: PatternCase) -> Found:
     """Finds joints whose axis alone is elsewhere.
 
     A body is drawn from its joint on: if that is moved, com, children and frames all are at other
@@ -31,7 +31,7 @@ def other_lines(case: Case) -> Found:
         if ("position", name) not in gone:
             continue
         away, angle = _apart(case.first.joints[name], case.second.joints[name])
-        yield Finding(
+        yield PatternFinding(
             "line",
             diagnose(
                 "axis-elsewhere",

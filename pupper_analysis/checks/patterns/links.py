@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.changes import body_changes
 from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.checks.links import Link, from_moments, moments
-from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.checks.links import ComparedLink, from_moments, moments
+from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.multibody import TreeBody
 
@@ -50,13 +50,13 @@ class _Slip:
     """
 
     mover: str
-    links: tuple[Link, ...]
+    links: tuple[ComparedLink, ...]
     lacks: str
     factor: float = 0.0
     inertia: bool = False
 
 
-def other_links(case: Case) -> Found:
+def other_links(case: PatternCase) -> Found:
     """Finds links that one file lacks, or that weigh another multiple, as many as alike at once."""
     differ = dict.fromkeys(name for kind, name in case.open if kind in OF_INERTIALS)
     if not differ:
@@ -71,12 +71,12 @@ def other_links(case: Case) -> Found:
         if lacks:
             file = case.urdf if lacks == "MJCF" else case.mjcf
             known = [link.name for links in file.values() for link in links]
-            yield Finding("links", _lacking(group, known), explained)
+            yield PatternFinding("links", _lacking(group, known), explained)
         else:
-            yield Finding("scaled links", _scaled(group), explained)
+            yield PatternFinding("scaled links", _scaled(group), explained)
 
 
-def _slip(case: Case, name: str) -> _Slip | None:
+def _slip(case: PatternCase, name: str) -> _Slip | None:
     """Returns the one slip that explains how a body differs, if any does."""
     one, two = case.first.bodies[name], case.second.bodies[name]
     apart = moments(one) - moments(two)
@@ -111,7 +111,7 @@ def _slip(case: Case, name: str) -> _Slip | None:
     return None
 
 
-def _subsets(links: Sequence[Link], mass: float) -> Iterator[tuple[Link, ...]]:
+def _subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
     """Yields sets of links of a mass, the smallest first; of many links those alike in name."""
     if len(links) > _MOST:
         named = {link.name: link for link in links}
@@ -130,7 +130,9 @@ def _subsets(links: Sequence[Link], mass: float) -> Iterator[tuple[Link, ...]]:
             yield tuple(chosen)
 
 
-def _is_it(case: Case, name: str, one: TreeBody, two: TreeBody, extra: Array, apart: Array) -> bool:
+def _is_it(
+    case: PatternCase, name: str, one: TreeBody, two: TreeBody, extra: Array, apart: Array
+) -> bool:
     """Tells whether two bodies are the same, and what was undone is what they differed by.
 
     But for an inertia that another cause explains already: what is left of it says nothing.

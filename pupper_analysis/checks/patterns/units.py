@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.patterns.case import Case, Finding, Found
+from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.xml import MAX_NUMBER
 
@@ -30,7 +30,7 @@ _INERTIA = {
 }
 
 
-def other_units(case: Case) -> Found:
+def other_units(case: PatternCase) -> Found:
     """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
     first, raw = case.first, case.raw
     bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
@@ -51,7 +51,7 @@ def other_units(case: Case) -> Found:
     ):
         if factor is None:
             continue
-        yield Finding(
+        yield PatternFinding(
             "units",
             diagnose("all-scaled", what=Term(what), factor=factor, guess=_unit(factor, units)),
             {key for key in case.keys if key[0] in kinds},

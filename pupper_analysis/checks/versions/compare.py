@@ -13,7 +13,7 @@ from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, RelativeError
 from pupper_analysis.checks.versions.behaviour import Trial
-from pupper_analysis.checks.versions.revision import Source, opened
+from pupper_analysis.checks.versions.revision import VersionedFile, opened
 from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
@@ -137,7 +137,7 @@ class _Comparison:
         self,
         one: Version,
         two: Version,
-        sources: tuple[Source, Source],
+        sources: tuple[VersionedFile, VersionedFile],
         names: Mapping[str, str],
         tolerances: Tolerances,
     ) -> None:

@@ -21,7 +21,7 @@ _NEEDED = (".urdf", ".xml", ".mjcf", ".stl", ".obj", ".msh", ".dae", ".ply", ".p
 
 
 @dataclass(frozen=True)
-class Source:
+class VersionedFile:
     """A file, or what git has of it.
 
     Attributes:
@@ -58,7 +58,7 @@ class Source:
 
 
 @contextmanager
-def opened(given: str | Path) -> Iterator[Source]:
+def opened(given: str | Path) -> Iterator[VersionedFile]:
     """Yields a file, or a copy of what git has of it, with all that it may include.
 
     Args:
@@ -77,7 +77,7 @@ def opened(given: str | Path) -> Iterator[Source]:
         or not inside
         or (len(revision) < 2 and revision != "@")
     ):
-        yield Source(Path(text), text)
+        yield VersionedFile(Path(text), text)
         return
     if revision.startswith("-"):
         raise ModelError(text, diagnose("no-revision", revision=revision))
@@ -86,4 +86,4 @@ def opened(given: str | Path) -> Iterator[Source]:
         root = Path(folder).resolve()
         asked = (relative.lower(),) if relative else ()
         git.write_revision(text, revision, root, (*_NEEDED, *asked))
-        yield Source(root / relative, text, revision, root)
+        yield VersionedFile(root / relative, text, revision, root)

@@ -16,7 +16,7 @@ from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.cells import labelled, standing, unit_of
 from pupper_analysis.study.measures import MEASURES, text_key
-from pupper_analysis.study.outcome import Measured, StudyOutcome
+from pupper_analysis.study.outcome import MeasureSummary, StudyOutcome
 from pupper_analysis.study.tolerance import Chance
 
 if TYPE_CHECKING:
@@ -117,7 +117,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
     )
 
 
-def _meaning(one: Measured) -> doc.Words:
+def _meaning(one: MeasureSummary) -> doc.Words:
     """Returns what a measure is: of one's own function what its docstring says."""
     name = one.measure.partition(".")[0]
     return text(text_key(name)) if name in MEASURES else doc.Name(one.meaning)

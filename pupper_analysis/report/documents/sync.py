@@ -10,7 +10,7 @@ from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.sync.choices import label, line_at
 from pupper_analysis.sync.models import Sync
-from pupper_analysis.sync.plan import Cause
+from pupper_analysis.sync.plan import UnwrittenCause
 
 
 def question(sync: Sync, place: int) -> str:
@@ -65,7 +65,7 @@ def sync_document(
 
 def _withheld(sync: Sync) -> Iterable[doc.Words]:
     if sync.withheld:
-        failed = sum(left.cause == Cause.NOT_MENDED for left in sync.left)
+        failed = sum(left.cause == UnwrittenCause.NOT_MENDED for left in sync.left)
         yield text(
             "nothing-is-written-count",
             count=failed,

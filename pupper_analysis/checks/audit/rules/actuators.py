@@ -22,7 +22,7 @@ from pupper_analysis.robot_model.model import MjcfModel
 
 
 @dataclass(frozen=True)
-class Drive:
+class ActuatorDrive:
     """An actuator of constant gain on a hinge or slide.
 
     Attributes:
@@ -53,7 +53,7 @@ class Drive:
         return self.stiffness != 0
 
 
-def drives(model: mujoco.MjModel) -> Iterator[Drive]:
+def drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
     """Yields the actuators with a constant gain on hinges and slides."""
     for actuator in range(model.nactuator):
         joint = int(model.actuator_trnid[actuator, 0])
@@ -64,7 +64,7 @@ def drives(model: mujoco.MjModel) -> Iterator[Drive]:
             continue
         affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
         bias = model.actuator_biasprm[actuator] if affine else np.zeros(3)
-        yield Drive(
+        yield ActuatorDrive(
             name=model.actuator(actuator).name or joint_name(model, joint),
             id=actuator,
             control=int(model.actuator_ctrladr[actuator]),
@@ -77,7 +77,7 @@ def drives(model: mujoco.MjModel) -> Iterator[Drive]:
         )
 
 
-def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, Drive]]:
+def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
     if robot.mj_model is not None:
         for drive in drives(robot.mj_model):
             yield robot.mj_model, drive
@@ -108,7 +108,7 @@ def servo_drives_away(robot: MjcfModel) -> Iterator[Found]:
 @rule
 def servos_compete(robot: MjcfModel) -> Iterator[Found]:
     """Finds joints with two position servos or more."""
-    holding: dict[str, list[Drive]] = {}
+    holding: dict[str, list[ActuatorDrive]] = {}
     for _, drive in _drives(robot):
         if drive.stiffness > 0:
             holding.setdefault(drive.joint_name, []).append(drive)
