@@ -5,10 +5,10 @@ that MuJoCo's schema has is looked at, and each of URDF's; element by element, o
 The letters say what came of the values zero, least (1e-9), greatest (1e9), of the wrong sign (of a
 range: the wrong way round), not a number, and a word, in this order; then of other keywords:
 
-* `r`: no engine takes the file, and `audit` says UNSOUND; or our reader refuses it in a sentence;
-* `f`: bare MuJoCo makes it fall from its keyframe; `audit` does not say SOUND, `stand` not HOLDS;
+* `r`: no engine takes the file, and `audit` says ERRORS; or our reader refuses it in a sentence;
+* `f`: bare MuJoCo makes it fall from its keyframe; `audit` does not say OK, `stand` not HOLDS;
 * `m`: it stands, and its base is elsewhere by more than 0.1 % of its height;
-* `e`: it stands as before, or the file is taken, and `audit` says UNSOUND all the same;
+* `e`: it stands as before, or the file is taken, and `audit` says ERRORS all the same;
 * `d`: a URDF that is taken, and of which `crosscheck` says DISAGREE;
 * `.`: the base stays where it is, or mass matrix and limits are the same within 1e-3;
 * `!`: something is said that is not so; the program then ends with status 1.
@@ -394,7 +394,7 @@ def letter(result: dict[str, Any]) -> str:
         return "f"
     if abs(result.get("lost", 0.0)) > MOVED:
         return "m"
-    if result.get("audit") == "UNSOUND":
+    if result.get("audit") == "ERRORS":
         return "e"
     return "d" if result["bare"] == "taken" and result.get("crosscheck") == "DISAGREE" else "."
 

@@ -2,7 +2,7 @@
 
 Robots that stand by themselves get one slip each: a sign, a factor of ten, a unit, a swapped pair,
 an attribute of another element ... Bare MuJoCo runs an MJCF as it is, from its own keyframe. None
-that falls is to be said to HOLD, none that no engine takes to be SOUND, and none of whose numbers
+that falls is to be said to HOLD, none that no engine takes to be OK, and none of whose numbers
 that both formats have one differs is to AGREE; nothing is to end in an exception of no type of
 ours. Of a file without ground it is to be said that one was added.
 """
@@ -97,7 +97,7 @@ def audited(result: dict[str, Any], path: Path) -> None:
     audit = typed(result, "audit", lambda: pa.audit_model(path))
     if audit is not None:
         errors, warned = audit.counts["error"], audit.counts["warning"]
-        result["audit"] = "UNSOUND" if errors else "SUSPECT" if warned else "SOUND"
+        result["audit"] = "ERRORS" if errors else "WARNINGS" if warned else "OK"
         result["rules"] = sorted(
             {found.rule for found in audit.findings if found.severity != "info"}
         )
@@ -121,11 +121,11 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
     result["bare"] = "refused" if math.isnan(lost) else "falls" if falls else "stands"
     if result["bare"] != "stands" or whole:
         audited(result, pair.mjcf)
-    if math.isnan(lost) and result.get("audit") in ("SOUND", "SUSPECT"):
+    if math.isnan(lost) and result.get("audit") in ("OK", "WARNINGS"):
         result["bad"].append(f"{result['audit']}, and MuJoCo refuses it")
     lasting = falls and not abs(by_itself(pair.mjcf, LONG)) <= FALLS  # and does not merely bob
-    if falls and result.get("audit") == "SOUND":
-        result["bad"].append("SOUND, and it falls")
+    if falls and result.get("audit") == "OK":
+        result["bad"].append("OK, and it falls")
     if falls or whole:
         loaded = typed(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
         collapses = loaded is not None and loaded.own_run is not None and loaded.own_run.collapses
@@ -230,7 +230,7 @@ def judge_urdf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
     result["bare"] = "taken" if taken else "refused"
     if not taken or whole:
         audited(result, pair.urdf)
-    if not taken and result.get("audit") in ("SOUND", "SUSPECT"):
+    if not taken and result.get("audit") in ("OK", "WARNINGS"):
         result["bad"].append(f"{result['audit']}, and no engine takes it")
     differs = _urdf_differs(new, plain.urdf)
     if differs or whole or not taken:

@@ -127,7 +127,7 @@ class Preparation(Result):
         joints: Its joints, in the order of its coordinates.
         feet: Its feet.
         passes: What was run to make it ready, in this order; none if the files were ready.
-        notes: What was found, and what was made up for.
+        notes: What was found, and which defaults were added.
     """
 
     name: str

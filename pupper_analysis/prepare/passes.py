@@ -324,9 +324,7 @@ PASSES = (
         _stands,
     ),
     Pass("build", Term("builds the robot"), _build, _stands),
-    Pass(
-        "bound-joints", Term("limits joints of loops that turn without end"), _bound_joints, _stands
-    ),
+    Pass("bound-joints", Term("limits joints of loops that have none"), _bound_joints, _stands),
     Pass(
         "narrow-limits",
         Term("takes the narrower of both files' joint limits"),

@@ -17,7 +17,7 @@ class ServoSource(StrEnum):
     """Where the gains of a robot's servos are from."""
 
     FILE = "the MJCF's"
-    MADE_UP = "made up"
+    ADDED = "added"
     GIVEN = "given"
 
 

@@ -45,7 +45,9 @@ class Ground:
         object.__setattr__(self, "uphill", finite("uphill", self.uphill))
         if not 0 <= self.slope < math.pi / 2:
             slope = Quantity(self.slope, "rad")
-            raise ConfigurationError("slope", diagnose("slope-not-valid", slope=slope))
+            degrees = self.slope if 0 < self.slope < 90 else None
+            told = diagnose("slope-not-valid", slope=slope, degrees=degrees)
+            raise ConfigurationError("slope", told)
         heights = {foot: length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
         object.__setattr__(self, "heights", FrozenDict(heights))
 

@@ -287,7 +287,7 @@ def servos_used(
     if kp is not None or kd is not None:
         source, made, chosen = ServoSource.GIVEN, (), found.kp > 0
     else:
-        source = ServoSource.MADE_UP if made else ServoSource.FILE
+        source = ServoSource.ADDED if made else ServoSource.FILE
         chosen = chosen if made else found.kp > 0
     stiffness, damping = found.kp[chosen], found.kd[chosen]
     return ServosUsed(

@@ -25,7 +25,7 @@ class VerdictCode(StrEnum):
     """A verdict in one word, from the best to the worst."""
 
     HOLDS = "holds"
-    HOLDS_ON_MADE_UP_SERVOS = "holds on servos that were made up"
+    HOLDS_ON_ADDED_SERVOS = "holds on servos that were added"
     HOLDS_ALTERED = "holds as computed, and is not quite so as published"
     HOLDS_WITH_FEEDFORWARD = "holds with feed-forward alone"
     IN_BALANCE = "in balance, and not simulated"
@@ -38,7 +38,7 @@ class VerdictCode(StrEnum):
 
 HOLDING = (
     VerdictCode.HOLDS,
-    VerdictCode.HOLDS_ON_MADE_UP_SERVOS,
+    VerdictCode.HOLDS_ON_ADDED_SERVOS,
     VerdictCode.HOLDS_ALTERED,
     VerdictCode.HOLDS_WITH_FEEDFORWARD,
 )
@@ -199,4 +199,4 @@ def _code(
         return VerdictCode.HOLDS_WITH_FEEDFORWARD
     if differs:
         return VerdictCode.HOLDS_ALTERED
-    return VerdictCode.HOLDS_ON_MADE_UP_SERVOS if servos.made else VerdictCode.HOLDS
+    return VerdictCode.HOLDS_ON_ADDED_SERVOS if servos.made else VerdictCode.HOLDS

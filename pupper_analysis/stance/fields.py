@@ -195,7 +195,9 @@ class Field:
         elif number < low:
             told = diagnose("below-the-least", value=given, bound=Quantity(low, given.unit))
         else:
-            told = diagnose("above-the-most", value=given, bound=Quantity(high, given.unit))
+            degrees = number if given.unit == "rad" and number <= math.degrees(high) else None
+            bound = Quantity(high, given.unit)
+            told = diagnose("above-the-most", value=given, bound=bound, degrees=degrees)
         raise ConfigurationError(name, told)
 
     def quantity(self, value: Any) -> Quantity | Vector:

@@ -75,7 +75,7 @@ def test_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixture[str]) -> None:
     status, out, err = run_command(capfd, "payload", "v3-long-leg", "--kp", "1", "--kd", "0.1")
     assert status == 1, err
-    assert "0.00 kg, then the servos are too soft" in out
+    assert "0.00 kg, then loses static stability" in out
 
 
 @pytest.mark.longest

@@ -174,7 +174,7 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
     assert found(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
     assert lines(comparison)[0].startswith(
-        "ONE ROBOT, OTHER COORDINATES: joint knee1: its zero is elsewhere, and its limits with it: "
+        "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: its zero is elsewhere, and its limits with it: "
         f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
     )
     # The one cause is all there is: at matched zeros the two are the same robot.
@@ -249,7 +249,7 @@ def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: s
     comparison = compared(pair(tmp_path, mjcf, feet))
     assert found(comparison) == [("base frame", "base")]
     assert lines(comparison)[0].startswith(
-        "ONE ROBOT, OTHER COORDINATES: the base's frame is elsewhere: that of the "
+        "SAME ROBOT, DIFFERENT CONVENTIONS: the base's frame is elsewhere: that of the "
     )
     assert comparison.same_robot
     assert not comparison.agree

@@ -39,7 +39,7 @@ def test_prints_place_rule_reason_and_remedy(broken: Path) -> None:
     assert f"   {broken}:{line}\n" in result.stdout
     assert RULES["mass-not-positive"].todo in result.stdout
     assert "mirror-limits" in result.stdout
-    assert result.stdout.startswith("UNSOUND broken.urdf: 1 error, ")
+    assert result.stdout.startswith("ERRORS broken.urdf: 1 error, ")
 
 
 def test_a_sound_file(tmp_path: Path) -> None:
@@ -48,7 +48,7 @@ def test_a_sound_file(tmp_path: Path) -> None:
         str(ROOT / "mjcf" / "pupper_v3.xml"), "--fail-on", "warning", "--json", str(report)
     )
     assert result.returncode == 0, result.stdout
-    assert result.stdout.startswith("SOUND pupper_v3.xml: 0 errors, ")
+    assert result.stdout.startswith("OK pupper_v3.xml: 0 errors, ")
     assert result.stdout.splitlines()[-1] == f"written: {report}"
     content = json.loads(report.read_text())
     assert content["passed"] is True
@@ -59,7 +59,7 @@ def test_what_has_warnings_is_not_called_sound(broken: Path) -> None:
     result = run(str(broken), "--disable", "mass-not-positive")
     assert result.returncode == 0
     verdict = result.stdout.splitlines()[0]
-    assert verdict.startswith("SUSPECT ")
+    assert verdict.startswith("WARNINGS ")
     assert "0 errors" in verdict
     assert "warning" in verdict
 

@@ -103,7 +103,7 @@ def test_all_of_a_group_are_printed_with_all(files: Files) -> None:
 def test_places_and_effects_are_printed(files: Files) -> None:
     text = printed(compared(files))
     assert re.search(r"^   \S*robot.urdf:5   \S*robot.xml:7$", text, re.MULTILINE)
-    assert "   alone it makes, of the deviation in: " in text
+    assert "   contribution to the deviation in: " in text
     assert "gravity 100% (1.3e-01)" in text  # 1.5 kg of 11.16 kg
 
 
@@ -298,7 +298,7 @@ def test_what_the_mjcf_alone_has_is_printed_with_its_effect(tmp_path: Path) -> N
     assert out.startswith("DISAGREE robot.urdf and robot.xml: joint hip")
     assert f": {spring}\n" in out
     assert "   likewise on 1 more: hip" in out
-    assert re.search(r"alone it makes, of the deviation in: forward dynamics \d+% \(", out)
+    assert re.search(r"contribution to the deviation in: forward dynamics \d+% \(", out)
     assert "explained: 100 % of the deviation" in out
     assert "engines differ" not in out
     header = next(line for line in out.splitlines() if line.strip().startswith("models"))

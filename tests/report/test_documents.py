@@ -128,7 +128,7 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
     ("stance", "Motor torques", "hip", "limit (N m)", STANCE.limits[0], 1),
     ("stance", "Motor torques", "hip", "utilisation (%)", STANCE.statics.motor_utilisation[0], 100),
     ("stance", "Motor torques", "hip", "simulated (N m)", RUN.joint_torques[0], 1),
-    ("stance", "Motor torques", "knee", "minimum peak (N m)",
+    ("stance", "Motor torques", "knee", "min-max (N m)",
      STANCE.minimum_peak.joint_torques[1], 1),
     ("stance", "Motor torques", "knee", "position (rad)", STANCE.joint_positions[1], 1),
     *(("stance", "Contact forces on the feet, in world axes", foot, f"force {axis} (N)",

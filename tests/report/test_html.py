@@ -413,13 +413,13 @@ def test_findings_are_told() -> None:
     ]
     assert rows[0]["line"] == f"bad.urdf:{one.findings[0].line}"
     assert one.findings[0].todo in page.shown()
-    assert "✗ UNSOUND" in page.shown()
+    assert "✗ ERRORS" in page.shown()
 
 
 def test_warnings_are_no_pass_without_more() -> None:
     counts = {"error": 0, "warning": 2, "note": 0}
     text = Page(written(replace(audit(), passed=True, counts=counts))).shown()
-    assert "! SUSPECT" in text
+    assert "! WARNINGS" in text
     assert "✓" not in text
 
 
@@ -763,7 +763,7 @@ def test_commands_write_it(tmp_path: Path) -> None:
 def test_a_report_goes_to_standard_output() -> None:
     found = answer("audit", str(ROOT / "urdf" / "pupper_v3.urdf"), "--report", "-")
     assert Page(found.stdout).root.find(".//h1") is not None
-    assert "SOUND" in found.stderr
+    assert "OK" in found.stderr
 
 
 @pytest.mark.slow

@@ -192,7 +192,7 @@ def test_it_is_all_that_stands_on_standard_output(tmp_path: Path) -> None:
     found = answer(
         "audit", file, "--format", "markdown", "--json", str(path), "--report", str(page)
     )
-    assert found.stdout.startswith("### ✅ SOUND pupper\\_v3.urdf\n\n- 0 errors, ")
+    assert found.stdout.startswith("### ✅ OK pupper\\_v3.urdf\n\n- 0 errors, ")
     assert "written" not in found.stdout
     assert found.stderr == f"written: {page}\nwritten: {path}\n"
     assert Page(page.read_text(encoding="utf-8")).root.find(".//h1") is not None

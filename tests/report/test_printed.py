@@ -131,17 +131,17 @@ def test_the_fastest_path() -> None:
     text = " ".join(printed(path_document(least)))
     assert (
         "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) after 37% of "
-        "leg 2; 2.5 s if the acceleration could jump The path" in text
+        "segment 2; 2.5 s if the acceleration could jump The path" in text
     )
 
 
 def test_limits_say_that_their_servos_were_made_up() -> None:
     """Of a robot without servos nobody stated what it can carry, or be pushed by."""
     made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
-    own = ServosUsed(ServoSource.MADE_UP, (320.0, 320.0), (16.0, 16.0), (made,))
+    own = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (made,))
     one = loaded()
     one.servos = own
-    said = "on servos that were made up at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
+    said = "on servos that were added at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
     assert said in " ".join(printed(payload_document(one)))
     push = pushed("one", 0.0, 0.00311)
     push.verdict = judge(run(0.0, passed=True), None, own)

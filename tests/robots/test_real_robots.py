@@ -414,7 +414,7 @@ def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
         assert row.torque is not None
         assert row.torque < 1e-2
     else:
-        assert "the two files are not of one robot" in str(row.stand)
+        assert "the files describe different robots" in str(row.stand)
 
 
 def test_a_humanoid_on_two_flat_feet() -> None:

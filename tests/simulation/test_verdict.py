@@ -39,7 +39,7 @@ FILE = ServosUsed(ServoSource.FILE, (5.0, 5.0), (0.1, 0.1))
 
 def made(instead_of: Drive) -> ServosUsed:
     servo = MadeServo("knee", 40.0, 2.0, instead_of)
-    return ServosUsed(ServoSource.MADE_UP, (40.0, 40.0), (2.0, 2.0), (servo,))
+    return ServosUsed(ServoSource.ADDED, (40.0, 40.0), (2.0, 2.0), (servo,))
 
 
 def published(torque: float, *, collapses: bool = False) -> Published:
@@ -62,11 +62,11 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         "2.0e-08 of the prediction (relative to the largest); COLLAPSES on position commands "
         "alone: it sank",
     ),
-    "made up": (
+    "added": (
         {"servos": made(Drive.MOTOR)},
-        VerdictCode.HOLDS_ON_MADE_UP_SERVOS,
+        VerdictCode.HOLDS_ON_ADDED_SERVOS,
         True,
-        "on servos that were made up at 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
+        "on servos that were added at 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
     ),
     "given": (
         {"servos": ServosUsed(ServoSource.GIVEN, (30.0, 50.0), (2.0, 2.0))},
@@ -126,4 +126,4 @@ def test_the_worst_decides() -> None:
     verdict = judge(run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65))
     assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED
     assert verdict.commands_alone is Ending.COLLAPSES
-    assert "made up" in in_words(verdict)
+    assert "were added" in in_words(verdict)

@@ -52,7 +52,7 @@ def test_a_refusal_names_the_margin_with_its_limit() -> None:
     error = refused(robot, task)
     assert error.shortfall == {}
     assert [str(one) for one in error.blocked] == ["the com is 31.3 mm inside the support polygon"]
-    assert "com inside by 40 mm" in str(error)
+    assert "com in the support polygon (margin >= 40 mm)" in str(error)
     assert set(error.limits) == {"offset", "com_margin"}
     for name, limit in error.limits.items():
         assert pa.solve_stand(robot, replace(task, **limit)).solved, name

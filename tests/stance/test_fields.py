@@ -222,14 +222,26 @@ def test_a_task_is_said_in_order_and_with_units() -> None:
     assert str(task) == (
         "height 0.1200 m, roll 1.5 deg, pitch 0.0 deg, yaw 0.0 deg, base (10, -20) mm from the "
         "centre, FR at (100, -200) mm, FL moved by (3, 4) mm, RL lifted 50 mm, slope 6.0 deg, "
-        "rising towards 77 deg, RR on 8 mm, com inside by 9 mm, 11.0 deg off the joint limits, "
-        "13 mm off the ground, links 14 mm apart"
+        "rising towards 77 deg, RR on 8 mm, com in the support polygon (margin >= 9 mm), "
+        "joint-limit margin 11.0 deg, ground clearance 13 mm, links 14 mm apart"
     )
     assert task.said("zh").startswith("高度 0.1200 m，横滚 1.5°，")
 
 
 def test_a_com_is_said_where_it_is_asked_for() -> None:
     assert "com" not in str(pa.StandTask(com="centre", com_margin=0.01))
-    assert "com inside by 10 mm" in str(pa.StandTask(com="inside", com_margin=0.01))
-    assert "com inside by 0 mm" in str(pa.StandTask(com="inside"))
+    assert "com in the support polygon (margin >= 10 mm)" in str(
+        pa.StandTask(com="inside", com_margin=0.01)
+    )
+    assert "com in the support polygon (margin >= 0 mm)" in str(pa.StandTask(com="inside"))
     assert "com at (10, 20) mm" in str(pa.StandTask(com=(0.01, 0.02)))
+
+
+def test_an_angle_that_was_meant_in_degrees_is_told_its_unit() -> None:
+    with pytest.raises(pa.ConfigurationError, match=r"\(for degrees write 10deg\)"):
+        pa.StandTask(pitch=10)
+    with pytest.raises(pa.ConfigurationError, match=r"\(for degrees write 15deg\)"):
+        pa.Ground(slope=15)
+    with pytest.raises(pa.ConfigurationError) as error:
+        pa.StandTask(pitch=1e4)
+    assert "degrees" not in str(error.value)

@@ -230,7 +230,7 @@ def test_a_limit_is_as_fine_as_itself_and_not_as_what_was_asked() -> None:
 
 def test_joint_margin_is_a_demand() -> None:
     task = pa.StandTask(joint_margin=0.5, pitch=0.3)
-    assert "off the joint limits" in str(task)
+    assert "joint-limit margin" in str(task)
     with pytest.raises(pa.StanceUnreachableError) as caught:
         pa.solve_stand(load("v3"), task)
     assert list(caught.value.limits) == ["joint_margin"]

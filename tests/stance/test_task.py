@@ -92,7 +92,7 @@ def test_a_task_says_what_it_asks() -> None:
         "RR lifted 20 mm",
         "slope 5.7 deg",
         "FR on 30 mm",
-        "com inside by 10 mm",
+        "com in the support polygon (margin >= 10 mm)",
     ):
         assert words in str(task)
 

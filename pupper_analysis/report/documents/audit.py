@@ -33,13 +33,13 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
     if audit.findings:
         blocks.append(_findings(audit))
     suspect = bool(audit.counts.get(Severity.WARNING))
-    passed = text("suspect") if suspect else text("sound")  # no error, but likely a slip
+    passed = text("audit-warnings") if suspect else text("audit-ok")  # no error, but likely a slip
     return doc.Document(
         text("audit"),
         doc.Name(Path(audit.file).name),
         tuple(blocks),
         passed=audit.passed,
-        verdict=passed if audit.passed else text("unsound"),
+        verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
         told=(joined([*counts, rules]),),
         notes=tuple(map(doc.tell, audit.notes)),

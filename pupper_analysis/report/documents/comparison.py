@@ -59,7 +59,7 @@ def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.D
     notes += [
         text("the-engines-differ-on-one", engine=doc.tell(engine)) for engine in comparison.engines
     ]
-    differ = text("one-robot-other-coordinates") if same else text("disagree")
+    differ = text("same-robot-different-conventions") if same else text("disagree")
     return doc.Document(
         text("cross-check"),
         text("urdf-and-mjcf", urdf=_file(comparison.urdf), mjcf=_file(comparison.mjcf)),

@@ -18,7 +18,7 @@ def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.D
     blocks = []
     if conversion.left:
         left = tuple(map(doc.tell, conversion.left))
-        blocks.append(doc.Lines(left, "warn", text("what-is-left")))
+        blocks.append(doc.Lines(left, "warn", text("not-converted")))
     return doc.Document(
         text("conversion"),
         text("old-and-new", old=_name(conversion.source), new=_name(conversion.output)),

@@ -114,5 +114,5 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
                 for left in sync.left
             ),
             "bad",
-            text("what-is-left"),
+            text("not-written"),
         )  # fmt: skip

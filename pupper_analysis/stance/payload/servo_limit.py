@@ -65,7 +65,7 @@ class Failure(StrEnum):
     MOTOR = "a motor saturates"
     SLIDING = "a foot slides"
     TIPPING = "the robot tips"
-    BUCKLING = "the servos are too soft: it buckles"
+    BUCKLING = "loses static stability: servo stiffness too low"
     JOINT = "a joint comes to its limit"
     GROUND = "another part comes to the ground"
     COMMAND = "a servo cannot be commanded so far"
