@@ -110,8 +110,8 @@ def crosscheck(
     complete. Where a link's frame is does not count. Joints are matched by --map, by name, by name
     without prefixes and suffixes, and the rest by structure (which is then printed).
 
-    SAME ROBOT, DIFFERENT CONVENTIONS means that only zeros of joints, or the frame of a free base, are
-    elsewhere: the same numbers are another pose. That is exit status 1, but with --any-coordinates.
+    SAME ROBOT, DIFFERENT CONVENTIONS means that only zeros of joints, or the frame of a free base,
+    are elsewhere: the same numbers are another pose. That is exit status 1, but with --any-coordinates.
 
     \b
     Examples:

@@ -174,7 +174,8 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
     assert found(comparison) == [("zero", "knee1")]
     sign = "+" if offset > 0 else "-"
     assert lines(comparison)[0].startswith(
-        "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: its zero is elsewhere, and its limits with it: "
+        "SAME ROBOT, DIFFERENT CONVENTIONS: joint knee1: its zero is elsewhere, "
+        "and its limits with it: "
         f"q of the URDF = q of the MJCF {sign} {abs(offset):g} rad"
     )
     # The one cause is all there is: at matched zeros the two are the same robot.

@@ -73,7 +73,7 @@ class Binding(Result):
     def __str__(self) -> str:
         """Names limit, place and moment."""
         names = f" ({', '.join(self.names)})" if self.names else ""
-        return f"{self.limit.value}{names} after {self.progress:.0%} of leg {self.leg}"
+        return f"{self.limit.value}{names} after {self.progress:.0%} of segment {self.leg}"
 
 
 class LegTime:
