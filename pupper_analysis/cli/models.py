@@ -111,7 +111,8 @@ def crosscheck(
     without prefixes and suffixes, and the rest by structure (which is then printed).
 
     SAME ROBOT, DIFFERENT CONVENTIONS means that only zeros of joints, or the frame of a free base,
-    are elsewhere: the same numbers are another pose. That is exit status 1, but with --any-coordinates.
+    are elsewhere: the same numbers are another pose. That is exit status 1, but with
+    --any-coordinates.
 
     \b
     Examples:
