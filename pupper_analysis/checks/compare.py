@@ -26,7 +26,9 @@ from pupper_analysis.matching.trees import trees
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.usd_file import is_usd
 from pupper_analysis.results import Tabular
+from pupper_analysis.robot_model.as_mjcf import read_usd_as_mjcf
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""
@@ -139,7 +141,8 @@ def compare_models(
     """
     check_states(configurations, seed)
     tolerances = tolerances or Tolerances()
-    urdf_file, mjcf_file = read_urdf(urdf, packages), read_mjcf(mjcf)
+    urdf_file = read_urdf(urdf, packages)
+    mjcf_file = read_usd_as_mjcf(Path(mjcf)) if is_usd(Path(mjcf)) else read_mjcf(mjcf)
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )

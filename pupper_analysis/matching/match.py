@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import Conventions, conventions, pose_told, rewrite
@@ -40,7 +40,7 @@ from pupper_analysis.matching.urdf import (
     take_mass_of_base,
     without_shapes,
 )
-from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.models.attributes import BY_KIND, PASSIVE
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
@@ -51,6 +51,7 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot_model.as_mjcf import state_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +197,9 @@ def match(
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
     parts = [] if complete else take_off(sides, paths, ways, pairs)
+    as_it_is = whole if joined else mjcf.compile()
+    if mjcf.unknown and not strict:
+        notes += _take_unknown(root, spec, (whole, as_it_is), mjcf)
     unstated = {} if strict else _take_unstated(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
@@ -216,7 +220,7 @@ def match(
         opened=opened,
         notes=(*notes, *freed, *moved),
         reference=Reference(
-            robot.mj_model if only_mjcf else whole if joined else mjcf.compile(),
+            robot.mj_model if only_mjcf else as_it_is,
             robot.mj_model if only_mjcf else whole,
             robot.joint_names,
             robot.mj_base,
@@ -308,6 +312,36 @@ def _take_unstated(
                 joint.state(one, value)
                 given[one.kind].append(name)
     return {kind: tuple(names) for kind, names in given.items()}
+
+
+def _take_unknown(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    models: Collection[mujoco.MjModel],
+    mjcf: MjcfFile,
+) -> list[Diagnostic]:
+    """Gives an MJCF's joints the URDF's numbers where its file leaves them open, in place.
+
+    Returns:
+        What was given to which.
+    """
+    told, mine = [], UrdfTree(root).joints
+    theirs = {joint.name: joint for joint in spec.joints}
+    for kind, names in mjcf.unknown.items():
+        one = BY_KIND[kind]
+        stated = {name: mine[name].stated(one) for name in names if name in mine.keys() & theirs}
+        given = {name: float(value) for name, value in stated.items() if value is not None}
+        for name, value in given.items():
+            state_number(theirs[name], one, value)
+            for model in models if one.mujoco else ():
+                getattr(model, one.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
+        if given:
+            told.append(
+                diagnose(
+                    "unknown-taken-from-urdf", file=mjcf.path.name, what=Term(kind), joints=given
+                )
+            )
+    return told
 
 
 def _check_names(

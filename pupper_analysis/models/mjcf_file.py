@@ -36,6 +36,8 @@ class MjcfFile:
             ``MjSpec.copy()`` drops elements that refer to nothing, so that a copy of the spec may
             compile where the file does not.
         as_it_is: The same of what was made up for, as `notes` tell: flat meshes.
+        unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
+            for a file of another format that can leave open what an MJCF sets to zero.
     """
 
     path: Path
@@ -44,6 +46,7 @@ class MjcfFile:
     notes: tuple[Diagnostic, ...] = ()
     refusal: tuple[Diagnostic, Place] | None = None
     as_it_is: tuple[Diagnostic, Place] | None = None
+    unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     _model: mujoco.MjModel | None = field(default=None, repr=False)
     _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
     _roots: tuple[Node, ...] = field(default=(), repr=False)
@@ -194,6 +197,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
         tuple(notes),
         refused,
         as_it_is,
+        {},
         model,
         index,
         (tree.root, *tree.attached),

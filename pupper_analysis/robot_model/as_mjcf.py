@@ -1,0 +1,263 @@
+"""A robot model as an MJCF in memory: what compares files compares it, and names its own places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.attributes import BY_KIND, JointAttribute
+from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.usd_file import UsdFile, read_usd
+from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Inertial, Link
+from pupper_analysis.robot_model.pose import Array, Pose
+from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
+from pupper_analysis.robot_model.usd_joints import Edge
+
+_TYPES = {
+    HINGE: mujoco.mjtJoint.mjJNT_HINGE,
+    SLIDE: mujoco.mjtJoint.mjJNT_SLIDE,
+    BALL: mujoco.mjtJoint.mjJNT_BALL,
+    FREE: mujoco.mjtJoint.mjJNT_FREE,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class UsdAsMjcf(MjcfFile):
+    """A USD that can be asked what an MJCF is asked.
+
+    Attributes:
+        usd: The file, to whose prims the places lead.
+    """
+
+    usd: UsdFile | None = None
+
+    def place(self, kind: str, name: str, child: str | None = None) -> Place:
+        """Finds a prim; see `UsdFile.place`."""
+        assert self.usd is not None
+        return self.usd.place(kind, name, child)
+
+    def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
+        """Returns the prim of a joint: what it states, it states itself."""
+        del attributes
+        found = self.place(kind, name)
+        return None if found.prim is None else found
+
+    def weighing(self, body: str) -> Place:
+        """Returns the prim of a body."""
+        return self.place("body", body)
+
+    def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
+        """Yields nothing: options of a scene are not of the robot."""
+        del tag
+        yield from ()
+
+    def numbered(self, section: str, number: int) -> Place:
+        """Returns the file: what has no name has no prim of its own."""
+        del section, number
+        return Place(self.path)
+
+
+def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
+    """Reads a USD as an MJCF of the same numbers.
+
+    Raises:
+        ModelError: If it cannot be read, or MuJoCo refuses its numbers.
+        MissingPackageError: If usd-core is not installed.
+    """
+    file = read_usd(path)
+    model = read_usd_model(file)
+    spec = mjspec_of(model)
+    notes = (diagnose("usd-compared-as-mjcf", file=path.name), *model.notes, *_notes(model))
+    moving = [joint for joint in model.joints.values() if joint.moves]
+    unknown = {
+        kind: tuple(joint.name for joint in moving if kind not in joint.stated)
+        for kind in ("effort", "damping", "friction")
+    }
+    return UsdAsMjcf(
+        path=path,
+        spec=spec,
+        files=(path,),
+        notes=notes,
+        unknown={kind: names for kind, names in unknown.items() if names},
+        _model=compile_spec(spec.copy(), path),
+        usd=file,
+    )
+
+
+def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
+    """Writes a model as a spec: bodies, joints, inertials, couplings and gravity; no shapes.
+
+    Raises:
+        ModelError: If a joint moves in a way that MuJoCo has no joint for.
+    """
+    spec = mujoco.MjSpec()
+    spec.modelname = model.file.path.stem
+    spec.compiler.degree = False
+    if model.gravity is not None:
+        spec.option.gravity = model.gravity
+    inertials = _acceptable(model)
+    bodies: dict[str, mujoco.MjsBody] = {}
+    sites = set(model.links)
+    for name, link in model.links.items():
+        above = bodies.get(link.parent or "", spec.worldbody)
+        outer = model.links[link.parent].pose if link.parent else model.mount.inverse()
+        pose = outer.inverse() * link.pose
+        body = above.add_body(name=name, pos=pose.position, quat=_quaternion(pose.rotation))
+        bodies[name] = body
+        inertial = inertials.get(name)
+        if inertial is not None:
+            body.explicitinertial = True
+            body.mass, body.ipos = inertial.mass, inertial.com
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
+            body.fullinertia = np.array([xx, yy, zz, xy, xz, yz])
+        _add_joints(model, link, body)
+        for frame in link.frames:
+            if frame.name not in sites:
+                sites.add(frame.name)
+                body.add_site(name=frame.name, pos=frame.position)
+    for edge in model.loops:
+        _close(model, spec, edge)
+    for edge in model.edges.values():
+        if edge.mimic is not None and edge.mimic[0] in model.joints:
+            leader, multiplier, offset = edge.mimic
+            equality = spec.add_equality(name=f"{edge.name}_mimic", name1=edge.name, name2=leader)
+            equality.type, equality.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
+            equality.data[:2] = offset, multiplier
+    return spec
+
+
+def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
+    inverse = link.pose.inverse()
+    for joint in link.joints:
+        if joint.kind == FIXED:
+            continue
+        if joint.kind == FREE and link.parent is not None:
+            place = model.file.place("joint", joint.name)
+            raise refusal(place, diagnose("usd-joint-of-several-axes"))
+        added = body.add_joint(name=joint.name, type=_TYPES[joint.kind])
+        if not joint.moves:
+            continue
+        added.pos = inverse.point(joint.position)
+        added.axis = inverse.rotation @ joint.axis
+        if math.isfinite(joint.lower) or math.isfinite(joint.upper):
+            added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+            added.range = np.clip((joint.lower, joint.upper), -_FAR, _FAR)
+        for kind in ("armature", "damping", "friction", "spring", "effort"):
+            if kind in joint.stated:
+                state_number(added, BY_KIND[kind], joint.stated[kind])
+
+
+_FAR = 1e6
+"""rad, m: where MuJoCo wants two limits, and a joint has one."""
+
+
+def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
+    """Gives a joint of a spec a number, in SI units; an effort is a limit to either side."""
+    if attribute.kind == "effort":
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.actfrcrange = (-value, value)
+        return
+    word = attribute.mjcf[0]
+    # Some are polynomials of the speed or the way, of which this is the first coefficient.
+    powers = np.zeros(np.size(getattr(joint, word)))
+    powers[0] = value
+    setattr(joint, word, powers if len(powers) > 1 else value)
+
+
+def _acceptable(model: UsdModel) -> dict[str, Inertial]:
+    """Returns the inertials of bodies, such that MuJoCo takes them.
+
+    MuJoCo refuses the inertia of a rod without width even on a body that is fixed to the trunk:
+    what is fixed together has one inertia, and such a one is added to the heaviest of them.
+    """
+    found = {
+        name: link.inertial
+        for name, link in model.links.items()
+        if link.inertial is not None and link.inertial.mass != 0
+    }
+    for name, link in model.links.items():
+        if link.parent is not None and not link.moving:
+            continue
+        group = [part.name for part in model.fixed_group(name) if part.name in found]
+        bad = [part for part in group if not _is_taken(found[part])]
+        sound = [part for part in group if part not in bad]
+        if not bad or not sound:
+            continue
+        heaviest = max(sound, key=lambda part: found[part].mass)
+        for part in bad:
+            pose = model.links[heaviest].pose.inverse() * model.links[part].pose
+            found[heaviest] = _joined(found[heaviest], found.pop(part), pose)
+    return found
+
+
+def _is_taken(inertial: Inertial) -> bool:
+    """Says whether MuJoCo takes an inertia: positive, and of a body that there can be."""
+    least, middle, greatest = inertial.moments
+    tiny = 1e-15  # mjMINVAL
+    return bool(inertial.mass > tiny and least > tiny and least + middle >= greatest)
+
+
+def _joined(one: Inertial, two: Inertial, pose: Pose) -> Inertial:
+    """Returns the inertial of two bodies in the frame of the first, of the pose of the second."""
+    mass = one.mass + two.mass
+    com = pose.point(two.com)
+    middle = (one.mass * one.com + two.mass * com) / mass
+    turned = pose.rotation @ two.inertia @ pose.rotation.T
+    inertia = one.inertia + turned
+    for weight, place in ((one.mass, one.com), (two.mass, com)):
+        d = place - middle
+        inertia = inertia + weight * (float(d @ d) * np.eye(3) - np.outer(d, d))
+    return Inertial(mass, middle, inertia, True)
+
+
+def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
+    """Adds what a joint holds together that closes a loop: MuJoCo has points and frames for it."""
+    one, two = edge.bodies
+    if not one or not two:
+        raise refusal(model.file.place("joint", edge.name), diagnose("usd-second-hold-of-world"))
+    weld = edge.kind == FIXED
+    ends = [np.zeros(3)]
+    if edge.kind == HINGE:
+        ends.append(_HINGE * np.eye(3)[edge.axis])
+    if edge.kind in (SLIDE, FREE):
+        raise refusal(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
+    for number, end in enumerate(ends):
+        name = edge.name if number == 0 else f"{edge.name}_{number}"
+        equality = spec.add_equality(name=name, name1=one, name2=two)
+        equality.objtype = mujoco.mjtObj.mjOBJ_BODY
+        equality.type = mujoco.mjtEq.mjEQ_WELD if weld else mujoco.mjtEq.mjEQ_CONNECT
+        if weld:
+            between = edge.frames[0] * edge.frames[1].inverse()
+            equality.data[3:6] = between.position
+            equality.data[6:10] = _quaternion(between.rotation)
+        else:
+            equality.data[:3] = edge.frames[0].point(end)
+
+
+_HINGE = 0.1
+"""m: a hinge that closes a loop is two points of its axis, so far apart."""
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Returns the quaternion (w, x, y, z) of a rotation (3, 3)."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    return quaternion
+
+
+def _notes(model: UsdModel) -> Iterator[Diagnostic]:
+    """Yields what a comparison rests on that the file does not state."""
+    water = [name for name, one in model.weights.items() if one.water > 0]
+    if water:
+        yield diagnose("usd-bodies-of-water", names=water)
+    unknown = [name for name, one in model.weights.items() if one.inertial is None]
+    if unknown:
+        yield diagnose("usd-masses-unknown", names=unknown)
