@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -179,7 +179,7 @@ def _acceptable(model: UsdModel) -> dict[str, Inertial]:
     what is fixed together has one inertia, and such a one is added to the heaviest of them.
     """
     found = {
-        name: link.inertial
+        name: _rounded(link.inertial)
         for name, link in model.links.items()
         if link.inertial is not None and link.inertial.mass != 0
     }
@@ -196,6 +196,23 @@ def _acceptable(model: UsdModel) -> dict[str, Inertial]:
             pose = model.links[heaviest].pose.inverse() * model.links[part].pose
             found[heaviest] = _joined(found[heaviest], found.pop(part), pose)
     return found
+
+
+def _rounded(inertial: Inertial) -> Inertial:
+    """Returns an inertial whose moments keep the triangle inequality, if but for rounding.
+
+    A thin plate has I1 + I2 = I3, and in single precision one that is greater by a last digit.
+    """
+    moments, axes = np.linalg.eigh(inertial.inertia)
+    excess = moments[2] - moments[0] - moments[1]
+    if not 0 < excess <= _PLATE * moments[2]:
+        return inertial
+    moments[:2] += excess
+    return replace(inertial, inertia=axes @ np.diag(moments) @ axes.T)
+
+
+_PLATE = 1e-6
+"""Relative: some last digits in single precision, and less than files are compared by."""
 
 
 def _is_taken(inertial: Inertial) -> bool:

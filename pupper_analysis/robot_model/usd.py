@@ -145,6 +145,7 @@ def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any
     """Yields the joints that are switched on, with what they join."""
     names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
+    motors = _motors(file)
     for name, path in file.joints.items():
         prim = file.stage.GetPrimAtPath(path)
         if prim.GetAttribute("physics:jointEnabled").Get() is False:
@@ -170,7 +171,20 @@ def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any
             bodies.append(body)
             frames.append(frame)
         if bodies[0] != bodies[1]:
-            yield edge_of(name, prim, (bodies[0], bodies[1]), (frames[0], frames[1]), units, paths)
+            ends = (bodies[0], bodies[1]), (frames[0], frames[1])
+            yield edge_of(name, prim, *ends, units, paths, motors.get(path, ()))
+
+
+def _motors(file: UsdFile) -> dict[str, list[Any]]:
+    """Returns {path of a joint: the motors of MuJoCo's schema that drive it}."""
+    from pxr import Usd
+
+    found: dict[str, list[Any]] = {}
+    for prim in Usd.PrimRange(file.stage.GetPseudoRoot(), Usd.TraverseInstanceProxies()):
+        if prim.GetTypeName() == "MjcActuator":
+            for target in prim.GetRelationship("mjc:target").GetTargets():
+                found.setdefault(str(target), []).append(prim)
+    return found
 
 
 def _carrier(target: Any, names: Mapping[str, str]) -> str:

@@ -7,7 +7,7 @@ What it has no words for (damping, dry friction, armature) stands in the schemas
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -65,6 +65,7 @@ STATEMENTS: Final[Mapping[str, tuple[Statement, ...]]] = {
     "effort": (
         Statement("newton:effortLimit"),
         Statement("drive:{axis}:physics:maxForce"),
+        Statement("mjc:actuatorfrcrange:max"),
     ),
     "velocity": (
         Statement("newton:velocityLimit", angle=True),
@@ -73,7 +74,8 @@ STATEMENTS: Final[Mapping[str, tuple[Statement, ...]]] = {
     ),
     "spring": (Statement("mjc:stiffness"),),
 }
-"""{kind, as in `models.attributes`: what states it}; the first that does is taken."""
+"""{kind, as in `models.attributes`: what states it}; the first that does is taken, and of efforts
+the least, as each of them limits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +139,7 @@ def edge_of(
     frames: tuple[Pose, Pose],
     units: Units,
     paths: Mapping[str, str],
+    motors: Sequence[Any] = (),
 ) -> Edge:
     """Reads a joint, between bodies that have been found.
 
@@ -147,6 +150,7 @@ def edge_of(
         frames: Its frame in each.
         units: Of the stage.
         paths: {path of a joint's prim: its name}.
+        motors: The prims of MuJoCo's schema that drive it.
     """
     kind, axis, lower, upper = _freedom(prim)
     turns = kind == HINGE
@@ -158,6 +162,12 @@ def edge_of(
         for what, statements in STATEMENTS.items()
         if kind in (HINGE, SLIDE) and (found := _stated(prim, what, statements, word, turns, units))
     }
+    efforts = [_effort(motor, units.inertia if turns else units.force) for motor in motors]
+    if efforts and None not in efforts:
+        stated["effort"] = {
+            **stated.get("effort", {}),
+            "mjc:forceRange": sum(filter(None, efforts)),
+        }
     return Edge(
         name=name,
         prim=prim,
@@ -168,7 +178,8 @@ def edge_of(
         lower=lower * unit,
         upper=upper * unit,
         numbers={what: value for what, value in ends.items() if math.isfinite(value)}
-        | {what: next(iter(found.values())) for what, found in stated.items()},
+        | {what: next(iter(found.values())) for what, found in stated.items()}
+        | {what: min(found.values()) for what, found in stated.items() if what == "effort"},
         stated=stated,
         drive=_drive(prim, word, turns, units) if kind in (HINGE, SLIDE) else None,
         outside=bool(prim.GetAttribute("physics:excludeFromArticulation").Get()),
@@ -243,6 +254,16 @@ def _stated(
                 unit = DEGREE
         found[name] = float(written(value)) * unit
     return found
+
+
+def _effort(motor: Any, unit: float) -> float | None:
+    """Returns what a motor of MuJoCo's schema gives at most at its joint; None if without limit."""
+    ends = [motor.GetAttribute(f"mjc:forceRange:{end}").Get() for end in ("min", "max")]
+    if str(motor.GetAttribute("mjc:forceLimited").Get()) == "false" or None in ends:
+        return None
+    gear = motor.GetAttribute("mjc:gear").Get()
+    ratio = abs(float(gear[0])) if gear else 1.0
+    return max(abs(float(written(end))) for end in ends) * ratio * unit or None
 
 
 def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:

@@ -17,7 +17,7 @@ URDF = """<robot name="leg">
     <inertial>
       <origin xyz="0.01 0.02 0.03" rpy="0 0 0"/>
       <mass value="2"/>
-      <inertia ixx="0.02" iyy="0.01" izz="0.03" ixy="0" ixz="0" iyz="0"/>
+      <inertia ixx="0.02" iyy="0.01" izz="0.025" ixy="0" ixz="0" iyz="0"/>
     </inertial>
     <collision><geometry><box size="0.3 0.5 0.2"/></geometry></collision>
   </link>
@@ -32,7 +32,7 @@ URDF = """<robot name="leg">
     <inertial>
       <origin xyz="0 0 -0.1"/>
       <mass value="0.5"/>
-      <inertia ixx="0.003" iyy="0.0025" izz="0.0005" ixy="0" ixz="0" iyz="0"/>
+      <inertia ixx="0.003" iyy="0.0026" izz="0.0005" ixy="0" ixz="0" iyz="0"/>
     </inertial>
   </link>
   <joint name="knee" type="revolute">
@@ -92,7 +92,7 @@ def Xform "leg"
     {
         float physics:mass = 2000
         point3f physics:centerOfMass = (1, 2, 3)
-        float3 physics:diagonalInertia = (100000, 200000, 300000)
+        float3 physics:diagonalInertia = (100000, 200000, 250000)
         quatf physics:principalAxes = (0.70710677, 0, 0, 0.70710677)
         quatf xformOp:orient = (0.70710677, -0.70710677, 0, 0)
         double3 xformOp:translate = (0, 40, 0)
@@ -113,7 +113,7 @@ def Xform "leg"
         {
             float physics:mass = 500
             point3f physics:centerOfMass = (0, 0, -10)
-            float3 physics:diagonalInertia = (30000, 25000, 5000)
+            float3 physics:diagonalInertia = (30000, 26000, 5000)
             quatf physics:principalAxes = (1, 0, 0, 0)
             double3 xformOp:translate = (10, 20, 0)
             uniform token[] xformOpOrder = ["xformOp:translate"]

@@ -120,6 +120,8 @@ def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
     for name, edge in robot.edges.items():
         for kind, stated in edge.stated.items():
             values = np.array(list(stated.values()))
+            if kind == "effort":
+                continue  # each is a limit: of a motor, of the joint
             if np.ptp(values) <= CONTRADICTION * np.abs(values).max():
                 continue
             first, last = min(stated, key=stated.__getitem__), max(stated, key=stated.__getitem__)

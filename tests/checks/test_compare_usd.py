@@ -1,0 +1,141 @@
+"""A USD against a URDF: what differs is found at its prim, and what it leaves open is not zero."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pxr", reason="usd-core is not installed")
+
+from pupper_analysis.checks.compare import Comparison, compare_models
+from pupper_analysis.errors import ModelError
+from tests.support import usd
+
+
+def compared(
+    folder: Path, *changes: tuple[str, str], after: str = "", **options: bool
+) -> Comparison:
+    path = usd.write(folder, *changes, after=after)
+    urdf = usd.write_urdf(folder)
+    return compare_models(urdf, path, configurations=2, **options)  # type: ignore[arg-type]
+
+
+def test_every_convention_agrees(tmp_path: Path) -> None:
+    found = compared(tmp_path)
+    assert found.agree
+    assert found.joints == ("hip", "knee", "spring")
+    assert max(found.left.values()) < 1e-12
+    assert max(found.deviations.values()) < 1e-7  # 572.9578 degrees
+
+
+HIP, KNEE, SPRING = (f"/leg/joints/{name}" for name in ("hip", "knee", "spring"))
+BASE, THIGH = "/leg/base", "/leg/base/thigh"
+
+SLIPS = {
+    "mass": (("mass = 2000\n", "mass = 2100\n"), "base", BASE),
+    "com": (("centerOfMass = (0, 0, -10)", "centerOfMass = (0, 1, -10)"), "hip", THIGH),
+    "inertia": (("(30000, 26000, 5000)", "(26000, 30000, 5000)"), "hip", THIGH),
+    "lower limit": (("lowerLimit = -120", "lowerLimit = -110"), "knee", KNEE),
+    "upper limit": (("upperLimit = 3\n", "upperLimit = 4\n"), "spring", SPRING),
+    "effort": (("maxForce = 90000000", "maxForce = 80000000"), "knee", KNEE),
+    "damping": (("newton:damping = 2000", "newton:damping = 3000"), "spring", SPRING),
+    "friction": (("frictionloss = 500000", "frictionloss = 600000"), "knee", KNEE),
+    "position": (("localPos0 = (10, 20, 0)", "localPos0 = (10, 21, 0)"), "hip", THIGH),
+}
+
+
+@pytest.mark.parametrize("kind", SLIPS)
+def test_a_changed_number_is_found_at_its_prim(kind: str, tmp_path: Path) -> None:
+    change, element, prim = SLIPS[kind]
+    found = compared(tmp_path, change)
+    assert not found.agree
+    (difference,) = found.differences
+    assert (difference.kind, difference.element) == (kind, element)
+    assert difference.mjcf_place == f"{tmp_path / 'leg.usda'}:<{prim}>"
+    assert difference.urdf_place is not None
+    assert found.complete
+    assert found.explained == pytest.approx(1.0)
+
+
+def test_a_turned_axis_is_found(tmp_path: Path) -> None:
+    turned = (
+        ("localRot0 = (0.70710677, 0, 0, 0.70710677)", "localRot0 = (0.6427876, 0, 0, 0.7660444)"),
+        ("localRot1 = (0.70710677, 0, 0, 0.70710677)", "localRot1 = (0.6427876, 0, 0, 0.7660444)"),
+    )
+    kinds = {found.kind for found in compared(tmp_path, *turned, after='"hip"').differences}
+    assert kinds == {"axis"}
+
+
+def test_a_gain_per_radian_is_57_times_too_large(tmp_path: Path) -> None:
+    found = compared(tmp_path, ("double mjc:damping", "float newton:damping"))
+    (difference,) = found.differences
+    assert difference.kind == "damping"
+    assert difference.mjcf == pytest.approx(0.1 * 57.29577951)
+
+
+def test_a_body_that_states_no_mass_is_full_of_water(tmp_path: Path) -> None:
+    """What a converter wrote of a link without <inertial>: 2 kg became 30 kg."""
+    found = compared(tmp_path, ("float physics:mass = 2000\n", "\n"))
+    (mass,) = (one for one in found.differences if one.kind == "mass")
+    assert mass.mjcf == pytest.approx(0.3 * 0.5 * 0.2 * 1000)
+    (water,) = (note for note in found.notes if note.code == "usd-bodies-of-water")
+    assert list(water.values["names"]) == ["base"]
+
+
+def test_what_the_usd_leaves_open_is_the_urdfs(tmp_path: Path) -> None:
+    """No drive, no friction: not zero, and no difference but for who is strict."""
+    changes = (
+        ("float drive:angular:physics:maxForce = 120000000\n", ""),
+        ("float newton:friction = 500000\n", ""),
+        ("double mjc:damping = 1000000\n", ""),
+    )
+    found = compared(tmp_path, *changes)
+    assert found.agree
+    told = {
+        str(note.values["what"]): list(note.values["joints"])
+        for note in found.notes
+        if note.code == "unknown-taken-from-urdf"
+    }
+    assert told == {"effort": ["hip"], "damping": ["knee"], "friction": ["hip"]} or told == {
+        "effort": ["hip"],
+        "damping": ["hip"],
+        "friction": ["hip"],
+    }
+    strict = compared(tmp_path, *changes, strict_names=True)
+    assert {one.kind for one in strict.differences} == {"effort", "damping", "friction"}
+
+
+def test_the_robot_of_fixed_parts_may_have_an_inertia_that_mujoco_refuses(tmp_path: Path) -> None:
+    """A label of six equal values, fixed to the rest: what moves together counts as one."""
+    thin = "float3 physics:diagonalInertia = (0, 0, 200)"
+    found = compared(tmp_path, ("float3 physics:diagonalInertia = (200, 200, 200)", thin))
+    assert {(one.kind, one.element) for one in found.differences} == {("inertia", "spring")}
+
+
+def test_a_joint_that_closes_a_loop_is_a_difference(tmp_path: Path) -> None:
+    loop = """def PhysicsSphericalJoint "rope"
+        {
+            rel physics:body0 = </leg/base>
+            rel physics:body1 = </leg/base/thigh/shank>
+            bool physics:excludeFromArticulation = 1
+            point3f physics:localPos0 = (10, 20, -25)
+            point3f physics:localPos1 = (0, 0, 0)
+        }
+
+        def PhysicsFixedJoint "ankle\""""
+    found = compared(tmp_path, ('def PhysicsFixedJoint "ankle"', loop))
+    assert not found.agree
+    assert {one.kind for one in found.differences} == {"equality"}
+
+
+def test_a_joint_of_several_axes_is_refused(tmp_path: Path) -> None:
+    free = ('def PhysicsFixedJoint "ankle"', 'def PhysicsJoint "ankle"')
+    with pytest.raises(ModelError, match="ankle"):
+        compared(tmp_path, free)
+
+
+def test_a_thin_plate_in_single_precision_is_no_impossible_body(tmp_path: Path) -> None:
+    urdf = usd.write_urdf(tmp_path, ('iyy="0.01" izz="0.025"', 'iyy="0.01" izz="0.03"'))
+    path = usd.write(tmp_path, ("200000, 250000)", "200000, 300000.01)"))
+    assert compare_models(urdf, path, configurations=2).agree
