@@ -141,8 +141,7 @@ def compare_models(
     """
     check_states(configurations, seed)
     tolerances = tolerances or Tolerances()
-    urdf_file = read_urdf(urdf, packages)
-    mjcf_file = read_usd_as_mjcf(Path(mjcf)) if is_usd(Path(mjcf)) else read_mjcf(mjcf)
+    urdf_file, mjcf_file = read_urdf(urdf, packages), _second(mjcf)
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
@@ -200,6 +199,11 @@ def compare_models(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+
+
+def _second(path: str | Path) -> MjcfFile:
+    """Reads the second file: an MJCF, or what stands for one."""
+    return read_usd_as_mjcf(Path(path)) if is_usd(Path(path)) else read_mjcf(path)
 
 
 def _in_any_coordinates(matched: Match) -> Match:

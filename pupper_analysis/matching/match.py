@@ -12,7 +12,7 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import Conventions, conventions, pose_told, rewrite
@@ -33,6 +33,7 @@ from pupper_analysis.matching.structure import common_frames
 from pupper_analysis.matching.subtrees import removable, take_off
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import base_pose, trees
+from pupper_analysis.matching.unstated import take_unknown, take_unstated
 from pupper_analysis.matching.urdf import (
     links_of,
     moving_joints,
@@ -40,7 +41,6 @@ from pupper_analysis.matching.urdf import (
     take_mass_of_base,
     without_shapes,
 )
-from pupper_analysis.models.attributes import BY_KIND, PASSIVE
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
@@ -51,7 +51,6 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot_model.as_mjcf import state_number
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,17 +196,14 @@ def match(
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
     parts = [] if complete else take_off(sides, paths, ways, pairs)
-    as_it_is = whole if joined else mjcf.compile()
-    if mjcf.unknown and not strict:
-        notes += _take_unknown(root, spec, (whole, as_it_is), mjcf)
-    unstated = {} if strict else _take_unstated(root, spec, mjcf.path)
+    models = whole, whole if joined else mjcf.compile()
+    notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
+    unstated = {} if strict else take_unstated(root, spec, mjcf.path)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:
             raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
-    description = _described(
-        root, spec, (urdf, mjcf), {name: frames[name] for name in (feet or frames)}
-    )
+    description = _described(root, spec, (urdf, mjcf), {n: frames[n] for n in feet or frames})
     robot, meant, moved = _in_one_convention(root, description, tolerances or Tolerances())
     return Match(
         robot=robot,
@@ -220,7 +216,7 @@ def match(
         opened=opened,
         notes=(*notes, *freed, *moved),
         reference=Reference(
-            robot.mj_model if only_mjcf else as_it_is,
+            robot.mj_model if only_mjcf else models[1],
             robot.mj_model if only_mjcf else whole,
             robot.joint_names,
             robot.mj_base,
@@ -290,58 +286,6 @@ def _with_zeros(mimics: Mimics, found: Conventions) -> Mimics:
         )
         for name, (leader, multiplier, offset) in mimics.items()
     }
-
-
-def _take_unstated(
-    root: etree._Element, spec: mujoco.MjSpec, source: Path
-) -> dict[str, tuple[str, ...]]:
-    """Gives a URDF's joints the MJCF's damping and dry friction where it states none, in place.
-
-    Returns:
-        {``damping`` or ``friction``: the joints that were given it}.
-    """
-    theirs = mjcf_tree(spec, source).joints
-    optional = [one for one in PASSIVE if one.in_both]
-    given: dict[str, list[str]] = {one.kind: [] for one in optional}
-    for name, joint in UrdfTree(root).joints.items():
-        if joint.is_fixed or name not in theirs:
-            continue
-        for one in optional:
-            value = float(getattr(theirs[name], one.field))
-            if value and joint.stated(one) is None:
-                joint.state(one, value)
-                given[one.kind].append(name)
-    return {kind: tuple(names) for kind, names in given.items()}
-
-
-def _take_unknown(
-    root: etree._Element,
-    spec: mujoco.MjSpec,
-    models: Collection[mujoco.MjModel],
-    mjcf: MjcfFile,
-) -> list[Diagnostic]:
-    """Gives an MJCF's joints the URDF's numbers where its file leaves them open, in place.
-
-    Returns:
-        What was given to which.
-    """
-    told, mine = [], UrdfTree(root).joints
-    theirs = {joint.name: joint for joint in spec.joints}
-    for kind, names in mjcf.unknown.items():
-        one = BY_KIND[kind]
-        stated = {name: mine[name].stated(one) for name in names if name in mine.keys() & theirs}
-        given = {name: float(value) for name, value in stated.items() if value is not None}
-        for name, value in given.items():
-            state_number(theirs[name], one, value)
-            for model in models if one.mujoco else ():
-                getattr(model, one.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
-        if given:
-            told.append(
-                diagnose(
-                    "unknown-taken-from-urdf", file=mjcf.path.name, what=Term(kind), joints=given
-                )
-            )
-    return told
 
 
 def _check_names(

@@ -1,0 +1,73 @@
+"""What one of two files leaves open, and is given of the other's."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+import mujoco
+from lxml import etree
+
+from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.matching.mjcf import mjcf_tree
+from pupper_analysis.models.attributes import BY_KIND, PASSIVE
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot_model.as_mjcf import state_number
+
+
+def take_unstated(
+    root: etree._Element, spec: mujoco.MjSpec, source: Path
+) -> dict[str, tuple[str, ...]]:
+    """Gives a URDF's joints the MJCF's damping and dry friction where it states none, in place.
+
+    Returns:
+        {``damping`` or ``friction``: the joints that were given it}.
+    """
+    theirs = mjcf_tree(spec, source).joints
+    optional = [one for one in PASSIVE if one.in_both]
+    given: dict[str, list[str]] = {one.kind: [] for one in optional}
+    for name, joint in UrdfTree(root).joints.items():
+        if joint.is_fixed or name not in theirs:
+            continue
+        for one in optional:
+            value = float(getattr(theirs[name], one.field))
+            if value and joint.stated(one) is None:
+                joint.state(one, value)
+                given[one.kind].append(name)
+    return {kind: tuple(names) for kind, names in given.items()}
+
+
+def take_unknown(
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    models: Collection[mujoco.MjModel],
+    unknown: Mapping[str, tuple[str, ...]],
+    source: Path,
+) -> list[Diagnostic]:
+    """Gives an MJCF's joints the URDF's numbers where its file leaves them open, in place.
+
+    Args:
+        root: The URDF, with the MJCF's names of joints.
+        spec: The MJCF.
+        models: What MuJoCo makes of it; they are given them, too.
+        unknown: {kind: joints}, see `MjcfFile.unknown`.
+        source: The MJCF's file.
+
+    Returns:
+        What was given to which.
+    """
+    told, mine = [], UrdfTree(root).joints
+    theirs = {joint.name: joint for joint in spec.joints}
+    for kind, names in unknown.items():
+        one = BY_KIND[kind]
+        stated = {name: mine[name].stated(one) for name in names if name in mine.keys() & theirs}
+        given = {name: float(value) for name, value in stated.items() if value is not None}
+        for name, value in given.items():
+            state_number(theirs[name], one, value)
+            for model in models if one.mujoco else ():
+                getattr(model, one.mujoco)[model.jnt_dofadr[model.joint(name).id]] = value
+        if given:
+            told.append(
+                diagnose("unknown-taken-from-urdf", file=source.name, what=Term(kind), joints=given)
+            )
+    return told
