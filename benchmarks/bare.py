@@ -20,7 +20,7 @@ from peers import stand_peers
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.context import Context
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
 SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default
@@ -45,13 +45,13 @@ def jobs(variant: str) -> list[Job]:
 
 
 def _stand(robot: pa.Robot) -> Job:
-    stand, shapes = pa.solve_stand(robot), Shapes(robot)
+    stand, context = pa.solve_stand(robot), Context(robot)
     height, start = float(stand.qpos[2]), robot.home.copy()
     start[2] = height
     q = robot.pin_convention.q(start)
 
     def bare() -> None:
-        wrapper = shapes.wrapper  # lent for as long as the shapes are held
+        wrapper = context.wrapper  # lent for as long as the context is held
         wrapper.state.q = q
         wrapper.update_kinematics()
         solver = placo.KinematicsSolver(wrapper)

@@ -14,7 +14,7 @@ import pinocchio as pin
 from scipy.linalg import lapack
 
 import pupper_analysis as pa
-from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
@@ -69,13 +69,13 @@ def stages(variant: str, calls: int) -> dict[str, Parts]:
 
 
 def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
-    shapes, home = shapes_of(robot), robot.home[robot.nq - robot.nu :]
-    wrapper = shapes.wrapper
+    context, home = Context(robot), robot.home[robot.nq - robot.nu :]
+    shapes, wrapper = context.shapes, context.wrapper
 
     def run() -> None:
         goal = goal_of(robot, None, {})
         watch.stop("the nominal task in numbers")
-        solver = Solver(shapes, goal)
+        solver = Solver(context, goal)
         point = solver.run(home)
         watch.stop("PlaCo: aiming and steps")
         stand = measure(shapes, goal, point.qpos, point.iterations)

@@ -18,15 +18,11 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import branches, combinations, limbs
-from pupper_analysis.stance.clearance import Shapes, shapes_of
-from pupper_analysis.stance.judge import measure
+from pupper_analysis.stance.context import Context, context_of
 from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import begin_inside, flattest
-from pupper_analysis.stance.solver import Solver
+from pupper_analysis.stance.search import begin_at, begin_inside
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.tasks import TASK_TOLERANCE
-from pupper_analysis.stance.yielding import as_the_legs_can
 
 Array = NDArray[np.float64]
 
@@ -256,19 +252,20 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     """Solves a stand with all but the legs as in a pose, as far as the com allows."""
     legs = np.concatenate([limb.joints for limb in limbs(robot)])
     try:
-        shapes, goal, found = shapes_of(robot), goal_of(robot, task, {}), None
+        goal, found = goal_of(robot, task, {}), None
     except ConfigurationError:
         return None  # the margin leaves nothing of a joint's range
     first = pose if task.ik_seed is None else np.array(task.ik_seed)
     seeds: Iterable[Array] = itertools.chain([first], _bent(robot, goal, pose))
-    for _ in range(_CALMING):
-        stand = _first_solved(shapes, goal, seeds)
-        if stand is None:
-            return found
-        found = stand
-        joints = pose.copy()
-        joints[legs] = found.joint_positions(robot)[legs]
-        seeds = [joints]
+    with context_of(robot) as context:
+        for _ in range(_CALMING):
+            stand = _first_solved(context, goal, seeds)
+            if stand is None:
+                return found
+            found = stand
+            joints = pose.copy()
+            joints[legs] = found.joint_positions(robot)[legs]
+            seeds = [joints]
     return found
 
 
@@ -283,22 +280,13 @@ def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
     yield from itertools.islice(combinations(found, pose), _WAYS)
 
 
-def _first_solved(shapes: Shapes, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
+def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
     """Returns the first solved stand from some joint positions (nu,); not all that there may be."""
-    solver = Solver(shapes, goal)
-    for joints in seeds:
-        point = solver.run(joints)
-        reached = as_the_legs_can(shapes.robot, goal, point)
-        if point.miss < TASK_TOLERANCE or reached is not goal:
-            stand = measure(shapes, reached, point.qpos, point.iterations)
-            if reached is not goal:
-                stand = flattest(shapes, goal, stand)
-            if stand.solved:
-                return stand
-        inside = begin_inside(shapes, goal, joints, goal.place)
-        if inside is not None:
-            return inside
-    return None
+    found = (
+        begin_at(context, goal, joints) or begin_inside(context, goal, joints, goal.place)
+        for joints in seeds
+    )
+    return next((stand for stand in found if stand is not None), None)
 
 
 def leg_length(robot: Robot, qpos: Array) -> float:

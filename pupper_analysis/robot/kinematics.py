@@ -19,7 +19,12 @@ class Kinematics:
 
     Args:
         structure: The robot's.
+
+    Attributes:
+        qpos: (nq,) where it has been moved to.
     """
+
+    qpos: Array
 
     def __init__(self, structure: Structure) -> None:
         self._structure, self._model = structure, structure.model
@@ -30,6 +35,7 @@ class Kinematics:
 
     def move(self, qpos: Array) -> None:
         """Takes com, feet and links to a configuration (nq,) whose quaternion is normalised."""
+        self.qpos = qpos
         pin.framesForwardKinematics(self._model, self._data, self._structure.q(qpos))
         pin.centerOfMass(self._model, self._data, pin.POSITION, False)
         if not shown(self._com):

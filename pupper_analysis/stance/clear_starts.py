@@ -25,10 +25,6 @@ _FAR, _ACROSS = 0.75, 11
 """How far the base is put aside (stand heights), and to how many places each way:
 some 20 mm apart on Pupper, as far as a thigh that is 20 mm in the ground has to move."""
 
-_BEST, _NEARBY, _FINER = 10, 3, 3
-"""How many of the best places are looked round, and at how many places each way, by how much nearer
-to each other: stands that left the base 3 mm were missed."""
-
 _PER_PLACE = 4
 """Choices of clear branches for one place; a free foot's do not matter much."""
 
@@ -60,11 +56,6 @@ def clear_starts(shapes: Shapes, goal: Goal, qpos: Array) -> Iterator[Array]:
     found = branches(robot, qpos, goal.targets, goal.lower, goal.upper)
     step = 2 * _FAR / (_ACROSS - 1) * robot.stand_height
     starts = _starts(shapes, goal, qpos, found, step * _grid(_ACROSS))
-    best = sorted(starts, key=lambda start: start.off)
-    places = np.unique([start.qpos[:3] for start in best[: _PER_PLACE * _BEST]], axis=0)
-    if len(places):
-        near = (places[:, None] - qpos[:3] + step / _FINER * _grid(_NEARBY)).reshape(-1, 3)
-        starts += _starts(shapes, goal, qpos, found, near)
     yield from (start.qpos for start in sorted(starts, key=lambda start: start.off))
 
 

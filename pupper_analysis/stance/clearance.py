@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import functools
-import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import coal  # comes with pin
 import numpy as np
 import pinocchio as pin
-import placo
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -22,7 +19,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import Shape, excluded
 from pupper_analysis.stance.parts import Direction, Part, part_of
 from pupper_analysis.stance.solids import Pair, Solids, nearest, transform
-from pupper_analysis.stance.wrappers import Wrapper
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -42,83 +38,61 @@ class Clearance(Result):
     links: tuple[str, ...]
 
 
-def shapes_of(robot: Robot) -> Shapes:
-    """Returns a robot's shapes, built once per robot and thread."""
-    return _cached(robot, threading.get_ident())
-
-
-@functools.lru_cache(maxsize=8)
-def _cached(robot: Robot, _thread: int) -> Shapes:
-    return Shapes(robot)
-
-
 class Shapes:
-    """A robot in PlaCo, and the shapes with which MuJoCo has it touch: of meshes the convex hulls.
+    """The shapes with which MuJoCo has a robot touch: of meshes the convex hulls.
 
     Attributes:
         robot: The robot.
         shapes: Its shapes, those of the feet included.
-        engine: PlaCo's robot, lent.
-        kinematics: Where its com and feet are, by its own model.
-        tasks: Whatever a solver made for this robot once, and uses again.
-        begun: How a solver began last: what it was asked, and what it found.
+        kinematics: Where its com and feet are.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.shapes: tuple[Shape, ...] = robot.shapes
-        self.engine = Wrapper(robot)
-        self.tasks: dict[object, Any] = {}
-        self.begun: tuple[tuple[object, ...], Array, float, float] | None = None
-        self._pairs: IntArray = np.zeros((0, 2), dtype=np.int64)
-        self._paired = False
         self._parts = [*self._not_feet()]
 
+    def at(self, qpos: ArrayLike) -> Kinematics:
+        """Takes ``kinematics`` to a configuration (nq,), and returns it.
+
+        Raises:
+            ConfigurationError: If it has a wrong length, a value is not finite, or the quaternion
+                is zero.
+        """
+        self.kinematics.move(self.robot.structure.state(qpos))
+        return self.kinematics
+
     @property
-    def wrapper(self) -> placo.RobotWrapper:
-        """PlaCo's robot: for as long as this object is held."""
-        return self.engine.placo
+    def off_ground(self) -> IntArray:
+        """Numbers of the shapes that are no feet."""
+        return np.array([index for index, _, _ in self._parts], dtype=np.int64)
 
     @functools.cached_property
     def _solids(self) -> Solids:
         return Solids(self.robot)
 
-    def pair(self) -> None:
-        """Makes PlaCo look at the distances between links, but not between neighbours.
+    @functools.cached_property
+    def _pairs(self) -> IntArray:
+        """Pairs (n, 2) of shapes whose distances count: not those of neighbours.
 
         Neighbours are links on the same or on adjacent joints, those that the MJCF excludes from
         touching each other, and those that overlap in the home configuration.
         """
-        if self._paired:
-            return
         model, shapes = self.robot.pin_model, self.shapes
         joints = [model.getJointId(shape.joint) if shape.joint else 1 for shape in shapes]
-        apart = excluded(self.robot)
-        pairs, never = set(), set()
-        for index, one in enumerate(shapes):
-            for before, other in enumerate(shapes[:index]):
-                links = other.link, one.link
-                both = {joints[index], joints[before]}
-                parents = {int(model.parents[joint]) for joint in both}
-                if len(both) == 2 and not both & parents:
-                    pairs.add(links)
-                if frozenset((one.body, other.body)) in apart:
-                    never |= {links, links[::-1]}
-        objects = self._solids.objects(self.wrapper.model)
-        self.engine.take_shapes(objects, pairs - never)
-        self._move(self.robot.home)
-        for near in self.wrapper.distances():
-            if near.min_distance <= 0:
-                links = shapes[near.objA].link, shapes[near.objB].link
-                never |= {links, links[::-1]}
-        self.engine.take_shapes(objects, pairs - never)
-        found = self.wrapper.collision_model.collisionPairs
-        self._pairs = np.array([(pair.first, pair.second) for pair in found]).reshape(-1, 2)
-        self._paired = True
-
-    def _move(self, qpos: Array) -> None:
-        self.wrapper.state.q = self.robot.pin_convention.q(qpos)
-        self.wrapper.update_kinematics()
+        excepted, able, never = excluded(self.robot), set(), set()
+        every = [(before, index) for index in range(len(shapes)) for before in range(index)]
+        links = {both: frozenset(shapes[number].link for number in both) for both in every}
+        for one, other in every:
+            both = {joints[one], joints[other]}
+            if len(both) == 2 and not both & {int(model.parents[joint]) for joint in both}:
+                able.add(links[one, other])
+            if frozenset((shapes[one].body, shapes[other].body)) in excepted:
+                never.add(links[one, other])
+        looked = [both for both in every if links[both] in able - never]
+        near = self._solids.nearest_pairs(self.robot.home, _numbers(looked), len(looked))
+        never |= {links[pair.one, pair.other] for pair in near if pair.distance <= 0}
+        return _numbers(both for both in looked if links[both] not in never)
 
     def between_links(self, qpos: Array) -> Clearance | None:
         """Returns the least distance between links that are not neighbours, if there are such."""
@@ -148,7 +122,13 @@ class Shapes:
         return Clearance(height, (self.shapes[lowest].link,))
 
     def heights(
-        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
+        self,
+        qpos: Array,
+        ground: Ground,
+        places: Mapping[str, Array],
+        depths: Mapping[str, float],
+        *,
+        moved: bool = False,
     ) -> Array:
         """Returns how high each shape (n,) is above slope and steps (m); infinite for the feet.
 
@@ -160,9 +140,10 @@ class Shapes:
             ground: The ground.
             places: {foot: (3,) of its centre (m)}, for the steps.
             depths: {foot: how deep it is in the ground (m)}.
+            moved: Says that ``kinematics`` has been taken there.
         """
         heights = np.full(len(self.shapes), np.inf)
-        for index, height in self._heights(qpos, ground, places, depths):
+        for index, height in self._heights(qpos, ground, places, depths, moved=moved):
             heights[index] = height
         return heights
 
@@ -253,7 +234,6 @@ class Shapes:
         return rates
 
     def _nearest_pairs(self, qpos: Array, most: int) -> list[Pair]:
-        self.pair()
         return self._solids.nearest_pairs(qpos, self._pairs, most)
 
     def _above(
@@ -312,6 +292,10 @@ class Shapes:
         ball, there = coal.Sphere(self.robot.foot_radius[foot]), coal.Transform3s(np.eye(3), centre)
         near = nearest(shape.solid, transform(shape.place), ball, there)
         return bool(near.min_distance < 0)
+
+
+def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:
+    return np.array([*pairs], dtype=np.int64).reshape(-1, 2)
 
 
 def _height(found: tuple[int, float]) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
@@ -24,13 +22,16 @@ _SIDEWAYS = 1e-3
 level let it."""
 
 
-@functools.lru_cache(maxsize=8)
 def moves_com(robot: Robot) -> bool:
     """Tells whether a robot can move its com in x and in y with its feet where they are.
 
     The base keeps its height and orientation. Legs of three joints or more can do it; legs of two,
     that swing in a plane, cannot move it sideways, unless arms or a waist do.
     """
+    return robot.once(_moves_com)
+
+
+def _moves_com(robot: Robot) -> bool:
     if not robot.feet:
         return True
     if len(robot.soles) < len(robot.feet):

@@ -1,129 +1,225 @@
-"""What a stand must fulfil, as constraints: each has a residual and its derivative.
+"""What a stand must fulfil, as constraints: each has a residual, its derivative, and a judgement.
 
-A refusal says which of them would have to give. The base has the height and the turn that the goal
-gives it in every configuration that is tried: these two are no constraints.
+PlaCo's tasks (``tasks``), the programme of the search and of a refusal (``programme``) and the
+judge (``judge``) all go by this one list.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import TypeAlias
+import math
+from collections.abc import Iterator
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import angle_between
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.robot.kinematics import Kinematics
+from pupper_analysis.stance.clearance import Clearance, Shapes
 from pupper_analysis.stance.footholds import fixing
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import polygon_sides
+from pupper_analysis.statics.support_polygon import margin_inside, polygon_sides
 
 Array = NDArray[np.float64]
-Function: TypeAlias = Callable[[Goal, Configuration], Array]
+
+TASK_TOLERANCE = 1e-9
+"""Error up to which a task counts as satisfied (m, rad)."""
+
+TOUCHING = 1e-6
+"""How much nearer than allowed parts may come (m): rounding."""
 
 _PAIRS = 12
 """Pairs of links that are looked at, the nearest: of a quadruped's 300 no more touch at once."""
 
+_FEET = frozenset({"feet", "foot_offsets", "ground"})
 
-@dataclass(frozen=True, eq=False)
+
 class Constraint:
-    """Something that a stand must fulfil.
+    """Something that a stand of a goal must fulfil.
 
     Attributes:
         name: As ``stance/fields.toml`` has it.
-        residual: Tells what shall be zero, or not negative (n,) (m, rad).
-        rates: Tells the derivative (n, nv) of that by the robot's motion.
-        equal: Whether the residual shall be zero.
+        equal: Whether the residual shall be zero; otherwise it shall not be negative.
+        given: Whether every configuration that is tried fulfils it: the base's height and turn.
+        clears: Whether it keeps parts off each other, or off the ground.
         reads: Fields of the task that it depends on, besides the base's height and turn.
     """
 
-    name: str
-    residual: Function
-    rates: Function
-    equal: bool = False
-    reads: frozenset[str] = frozenset()
+    name: ClassVar[str]
+    equal: ClassVar[bool] = False
+    given: ClassVar[bool] = False
+    clears: ClassVar[bool] = False
+
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        self._shapes, self._begun = shapes, goal
+        self.reads: frozenset[str] = frozenset()
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """Returns what shall be zero, or not negative (n,) (m, rad).
+
+        Args:
+            goal: The goal, or one of which some numbers are others.
+            at: Where the robot is: the shapes' kinematics.
+        """
+        raise NotImplementedError
+
+    def rates(self, goal: Goal, at: Configuration) -> Array:
+        """Returns the derivative (n, nv) of the residual by the robot's motion."""
+        raise NotImplementedError
+
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """Returns by how much it is not fulfilled, at most (m, rad)."""
+        left = self.residual(goal, at)
+        return float((np.abs(left) if self.equal else -left).max(initial=0.0))
 
 
-def constraints_of(shapes: Shapes, goal: Goal) -> Iterator[Constraint]:
-    """Yields what a stand of a goal must fulfil, also where its numbers become others."""
-    robot, task = shapes.robot, goal.task
-    yield _footholds(robot, goal)
-    if robot.closure is not None:
-        yield _loops(robot, robot.closure)
-    yield from place_of(goal)
-    yield _joint_limits(goal)
-    yield _ground_clearance(shapes, goal)
-    if task.self_clearance is not None:
-        yield _self_clearance(shapes)
+class BaseHeight(Constraint):
+    """The base frame is as high as it shall be."""
+
+    name, equal, given = "base-height", True, True
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        return at.qpos[2:3] - goal.height
+
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``."""
+        return abs(float(at.qpos[2]) - goal.height)
 
 
-def place_of(goal: Goal) -> Iterator[Constraint]:
-    """Yields where the com, or the base with an offset, shall be."""
-    if goal.by_base or goal.task.com != "inside":
-        name = "base-place" if goal.by_base else "com-place"
-        yield Constraint(name, *_PLACE, equal=True, reads=_WHERE)
-    if not goal.by_base or goal.task.com_margin > 0.0:
-        yield Constraint("support-margin", *_INSIDE, reads=frozenset({*_FEET, "com_margin"}))
+class BaseOrientation(Constraint):
+    """The base is turned as it shall be."""
+
+    name, equal, given = "base-orientation", True, True
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``: the angle that is left."""
+        return np.array([self.missed(goal, at)])
+
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``."""
+        return angle_between(goal.turn, at.qpos[3:7].tolist())
 
 
-_FEET = frozenset({"feet", "foot_offsets", "ground"})
-_WHERE = _FEET | {"offset", "com"}
-
-
-def _footholds(robot: Robot, goal: Goal) -> Constraint:
+class Footholds(Constraint):
     """The feet's centres are in their places: of a sole as many coordinates as fix it."""
-    rows: list[tuple[str, Array]] = []
-    for points in robot.soles.values():
-        pins = fixing([goal.targets[point] for point in points])
-        for count, (number, axes) in zip((3, 2, 1), pins, strict=False):
-            rows.append((points[number], axes[:count]))
 
-    def residual(goal: Goal, at: Configuration) -> Array:
-        feet = at.foot_positions()
-        return np.concatenate([axes @ (feet[one] - goal.targets[one]) for one, axes in rows])
+    name, equal = "footholds", True
 
-    def rates(_: Goal, at: Configuration) -> Array:
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        super().__init__(shapes, goal)
+        self.reads = _FEET | {"swing"}
+
+    @cached_property
+    def pins(self) -> list[tuple[str, int, Array]]:
+        """Contact points, and how many first rows of a rotation (3, 3) are to be in place."""
+        found = []
+        for points in self._shapes.robot.soles.values():
+            fixed = fixing([self._begun.targets[point] for point in points])
+            for count, (number, axes) in zip((3, 2, 1), fixed, strict=False):
+                found.append((points[number], count, axes))
+        return found
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        feet = at.feet()
+        return np.concatenate(
+            [axes[:rows] @ (feet[one] - goal.targets[one]) for one, rows, axes in self.pins]
+        )
+
+    def rates(self, _: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
         jacobians = at.foot_jacobians()
-        return np.concatenate([axes @ jacobians[one] for one, axes in rows])
+        return np.concatenate([axes[:rows] @ jacobians[one] for one, rows, axes in self.pins])
 
-    return Constraint("footholds", residual, rates, equal=True, reads=_FEET | {"swing"})
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``: the greatest distance of all contact points, pinned or not."""
+        feet = at.feet()
+        return max([math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()])
 
 
-def _loops(robot: Robot, closure: Closure) -> Constraint:
-    """Loops and couplings of joints are closed, or as open as they give way."""
+class Loops(Constraint):
+    """Loops and couplings of joints are closed as they are built, or as open as they give way."""
 
-    def residual(goal: Goal, at: Configuration) -> Array:
-        left = closure.residual(at.qpos)
+    name, equal = "loops", True
+
+    def __init__(self, shapes: Shapes, goal: Goal, closure: Closure) -> None:
+        super().__init__(shapes, goal)
+        self._closure = closure
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        left = self._closure.residual(at.qpos)
         return left if goal.give is None else left - goal.give
 
-    def rates(_: Goal, at: Configuration) -> Array:
-        rows = closure.rows(at.qpos)
-        return np.hstack([np.zeros((len(rows), robot.nv - robot.nu)), rows])
+    def rates(self, _: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
+        rows = self._closure.rows(at.qpos)
+        return np.hstack([np.zeros((len(rows), at.robot.nv - at.robot.nu)), rows])
 
-    return Constraint("loops", residual, rates, equal=True)
-
-
-def _off_place(goal: Goal, at: Configuration) -> Array:
-    here: Array = at.qpos[:2] if goal.by_base else at.center_of_mass()[:2]
-    return here - goal.place
-
-
-def _off_place_rates(goal: Goal, at: Configuration) -> Array:
-    return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``: infinite beyond a dead point, where loops are assembled otherwise."""
+        if not self._closure.as_built(at.qpos):
+            return math.inf
+        return self._closure.open_by(at.qpos, goal.give)
 
 
-def _inside(goal: Goal, at: Configuration) -> Array:
-    sides = _sides(goal)
-    inside: Array = sides[:, :2] @ at.center_of_mass()[:2] + sides[:, 2]
-    return inside - goal.task.com_margin
+class Place(Constraint):
+    """The com, or the base with an offset, is over its place."""
+
+    name, equal = "com-place", True
+
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        super().__init__(shapes, goal)
+        self.reads = _FEET | {"offset", "com"}
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        return (at.qpos[:2] if goal.by_base else np.array(at.com()[:2])) - goal.place
+
+    def rates(self, goal: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
+        return np.eye(2, at.robot.nv) if goal.by_base else at.com_jacobian()[:2]
+
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``."""
+        here = at.qpos[:2].tolist() if goal.by_base else at.com()[:2]
+        return math.dist(here, goal.place.tolist())
 
 
-def _inside_rates(goal: Goal, at: Configuration) -> Array:
-    rates: Array = _sides(goal)[:, :2] @ at.com_jacobian()[:2]
-    return rates
+class BasePlace(Place):
+    """The base is aside by the task's offset."""
+
+    name = "base-place"
+
+
+class SupportMargin(Constraint):
+    """The com is inside the support polygon by the task's margin."""
+
+    name = "support-margin"
+
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        super().__init__(shapes, goal)
+        self.reads = _FEET | {"com_margin"}
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        sides, com = _sides(goal), np.array(at.com()[:2])
+        inside: Array = sides[:, :2] @ com + sides[:, 2]
+        return inside - goal.task.com_margin
+
+    def rates(self, goal: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
+        rates: Array = _sides(goal)[:, :2] @ at.com_jacobian()[:2]
+        return rates
+
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``."""
+        x, y, _ = at.com()
+        return max(0.0, goal.task.com_margin - margin_inside((x, y), goal.corners))
 
 
 def _sides(goal: Goal) -> Array:
@@ -135,53 +231,106 @@ def _sides(goal: Goal) -> Array:
     return np.vstack([sides, np.repeat(sides[-1:], len(goal.contacts) - len(sides), axis=0)])
 
 
-_PLACE = _off_place, _off_place_rates
-_INSIDE = _inside, _inside_rates
-
-
-def _joint_limits(goal: Goal) -> Constraint:
+class JointLimits(Constraint):
     """Joints keep off their limits by the task's margin."""
-    low, high = np.isfinite(goal.lower), np.isfinite(goal.upper)
 
-    def residual(goal: Goal, at: Configuration) -> Array:
-        joints = at.qpos[-at.robot.nu :]
+    name = "joint-limits"
+
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        super().__init__(shapes, goal)
+        self.reads = frozenset({"joint_margin"})
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        joints, low, high = at.qpos[-len(goal.lower) :], *self._limited
         return np.concatenate([(joints - goal.lower)[low], (goal.upper - joints)[high]])
 
-    def rates(_: Goal, at: Configuration) -> Array:
+    def rates(self, _: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
         each = np.eye(at.robot.nu, at.robot.nv, k=at.robot.nv - at.robot.nu)
+        low, high = self._limited
         return np.concatenate([each[low], -each[high]])
 
-    return Constraint("joint-limits", residual, rates, reads=frozenset({"joint_margin"}))
+    def missed(self, goal: Goal, at: Kinematics) -> float:
+        """See ``Constraint``."""
+        joints = at.qpos[-len(goal.lower) :]
+        beyond = np.maximum(goal.lower - joints, joints - goal.upper)
+        return max(0.0, float(beyond.max(initial=0.0)))
+
+    @cached_property
+    def _limited(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        return np.isfinite(self._begun.lower), np.isfinite(self._begun.upper)
 
 
-def _ground_clearance(shapes: Shapes, goal: Goal) -> Constraint:
+class GroundClearance(Constraint):
     """Every part but the feet is above the ground by the task's clearance."""
-    reads = {"ground", "ground_clearance"}
-    if any(goal.task.ground.heights.values()):  # steps are where feet are
-        reads |= {"feet", "foot_offsets", "swing"}
-    nowhere = shapes.heights(shapes.robot.home, goal.task.ground, goal.targets, goal.depths)
-    parts = np.isfinite(nowhere)  # feet are not looked at
 
-    def residual(goal: Goal, at: Configuration) -> Array:
-        heights = shapes.heights(at.qpos, goal.task.ground, goal.targets, goal.depths)
-        above: Array = heights[parts] - goal.task.ground_clearance
+    name, clears = "ground-clearance", True
+
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        super().__init__(shapes, goal)
+        self.reads = frozenset({"ground", "ground_clearance"})
+        if any(goal.task.ground.heights.values()):  # steps are where feet are
+            self.reads |= {"feet", "foot_offsets", "swing"}
+
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        heights = self._shapes.heights(
+            at.qpos, goal.task.ground, goal.targets, goal.depths, moved=True
+        )
+        above: Array = heights[self._shapes.off_ground] - goal.task.ground_clearance
         return above
 
-    def rates(goal: Goal, at: Configuration) -> Array:
-        rates = shapes.height_rates(at.qpos, goal.task.ground, goal.targets, goal.depths)
-        own: Array = rates[parts]
+    def rates(self, goal: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
+        rates = self._shapes.height_rates(at.qpos, goal.task.ground, goal.targets, goal.depths)
+        own: Array = rates[self._shapes.off_ground]
         return own
 
-    return Constraint("ground-clearance", residual, rates, reads=frozenset(reads))
+    def nearest(self, goal: Goal, at: Kinematics) -> Clearance | None:
+        """Returns how high the lowest part is; None of a robot without any."""
+        return self._shapes.above_ground(
+            at.qpos, goal.task.ground, goal.targets, goal.depths, moved=True
+        )
 
 
-def _self_clearance(shapes: Shapes) -> Constraint:
+class SelfClearance(Constraint):
     """Links that are not neighbours are apart by the task's clearance."""
 
-    def residual(goal: Goal, at: Configuration) -> Array:
-        return shapes.distances(at.qpos, _PAIRS) - (goal.task.self_clearance or 0.0)
+    name, clears = "self-clearance", True
 
-    def rates(_: Goal, at: Configuration) -> Array:
-        return shapes.distance_rates(at, _PAIRS)
+    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+        super().__init__(shapes, goal)
+        self.reads = frozenset({"self_clearance"})
 
-    return Constraint("self-clearance", residual, rates, reads=frozenset({"self_clearance"}))
+    def residual(self, goal: Goal, at: Kinematics) -> Array:
+        """See ``Constraint``."""
+        return self._shapes.distances(at.qpos, _PAIRS) - (goal.task.self_clearance or 0.0)
+
+    def rates(self, _: Goal, at: Configuration) -> Array:
+        """See ``Constraint``."""
+        return self._shapes.distance_rates(at, _PAIRS)
+
+    def nearest(self, _: Goal, at: Kinematics) -> Clearance | None:
+        """Returns the least distance between links; None of a robot without such pairs."""
+        return self._shapes.between_links(at.qpos)
+
+
+def constraints_of(shapes: Shapes, goal: Goal) -> Iterator[Constraint]:
+    """Yields what a stand of a goal must fulfil, also where its numbers become others."""
+    closure = shapes.robot.closure
+    yield BaseHeight(shapes, goal)
+    yield BaseOrientation(shapes, goal)
+    yield Footholds(shapes, goal)
+    if closure is not None:
+        yield Loops(shapes, goal, closure)
+    if goal.by_base:
+        yield BasePlace(shapes, goal)
+    elif goal.task.com != "inside":
+        yield Place(shapes, goal)
+    if not goal.by_base or goal.task.com_margin > 0.0:
+        yield SupportMargin(shapes, goal)
+    yield JointLimits(shapes, goal)
+    yield GroundClearance(shapes, goal)
+    if goal.task.self_clearance is not None:
+        yield SelfClearance(shapes, goal)

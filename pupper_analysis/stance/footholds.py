@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -25,10 +24,9 @@ def nominal_places(robot: Robot) -> dict[str, Array]:
 
     Seen from above they stand there; the base is at the origin, upright.
     """
-    return {point: place.copy() for point, place in _nominal(robot)}
+    return {point: place.copy() for point, place in robot.once(_nominal)}
 
 
-@functools.lru_cache(maxsize=8)
 def _nominal(robot: Robot) -> tuple[tuple[str, Array], ...]:
     qpos = robot.posed(robot.nominal)
     return tuple(Configuration(robot, qpos).foot_positions().items())

@@ -8,22 +8,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arrays import angle_between
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.constraints import (
+    TASK_TOLERANCE,
+    TOUCHING,
+    GroundClearance,
+    SelfClearance,
+    constraints_of,
+)
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.support_polygon import margin_inside
 
 Array = NDArray[np.float64]
 
-TOUCHING = 1e-6
-"""How much nearer than allowed parts may come (m): rounding."""
+_MISSED = (
+    *("footholds", "loops", "joint-limits", "base-orientation", "base-height", "com-place"),
+    "base-place",
+)
+"""What a stand has an error of, by its constraint; those that a goal does not ask for are met."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +47,12 @@ class Stand(Result):
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
         foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
-            or a coupling of joints is open, if that is more (m, rad).
+            or a coupling of joints is open, or a joint is beyond its limit less the task's margin,
+            if that is more (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
-            base frame.
+            base frame. Of a com that may be anywhere inside, zero.
         com_margin: Distance of the com's projection from the support polygon's edge (m); negative
             outside.
         ground_clearance: How high the lowest part other than the feet is above the ground, by the
@@ -107,10 +116,9 @@ class Stand(Result):
     def com_short(self) -> float:
         """How much nearer than asked the com is to the support polygon's edge (m).
 
-        With an offset only, and a margin that was asked for: the com is then a result. Otherwise it
-        is where it was asked to be.
+        With an offset and no margin that was asked for the com is a result.
         """
-        if self.task.offset is None or self.task.com_margin == 0.0:
+        if self.task.offset is not None and self.task.com_margin == 0.0:
             return 0.0
         return max(0.0, self.task.com_margin - self.com_margin)
 
@@ -158,40 +166,36 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
         ConfigurationError: If the task demands a clearance and nothing has one.
     """
     robot, task = shapes.robot, goal.task
-    own = robot.structure.state(qpos)
-    there = shapes.kinematics
-    there.move(own)
-    com, feet = there.com(), there.feet()
-    x, y, z, *turn = own[:7].tolist()
-    at = (x, y) if goal.by_base else (com[0], com[1])
-    # Who changes a stand changes that alone: goals share their arrays.
-    targets = {foot: target.copy() for foot, target in goal.targets.items()}
-    missed = [math.dist(feet[foot], target.tolist()) for foot, target in targets.items()]
-    if robot.closure is not None:
-        missed.append(robot.closure.open_by(own, goal.give))
-    contacts = dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True))
-    near = shapes.above_ground(own, task.ground, targets, goal.depths, moved=True)
-    if near is None and task.ground_clearance > 0.0:
+    at = shapes.at(qpos)
+    missed, near = dict.fromkeys(_MISSED, 0.0), dict[str, Clearance | None]()
+    for one in constraints_of(shapes, goal):
+        if isinstance(one, GroundClearance | SelfClearance):
+            near[one.name] = one.nearest(goal, at)
+        else:
+            missed[one.name] = one.missed(goal, at)
+    ground, apart = near["ground-clearance"], near.get("self-clearance")
+    if ground is None and task.ground_clearance > 0.0:
         raise ConfigurationError(
             "ground_clearance", diagnose("nothing-above-ground", robot=robot.name)
         )
-    apart = None if task.self_clearance is None else shapes.between_links(own)
     if apart is None and task.self_clearance is not None:
         raise ConfigurationError("self_clearance", diagnose("no-links-apart", robot=robot.name))
+    x, y, _ = at.com()
     return Stand(
         task=task,
-        qpos=own,
-        foot_targets=targets,
+        qpos=at.qpos,
+        # Who changes a stand changes that alone: goals share their arrays.
+        foot_targets={foot: target.copy() for foot, target in goal.targets.items()},
         depths=goal.depths,
         stance_feet=goal.stance_feet,
         normals=dict.fromkeys(goal.stance_feet, task.ground.normal()),
-        contact_points=contacts,
-        foot_error=max(missed),
-        orientation_error=angle_between(goal.turn, turn),
-        height_error=abs(z - goal.height),
-        com_error=math.dist(at, goal.place.tolist()),
-        com_margin=margin_inside((com[0], com[1]), goal.corners),
-        ground_clearance=near,
+        contact_points=dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True)),
+        foot_error=max(missed["footholds"], missed["loops"], missed["joint-limits"]),
+        orientation_error=missed["base-orientation"],
+        height_error=missed["base-height"],
+        com_error=max(missed["com-place"], missed["base-place"]),
+        com_margin=margin_inside((x, y), goal.corners),
+        ground_clearance=ground,
         self_clearance=apart,
         iterations=iterations,
         robot=robot.fingerprint,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +23,19 @@ Array = NDArray[np.float64]
 _LINE = 1e-3
 """Contact points that are no further from a line, taken together, are on it (m): no polygon of that
 width holds anything."""
+
+
+_FIXED = {1: 3, 2: 5}
+"""Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
+
+
+def leaves_joints(robot: Robot) -> bool:
+    """Tells whether joints are left to move where base and feet are in their places.
+
+    Given are the base's turn, height and place, and of each foot what its points fix: a line may
+    still turn about itself.
+    """
+    return 6 + sum(_FIXED.get(len(points), 6) for points in robot.soles.values()) < robot.nv
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +74,11 @@ class Goal:
     upper: Array
     give: Array | None = None
 
+    @property
+    def com_is_free(self) -> bool:
+        """Whether the com may be anywhere inside the support polygon."""
+        return self.task.com == "inside" and not self.by_base
+
 
 def goal_of(
     robot: Robot,
@@ -88,10 +105,11 @@ def goal_of(
         UnknownNameError: If the task, or depths, name a foot that the robot does not have.
     """
     if like is None and not depths:
-        model = robot.pin_model
-        limits = model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()
-        like = _nominal(robot, limits)
-        if task is None and like is not None:
+        like = robot.once(_nominal)
+        # Who wants other limits of its joints may change those of its model.
+        if like is not None and not _has_limits(robot, like):
+            like = None
+        elif task is None and like is not None:
             return like
     if task is None:
         task = StandTask()
@@ -100,12 +118,15 @@ def goal_of(
     return _goal_of(robot, task, depths, like, checked=checked)
 
 
-@functools.lru_cache(maxsize=8)
-def _nominal(robot: Robot, _limits: tuple[bytes, bytes]) -> Goal | None:
-    """Returns the goal of the nominal stand, if it has one; it depends on the robot alone.
+def _has_limits(robot: Robot, goal: Goal) -> bool:
+    """Whether a goal without margins has the robot's joint limits, as they are now."""
+    return bool(
+        (goal.lower == robot.lower_limits).all() and (goal.upper == robot.upper_limits).all()
+    )
 
-    Who wants other limits of its joints may change those of its model.
-    """
+
+def _nominal(robot: Robot) -> Goal | None:
+    """Returns the goal of the nominal stand, if it has one; it depends on the robot alone."""
     try:
         return _goal_of(robot, StandTask(), {}, None)
     except ConfigurationError:

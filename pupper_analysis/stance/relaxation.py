@@ -13,7 +13,8 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.constraints import TASK_TOLERANCE
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.demands import (
     DEMANDS,
     differ,
@@ -24,12 +25,11 @@ from pupper_analysis.stance.demands import (
     rounded,
     told_limit,
 )
-from pupper_analysis.stance.elastic import Elastic, Relaxation
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.programme import Programme, Relaxation
 from pupper_analysis.stance.search import search
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.stance.yielding import lacking
 
 Array = NDArray[np.float64]
@@ -65,17 +65,17 @@ _GIVES = 1e-6
 
 
 def unreachable(
-    shapes: Shapes, goal: Goal, nearest: Stand, *, explain: bool
+    context: Context, goal: Goal, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
     """Returns the error for a goal that no stand satisfies.
 
     Args:
-        shapes: The robot with its shapes.
+        context: The robot's.
         goal: The goal.
         nearest: The best failure.
         explain: Find out which demands are in the way, as few as possible, and how far they can go.
     """
-    robot = shapes.robot
+    robot = context.robot
     feet = Configuration(robot, nearest.qpos).foot_positions()
     gaps = {foot: float(np.linalg.norm(feet[foot] - goal.targets[foot])) for foot in feet}
     joints = nearest.joint_positions(robot)
@@ -88,7 +88,7 @@ def unreachable(
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _FELT}
-    ways = _Ways(shapes, goal, nearest).found() if explain else []
+    ways = _Ways(context, goal, nearest).found() if explain else []
     named = {" and ".join(way.demands): way for way in ways}
     least = min(ways, key=lambda way: way.slack, default=None)
     return StanceUnreachableError(
@@ -139,14 +139,14 @@ class _Ways:
     """The ways in which a goal that is out of reach may give.
 
     Args:
-        shapes: The robot with its shapes.
+        context: The robot's.
         goal: The goal.
         nearest: The best failure.
     """
 
-    def __init__(self, shapes: Shapes, goal: Goal, nearest: Stand) -> None:
-        self.shapes, self.goal = shapes, goal
-        robot, home = shapes.robot, shapes.robot.home.copy()
+    def __init__(self, context: Context, goal: Goal, nearest: Stand) -> None:
+        self.context, self.goal = context, goal
+        robot, home = context.robot, context.robot.home.copy()
         home[:2] = goal.centre[:2]
         self.starts = [nearest.qpos, home]
         low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
@@ -159,7 +159,7 @@ class _Ways:
 
     def found(self) -> list[_Way]:
         """Returns each demand that alone may give, or else the fewest that must."""
-        robot, task = self.shapes.robot, self.goal.task
+        robot, task = self.context.robot, self.goal.task
         differing = [demand for demand in DEMANDS if differ(robot, task, [demand])]
         alone = [self._stated(self._alone(demand)) for demand in differing]
         if found := [way for way in alone if way is not None]:
@@ -174,10 +174,10 @@ class _Ways:
         One more is a stand without the demands, if there is one: from there they are taken as far
         as they go.
         """
-        elastic = Elastic(self.shapes, self.goal, demands)
+        elastic = Programme(self.context.shapes, self.goal, demands)
         ways = [elastic.solve(start) for start in starts]
-        without = given_up(self.shapes.robot, self.goal.task, demands)
-        stand = search(self.shapes, self._goal(without), plainly=True)
+        without = given_up(self.context.robot, self.goal.task, demands)
+        stand = search(self.context, self._goal(without), plainly=True)
         if stand.solved:
             ways.append(elastic.solve(stand.qpos, without))
         return min((way for way in ways if way.met), key=lambda way: way.slack, default=None)
@@ -191,12 +191,12 @@ class _Ways:
         way = self._least([demand], self.starts)
         shares = list(_LESS)
         while way is not None and shares:
-            less = further(self.shapes.robot, way.task, self.goal.task, [demand], -shares[0])
-            stand = search(self.shapes, self._goal(less), centred=True)
+            less = further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
+            stand = search(self.context, self._goal(less), centred=True)
             if not stand.solved:
                 shares.pop(0)
                 continue
-            better = Elastic(self.shapes, self.goal, [demand]).solve(stand.qpos, less)
+            better = Programme(self.context.shapes, self.goal, [demand]).solve(stand.qpos, less)
             if not better.met or better.slack > (1 - shares[0] / 2) * way.slack:
                 break
             way = better
@@ -219,7 +219,7 @@ class _Ways:
         """Returns a way as it can be told; None if it cannot be typed and found."""
         if way is None:
             return None
-        robot = self.shapes.robot
+        robot = self.context.robot
         demands = tuple(demand for demand, slack in way.given.items() if slack > _GIVES)
         if not demands:
             return None
@@ -237,7 +237,7 @@ class _Ways:
         One after the other, those that give most first: where one has been rounded, the others
         give as little as that leaves them.
         """
-        robot, task, left = self.shapes.robot, self.goal.task, [*demands]
+        robot, task, left = self.context.robot, self.goal.task, [*demands]
         now: Relaxation | None = way
         while now is not None:
             demand = max(left, key=now.given.__getitem__)
@@ -251,7 +251,9 @@ class _Ways:
                 trial = task.filled(**{demand: getattr(end, demand)})
                 if not left:
                     return trial
-                way = Elastic(self.shapes, self._goal(trial), left).solve(before.qpos, before.task)
+                way = Programme(self.context.shapes, self._goal(trial), left).solve(
+                    before.qpos, before.task
+                )
                 if way.met:
                     task, now = trial, way
                     break
@@ -278,12 +280,12 @@ class _Ways:
             goal = self._goal(task, checked=True)
         except ConfigurationError:
             return None
-        stand = search(self.shapes, goal)
+        stand = search(self.context, goal)
         return stand if stand.solved else None
 
     def _goal(self, task: StandTask, *, checked: bool = False) -> Goal:
         """Returns a task's goal, with feet as deep and loops as open as the refused one's."""
-        goal = goal_of(self.shapes.robot, task, self.goal.depths, checked=checked)
+        goal = goal_of(self.context.robot, task, self.goal.depths, checked=checked)
         return replace(goal, give=self.goal.give)
 
 

@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.stance.branches import limbs
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.constraints import TASK_TOLERANCE
+from pupper_analysis.stance.context import Begun, Context
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.tasks import TASK_TOLERANCE, Tasks
+from pupper_analysis.stance.tasks import Tasks
 
 Array = NDArray[np.float64]
 
@@ -50,8 +51,6 @@ _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
 _SIZE = 10.0  # of the robot, in heights of its stand: no foot moves by more for a radian per joint
 
-_SETTLED = 1e-11  # m: feet that are off by less twice are in place, though the com may drift
-
 _SLOW = 2  # iterations in a row at a pace that leads nowhere
 
 
@@ -59,46 +58,29 @@ class Solver:
     """PlaCo's tasks for one goal, solved from any start.
 
     The base's orientation and height and the com's place are hard constraints, which the free base
-    can always satisfy; the feet are the objective, which vanishes if the stance is in reach. Where
-    links shall stay apart, PlaCo's avoidance of self-collisions weighs more than the feet.
+    can always satisfy; the feet are the objective, which vanishes if the stance is in reach.
 
     Args:
-        shapes: The robot with its shapes.
-        goal: The goal.
-        inside: The com may be anywhere in the support polygon with the task's margin, instead of
-            at ``goal.place``.
-        firmly: The com may not leave it on the way either, which it does where feet pull it out.
-            It must begin inside.
-        apart: Heed the task's least distance between links.
+        context: The robot's.
+        goal: The goal; a com that may be anywhere inside is where it has its place.
 
     Attributes:
         tasks: PlaCo's tasks, which other goals may have as well.
     """
 
-    def __init__(
-        self,
-        shapes: Shapes,
-        goal: Goal,
-        *,
-        inside: bool = False,
-        firmly: bool = False,
-        apart: bool = True,
-    ) -> None:
-        self.shapes, self.goal, self.inside = shapes, goal, inside
-        self._size = _SIZE * shapes.robot.stand_height
-        robot = shapes.robot
+    def __init__(self, context: Context, goal: Goal) -> None:
+        robot = context.robot
+        self.context, self.goal, self.robot = context, goal, robot
+        self._size = _SIZE * robot.stand_height
         if robot.closure is not None:
             placing = np.concatenate([limb.joints for limb in limbs(robot)])
             self._readiness = robot.closure.readiness(placing)
-        apart = apart and goal.task.self_clearance is not None
-        if apart:
-            shapes.pair()  # before the state is set: it moves the robot
-        if inside or apart or len(shapes.robot.soles) < len(shapes.robot.feet):
-            self.tasks = Tasks(shapes, goal, inside=inside, firmly=firmly, apart=apart)
+        kept = context.tasks
+        if len(robot.soles) < len(robot.feet):  # how a sole is pinned down depends on the goal
+            self.tasks = Tasks(context, goal)
         else:  # tasks that differ in numbers alone
-            kept = shapes.tasks
             if goal.by_base not in kept:
-                kept[goal.by_base] = Tasks(shapes, goal, inside=False, apart=False)
+                kept[goal.by_base] = Tasks(context, goal)
             self.tasks = kept[goal.by_base]
 
     def run(self, joints: Array, place: Array | None = None) -> Point:
@@ -124,12 +106,10 @@ class Solver:
         return self._solved(q)
 
     def _solved(self, q: Array) -> Point:
-        if self.shapes.robot.closure is not None:
+        if self.robot.closure is not None:
             if not self._closes(q):
-                return Point(self.shapes.robot.pin_convention.qpos(q), math.inf, 0)
-            return self._watched(self.shapes.wrapper.state.q.copy(), [])
-        if self.inside:
-            return self._watched(q, [])
+                return Point(self.robot.pin_convention.qpos(q), math.inf, 0)
+            return self._watched(self.context.wrapper.state.q.copy(), [])
         steps: list[Step] = []
         return self._straight(steps) or self._watched(q, steps)
 
@@ -139,7 +119,7 @@ class Solver:
         What is ever less of a step leads somewhere, and whether the feet are in place there is
         looked at when it has come there. None where that is not the way, or not the place.
         """
-        tasks, wrapper = self.tasks, self.shapes.wrapper
+        tasks, wrapper = self.tasks, self.context.wrapper
         solve, move = tasks.solver.solve, wrapper.update_kinematics
         tasks.solver.dt = _TRUST_RADIUS
         last = math.inf
@@ -174,8 +154,8 @@ class Solver:
             q: Where it begins.
             ahead: Full steps from there that have been taken already.
         """
-        wrapper, tasks = self.shapes.wrapper, self.tasks
-        convention = self.shapes.robot.pin_convention
+        wrapper, tasks = self.context.wrapper, self.tasks
+        convention = self.robot.pin_convention
         radius, iterations, slow = _TRUST_RADIUS, 0, 0
         error, last = math.inf, math.inf
         self._put(q)
@@ -208,11 +188,10 @@ class Solver:
                 self._put(q)
                 continue
             nearer = math.sqrt(error) - math.sqrt(new_error)
-            settled = self.inside and max(error, new_error) < _SETTLED**2
             hopeless = new_error > TASK_TOLERANCE**2 and nearer * left < math.sqrt(new_error) / 2
             slow = slow + 1 if hopeless else 0
             error, q = new_error, after
-            if settled or _arrives(moved, last):
+            if _arrives(moved, last):
                 break
             last = moved
         return self._point(wrapper.state.q, iterations)
@@ -223,11 +202,11 @@ class Solver:
         if miss >= TASK_TOLERANCE / 2:  # it may be what it was before the last step
             self.tasks.look()
             miss = self.tasks.miss()
-        return Point(self.shapes.robot.pin_convention.qpos(q), miss, iterations)
+        return Point(self.robot.pin_convention.qpos(q), miss, iterations)
 
     def _closes(self, q: Array) -> bool:
         """Closes the loops of PlaCo's robot, which is at q; tells if it can."""
-        robot = self.shapes.robot
+        robot = self.robot
         if robot.closure is None:
             return True
         qpos = robot.pin_convention.qpos(q)
@@ -242,7 +221,7 @@ class Solver:
         return True
 
     def _put(self, q: Array) -> None:
-        wrapper = self.shapes.wrapper
+        wrapper = self.context.wrapper
         wrapper.state.q = q
         wrapper.update_kinematics()
 
@@ -252,26 +231,31 @@ class Solver:
         Returns:
             Its q.
         """
-        goal, begun = self.goal, self.shapes.begun
+        goal, begun = self.goal, self.context.begun
         # Searches begin at home, as a rule; and with it the com is where it was under the base.
-        bent = joints.tobytes(), goal.lower.tobytes(), goal.upper.tobytes()
-        key = bent, goal.turn, goal.by_base
-        if begun is None or begun[0] != key:
-            begun = self.shapes.begun = key, *self._at_origin(joints)
-        q = begun[1].copy()
+        if begun is None or not self._began(begun, joints):
+            begun = self.context.begun = self._at_origin(joints)
+        q = begun.q.copy()
         x, y = place.tolist()
-        q[0], q[1], q[2] = x - begun[2], y - begun[3], goal.height
+        q[0], q[1], q[2] = x - begun.over[0], y - begun.over[1], goal.height
         self._put(q)
         return q
 
-    def _at_origin(self, joints: Array) -> tuple[Array, float, float]:
-        """Returns q with the base at the origin, and what shall be over a place: its x and y."""
-        q = self._bent(joints)
-        if self.goal.by_base:
-            return q, 0.0, 0.0
-        self._put(q)
-        x, y, _ = self.shapes.wrapper.com_world().tolist()
-        return q, x, y
+    def _began(self, begun: Begun, joints: Array) -> bool:
+        """Tells whether a search has begun as this one does."""
+        goal, (low, high) = self.goal, begun.limits
+        same = goal.by_base == begun.by_base and goal.turn == begun.turn
+        alike = low is goal.lower and high is goal.upper
+        return same and alike and bool((joints == begun.joints).all())
+
+    def _at_origin(self, joints: Array) -> Begun:
+        """Begins with the base at the origin."""
+        goal, q, over = self.goal, self._bent(joints), (0.0, 0.0)
+        if not goal.by_base:
+            self._put(q)
+            x, y, _ = self.context.wrapper.com_world().tolist()
+            over = x, y
+        return Begun(joints.copy(), (goal.lower, goal.upper), goal.turn, goal.by_base, q, over)
 
     def _bent(self, joints: Array) -> Array:
         """Returns q with the base at the origin and turned as it shall be, joints inside limits."""
@@ -280,7 +264,7 @@ class Solver:
         qpos[:7] = 0.0, 0.0, 0.0, *goal.turn
         np.maximum(joints, goal.lower, qpos[7:])
         np.minimum(qpos[7:], goal.upper, qpos[7:])
-        return self.shapes.robot.pin_convention.unit_q(qpos)
+        return self.robot.pin_convention.unit_q(qpos)
 
 
 def _arrives(moved: float, last: float) -> bool:

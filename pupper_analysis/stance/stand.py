@@ -8,14 +8,13 @@ from pupper_analysis.arguments import checked
 from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.constraints import TASK_TOLERANCE
+from pupper_analysis.stance.context import Context, context_of
 from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.nearest import nearest
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.relaxation import unreachable
-from pupper_analysis.stance.search import search
+from pupper_analysis.stance.search import nearest, search
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.tasks import TASK_TOLERANCE
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
     GravityCompensation,
@@ -39,7 +38,8 @@ def solve_stand(
 
     PlaCo solves a sequence of quadratic programmes on the floating base, from the task's ik_seed,
     from home, and, where these do not lead there, from every way to bend the legs that may
-    (``branches``). With ``com="inside"`` the com moves to where the feet are in reach.
+    (``branches``). With ``com="inside"``, or with joints to spare, all that a stand must fulfil is
+    then met at once (``programme``): the com moves to where the feet are in reach.
 
     Args:
         robot: A robot with a floating base.
@@ -62,24 +62,23 @@ def solve_stand(
             demands of which one would have to give.
     """
     check_bodies(robot)
-    return stand_for(robot, goal_of(robot, task, depths or {}), explain=explain)
+    with context_of(robot) as context:
+        return stand_for(context, goal_of(robot, task, depths or {}), explain=explain)
 
 
-def stand_for(robot: Robot, goal: Goal, *, explain: bool) -> Stand:
+def stand_for(context: Context, goal: Goal, *, explain: bool) -> Stand:
     """Finds the stand of a goal; see ``solve_stand``.
 
     Raises:
         StanceUnreachableError: If it is out of reach.
     """
-    # Distances between links remember where they were found last: they begin anew.
-    shapes = shapes_of(robot) if goal.task.self_clearance is None else Shapes(robot)
-    stand = search(shapes, goal)
+    stand = search(context, goal)
     if stand.solved:
         return stand
     if explain and stand.foot_error >= TASK_TOLERANCE:
-        closest = nearest(shapes, goal, stand.qpos)
+        closest = nearest(context, goal, stand.qpos)
         stand = min(stand, closest, key=lambda found: found.foot_error)
-    raise unreachable(shapes, goal, stand, explain=explain)
+    raise unreachable(context, goal, stand, explain=explain)
 
 
 @checked

@@ -17,16 +17,13 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Shapes, shapes_of
-from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.context import Context, context_of
+from pupper_analysis.stance.problem import Goal, goal_of, leaves_joints
 from pupper_analysis.stance.search import go_on
 from pupper_analysis.stance.stand import Stand, stand_for
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
-
-_FIXED = {1: 3, 2: 5}
-"""Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
 
 _NEAR = 0.5
 """rad: joints that are further from those of the stand before may be bent another way than a search
@@ -96,15 +93,17 @@ def solve_stands(
     """
     check_bodies(robot)
     solved: list[Stand | StanceUnreachableError] = []
-    sequence = _Sequence(robot)
-    for number, goal in enumerate(_goals(robot, tasks)):
-        try:
-            solved.append(sequence.solve(goal, explain=explain))
-        except StanceUnreachableError as error:
-            told = error.at(f"tasks[{number}]")
-            if not keep_going:
-                raise told from None
-            solved.append(told)
+    goals = _goals(robot, tasks)
+    with context_of(robot) as context:
+        sequence = _Sequence(context)
+        for number, goal in enumerate(goals):
+            try:
+                solved.append(sequence.solve(goal, explain=explain))
+            except StanceUnreachableError as error:
+                told = error.at(f"tasks[{number}]")
+                if not keep_going:
+                    raise told from None
+                solved.append(told)
     return tuple(solved)
 
 
@@ -128,15 +127,11 @@ class _Sequence:
     """The stands of a sequence, as far as it has come.
 
     Args:
-        robot: The robot.
+        context: The robot's.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        # Given are the base's turn, height and place, and of each foot what its points fix: a line
-        # may still turn about itself.
-        fixed = sum(_FIXED.get(len(points), 6) for points in robot.soles.values())
-        self._fixed = 6 + fixed >= robot.nv
+    def __init__(self, context: Context) -> None:
+        self._context = context
         self._before: list[Array] = []  # qpos of the last four stands, the latest first
 
     def solve(self, goal: Goal, *, explain: bool) -> Stand:
@@ -145,20 +140,19 @@ class _Sequence:
         Raises:
             StanceUnreachableError: If it is out of reach.
         """
-        shapes = shapes_of(self.robot)
-        stand = self._continued(shapes, goal)
+        stand = self._continued(goal)
         if stand is None:
-            stand = stand_for(self.robot, goal, explain=explain)
+            stand = stand_for(self._context, goal, explain=explain)
         self._before = [stand.qpos.copy(), *self._before[:3]]
         return stand
 
-    def _continued(self, shapes: Shapes, goal: Goal) -> Stand | None:
+    def _continued(self, goal: Goal) -> Stand | None:
         """Returns the stand that those before lead to; None if they lead to none nearby."""
-        if not self._before or not self._fixed or _is_open(goal):
+        if not self._before or leaves_joints(self._context.robot) or _is_open(goal):
             return None
         last, ahead = self._before[0], self._ahead()
         for start in (ahead, last) if _apart(ahead, last) < _NEAR else (last,):
-            stand = go_on(shapes, goal, start)
+            stand = go_on(self._context, goal, start)
             if stand is not None and _apart(stand.qpos, last) < _NEAR:
                 return stand
         return None
@@ -175,9 +169,7 @@ class _Sequence:
 def _is_open(goal: Goal) -> bool:
     """Whether a task leaves more open than how legs are bent, or says itself where to begin."""
     task = goal.task
-    if task.ik_seed is not None or task.self_clearance is not None:
-        return True
-    return task.com == "inside" and not goal.by_base
+    return task.ik_seed is not None or task.self_clearance is not None or goal.com_is_free
 
 
 def _apart(one: Array, other: Array) -> float:

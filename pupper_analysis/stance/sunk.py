@@ -14,6 +14,7 @@ from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.context import context_of
 from pupper_analysis.stance.fields import NO_MARGINS
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_for, stand_statics
@@ -125,7 +126,8 @@ def sunk_stand(
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = goal_of(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)
-        stand = stand_for(robot, goal, explain=explain)
+        with context_of(robot) as context:
+            stand = stand_for(context, goal, explain=explain)
     left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
     raise NotSettlingError(change, left)
 

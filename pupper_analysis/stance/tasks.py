@@ -1,4 +1,4 @@
-"""PlaCo's solver with a stand's tasks: what a programme is to satisfy, and how much it weighs."""
+"""A stand's constraints as PlaCo's tasks: what it is to satisfy, and how much each weighs."""
 
 from __future__ import annotations
 
@@ -9,91 +9,80 @@ import placo
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import UP
-from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.footholds import fixing
+from pupper_analysis.stance.constraints import (
+    BaseHeight,
+    BaseOrientation,
+    Constraint,
+    Footholds,
+    Loops,
+    constraints_of,
+)
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import support_polygon
 
 Array = NDArray[np.float64]
 
-TASK_TOLERANCE = 1e-9
-"""Error up to which a task counts as satisfied (m, rad)."""
-
-_TRIGGER = 0.02  # m: links that are further than this from their least distance are left alone
-
-_APART_WEIGHT = 1e3  # of links staying apart, against feet
-
-_INSIDE_WEIGHT = 1e3  # of the com staying inside the support polygon, likewise
-
 
 class Tasks:
-    """PlaCo's solver with a stand's tasks, which may be aimed at other goals of the same kind.
+    """PlaCo's solver with the equalities of a stand, aimed at one goal after another of a kind.
+
+    The base's orientation and height and the com's place are hard constraints, which the free base
+    can always satisfy; the feet are the objective. The com is over the goal's place, also where it
+    may be anywhere inside. What keeps parts off each other or off the ground is left to others.
 
     Args:
-        shapes: The robot with its shapes.
+        context: The robot's.
         goal: The goal.
-        inside: As in ``Solver``.
-        firmly: Likewise.
-        apart: Likewise.
 
     Attributes:
         solver: PlaCo's.
         feet: (contact point, its task).
     """
 
-    def __init__(
-        self, shapes: Shapes, goal: Goal, *, inside: bool, firmly: bool = False, apart: bool
-    ) -> None:
-        robot, wrapper = shapes.robot, shapes.wrapper
-        # Not the shapes, which keep their tasks: a circle would hold PlaCo's robot back for long.
-        self._robot, self._engine, self._goal = robot, shapes.engine, goal
-        solver = self.solver = placo.KinematicsSolver(wrapper)
+    def __init__(self, context: Context, goal: Goal) -> None:
+        # Not the context, which keeps its tasks: a circle would hold PlaCo's robot back for long.
+        self._robot, self._engine, self._goal = context.robot, context.engine, goal
+        solver = self.solver = placo.KinematicsSolver(context.wrapper)
         solver.enable_joint_limits(True)
-        wrapper.set_velocity_limits(1.0)
+        context.wrapper.set_velocity_limits(1.0)
         solver.enable_velocity_limits(True)
         self.feet: list[tuple[str, placo.PositionTask]] = []
-        for points in robot.soles.values():
-            pins = fixing([goal.targets[point] for point in points])
-            for count, (number, axes) in zip((3, 2, 1), pins, strict=False):
-                point = points[number]
+        self._loops: placo.JointSpaceHalfSpacesConstraint | None = None
+        for constraint in constraints_of(context.shapes, goal):
+            self._pose(constraint)
+        place = np.array([*goal.place, 0.0])
+        self._place = (
+            solver.add_position_task(self._robot.base, place)
+            if goal.by_base
+            else solver.add_com_task(place)
+        )
+        self._place.mask.set_axises("xy")
+        self._place.configure("place", "hard")
+        # Decides between configurations that place the feet equally well; too small to move a foot.
+        solver.add_regularization_task(1e-9)
+
+    def _pose(self, constraint: Constraint) -> None:
+        """Tells PlaCo of a constraint, if it is one of those that are its own."""
+        robot, goal, solver = self._robot, self._goal, self.solver
+        if isinstance(constraint, BaseHeight):
+            self._height = solver.add_position_task(robot.base, goal.height * UP)
+            self._height.mask.set_axises("z")
+            self._height.configure("height", "hard")
+        elif isinstance(constraint, BaseOrientation):
+            self._orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
+            self._orientation.configure("orientation", "hard")
+        elif isinstance(constraint, Footholds):
+            for point, rows, axes in constraint.pins:
                 task = solver.add_position_task(robot.foot_frames[point], goal.targets[point])
-                if count < 3:
-                    task.mask.set_axises("xyz"[:count], "custom")
+                if rows < 3:
+                    task.mask.set_axises("xyz"[:rows], "custom")
                     task.mask.R_custom_world = axes
                 task.configure(point, "soft", 1.0)
                 self.feet.append((point, task))
-        self._orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
-        self._orientation.configure("orientation", "hard")
-        self._height = solver.add_position_task(robot.base, goal.height * UP)
-        self._height.mask.set_axises("z")
-        self._height.configure("height", "hard")
-        self._place = None
-        if inside:
-            corners = list(support_polygon(goal.contacts)[::-1])  # clockwise
-            margin = goal.task.com_margin + (TASK_TOLERANCE if firmly else 0.0)  # by rounding
-            polygon = solver.add_com_polygon_constraint(corners, margin)
-            polygon.configure("inside", "hard" if firmly else "soft", _INSIDE_WEIGHT)
-        else:
-            where = np.array([*goal.place, 0.0])
-            if goal.by_base:
-                self._place = solver.add_position_task(robot.base, where)
-            else:
-                self._place = solver.add_com_task(where)
-            self._place.mask.set_axises("xy")
-            self._place.configure("place", "hard")
-        if apart:
-            least = goal.task.self_clearance or 0.0
-            avoid = solver.add_avoid_self_collisions_constraint()
-            avoid.self_collisions_margin = least
-            avoid.self_collisions_trigger = least + _TRIGGER
-            avoid.configure("apart", "soft", _APART_WEIGHT)
-        self._loops = None
-        if robot.closure is not None:
+        elif isinstance(constraint, Loops):
             nothing = np.zeros((0, robot.nq)), np.zeros(0)
-            self._loops = solver.add_joint_space_half_spaces_constraint(*nothing)
-            self._loops.configure("loops", "hard")
-        # Decides between configurations that place the feet equally well; too small to move a foot.
-        solver.add_regularization_task(1e-9)
+            loops = self._loops = solver.add_joint_space_half_spaces_constraint(*nothing)
+            loops.configure("loops", "hard")
 
     def aim(self, goal: Goal) -> None:
         """Takes the goal's numbers, and its joint limits, which are the wrapper's."""
@@ -113,7 +102,7 @@ class Tasks:
             self._orientation.R_world_frame = goal.task.rotation()
         if goal.height != before.height:
             self._height.target_world = np.array([0.0, 0.0, goal.height])
-        if self._place is not None and goal.place is not before.place:
+        if goal.place is not before.place:
             self._place.target_world = np.array([*goal.place.tolist(), 0.0])
 
     def bind(self, qpos: Array, q: Array) -> None:
@@ -132,8 +121,7 @@ class Tasks:
         """Has the tasks look at where PlaCo's robot is: of itself each does before a programme."""
         for _, foot in self.feet:
             foot.update()
-        if self._place is not None:
-            self._place.update()
+        self._place.update()
 
     def miss(self) -> float:
         """Returns how far the feet are from where they shall be, at most (m), by the last look."""
@@ -143,6 +131,4 @@ class Tasks:
     def error(self) -> float:
         """Returns the sum of squares of what feet and com, or base, are off (m^2), likewise."""
         error: float = sum([foot.error_norm() ** 2 for _, foot in self.feet])
-        if self._place is not None:
-            error += self._place.error_norm() ** 2
-        return error
+        return error + float(self._place.error_norm() ** 2)

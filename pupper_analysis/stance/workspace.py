@@ -14,8 +14,8 @@ from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Shapes, shapes_of
 from pupper_analysis.stance.com_reach import moves_com
+from pupper_analysis.stance.context import context_of
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.search import follow
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -175,8 +175,8 @@ def _reached(
             stand = stand_at(robot, start, direction, value)
         else:
             goal = goal_of(robot, _task_at(robot, start, direction, value), {})
-            shapes = shapes_of(robot) if start.task.self_clearance is None else Shapes(robot)
-            found = follow(shapes, goal, near)
+            with context_of(robot) as context:
+                found = follow(context, goal, near)
             if found is None:
                 return None
             stand = found

@@ -7,15 +7,13 @@ of a study do, differ in numbers alone: these can be set in place.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Hashable, Sequence
+from collections.abc import Hashable
 
 import numpy as np
 import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
-from pupper_analysis.files import readable
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.robot import Robot
@@ -49,23 +47,6 @@ class Wrapper:
         if hasattr(self, "placo"):
             self._spare.append(self.placo)
 
-    def take_shapes(
-        self, shapes: Sequence[pin.GeometryObject], pairs: Collection[tuple[str, str]]
-    ) -> None:
-        """Gives PlaCo shapes, and says between which links it shall look at distances.
-
-        Args:
-            shapes: The shapes; their ``parentFrame`` is PlaCo's.
-            pairs: Names of two links each.
-        """
-        model = self.placo.collision_model
-        for old in [shape.name for shape in model.geometryObjects]:
-            model.removeGeometryObject(old)
-        for shape in shapes:
-            model.addGeometryObject(shape)
-        with readable(json.dumps(sorted(pairs)).encode()) as file:
-            self.placo.load_collision_pairs(str(file))
-
 
 def _load(robot: Robot) -> placo.RobotWrapper:
     """Has PlaCo read a robot's URDF, without shapes: no file is needed."""
@@ -89,7 +70,7 @@ def _leave_names_to_links(model: pin.Model) -> None:
 
 def _structure(model: pin.Model) -> Hashable:
     """Returns what cannot be changed in place: joints, their axes and order, and links' names."""
-    axes = tuple(joint.createData().S.tobytes() for joint in list(model.joints)[1:])
+    axes = tuple(tuple(joint.createData().S.ravel().tolist()) for joint in list(model.joints)[1:])
     kinds = tuple(joint.shortname() for joint in list(model.joints)[1:])
     links = tuple(
         (frame.name, int(frame.parentJoint))

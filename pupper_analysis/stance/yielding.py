@@ -14,9 +14,9 @@ import pinocchio as pin
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import Point
-from pupper_analysis.stance.tasks import TASK_TOLERANCE
 
 _YIELD = 5e-5
 """Soles give way by less (m): a tenth of what feet sink in, and no more."""

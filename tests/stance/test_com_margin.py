@@ -9,11 +9,10 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.stance.clearance import shapes_of
-from pupper_analysis.stance.nearest import nearest
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.optimize.space import StanceSpace
 from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.search import search
+from pupper_analysis.stance.search import nearest, search
 from pupper_analysis.stance.sunk import loaded_stand
 from pupper_analysis.stance.workspace import base_workspace, stand_at
 from tests.support.engines import mujoco_at
@@ -151,8 +150,8 @@ def test_the_least_miss_of_the_feet_is_with_the_margin() -> None:
     robot, missed = load("v3"), []
     for margin in (0.0, 0.02, 0.025):
         task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
-        goal, shapes = goal_of(robot, task, {}), shapes_of(robot)
-        found = nearest(shapes, goal, search(shapes, goal).qpos)
+        goal, context = goal_of(robot, task, {}), Context(robot)
+        found = nearest(context, goal, search(context, goal).qpos)
         com = mujoco_at(robot, found.qpos).body(robot.mj_base).subtree_com
         sides = ConvexHull(goal.contacts[:, :2]).equations
         assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7

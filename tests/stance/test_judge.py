@@ -10,7 +10,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.kinematics import Kinematics
-from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import measure
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.solver import Solver
@@ -71,7 +72,7 @@ def test_nothing_that_is_not_finite_is_judged() -> None:
     spoilt = stand_of("v3").qpos.copy()
     spoilt[9] = np.nan  # one leg's: the other feet are in place
     with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
-        measure(shapes_of(robot), goal_of(robot, None, {}), spoilt, 0)
+        measure(Shapes(robot), goal_of(robot, None, {}), spoilt, 0)
 
 
 def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
@@ -87,9 +88,10 @@ def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
 def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
     """Where they come to a stand; otherwise each of them is looked at after all, to the bit."""
     robot, straight = load(name), 0
+    context = Context(robot)
     home = robot.home[robot.nq - robot.nu :]
     for task in some_tasks(robot, 40):
-        solver = Solver(shapes_of(robot), goal_of(robot, task, {}))
+        solver = Solver(context, goal_of(robot, task, {}))
         point = solver.run(home)
         watched = solver._watched(solver.begin(home, solver.goal.place), [])
         assert point.iterations == watched.iterations
@@ -107,7 +109,7 @@ def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
 
 def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
     robot = load("v3")
-    shapes, home = shapes_of(robot), robot.home[7:]
+    context, home = Context(robot), robot.home[7:]
     tasks = [
         pa.StandTask(),
         pa.StandTask(height=0.11),
@@ -119,9 +121,9 @@ def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
     for index in np.random.default_rng(0).integers(0, len(tasks), 30):
         goal = goal_of(robot, tasks[index], {})
         for joints in (home, home + 0.1):
-            found = Solver(shapes, goal).begin(joints, goal.place)
-            expected = Solver(Shapes(robot), goal).begin(joints, goal.place)
+            found = Solver(context, goal).begin(joints, goal.place)
+            expected = Solver(Context(robot), goal).begin(joints, goal.place)
             np.testing.assert_array_equal(found, expected)
             if not goal.by_base:
-                com = shapes.wrapper.com_world()[:2]
+                com = context.wrapper.com_world()[:2]
                 np.testing.assert_allclose(com, goal.place, atol=1e-15)

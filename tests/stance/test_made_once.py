@@ -10,7 +10,7 @@ import shapely
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.stance.clearance import Shapes, shapes_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.solver import Solver
 from pupper_analysis.statics.support_polygon import com_margin
@@ -33,8 +33,8 @@ def test_tasks_that_were_aimed_elsewhere_solve_as_new_ones(name: str) -> None:
     robot = load(name)
     goals = [goal_of(robot, task, {}) for task in tasks(robot)]
     start = stand_of(name).joint_positions(robot)
-    expected = [Solver(Shapes(robot), goal).run(start) for goal in goals]
-    shared = shapes_of(robot)
+    expected = [Solver(Context(robot), goal).run(start) for goal in goals]
+    shared = Context(robot)
     solvers = [Solver(shared, goal) for goal in goals]  # all alive at once
     for index in np.random.default_rng(0).permutation(3 * len(goals)) % len(goals):
         found = solvers[index].run(start)

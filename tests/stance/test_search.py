@@ -15,7 +15,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.clearance import shapes_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.search import meet
 from pupper_analysis.stance.stand import stand_statics
@@ -432,8 +432,8 @@ def test_feet_in_place_and_a_clear_ground_are_had_at_once() -> None:
     stand = pa.solve_stand(robot, task, explain=False)
     assert stand.ground_clearance is not None
     asked = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
-    shapes, goal = shapes_of(robot), goal_of(robot, asked, {})
-    found = meet(shapes, goal, stand.qpos)
+    goal = goal_of(robot, asked, {})
+    found = meet(Context(robot), goal, stand.qpos)
     assert found is not None
     assert found.ground_clearance is not None
     assert found.ground_clearance.distance >= asked.ground_clearance - 1e-9

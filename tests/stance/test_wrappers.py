@@ -12,7 +12,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance import wrappers
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.wrappers import Wrapper
 from tests.support.legged import quadruped
 from tests.support.variants import load
@@ -57,9 +57,10 @@ def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(wrappers, "_spare", {})
     monkeypatch.setattr(wrappers, "_load", counted)
+    monkeypatch.setattr("pupper_analysis.robot.lent._MOST_SPARE", 0)  # of each robot asked last
     for scale in np.linspace(0.9, 1.1, 8):
         robot = pa.load_variant(pa.VariantSpec("v3", float(scale)))
-        Shapes(robot)
+        Context(robot)
         pa.solve_stand(robot, pa.StandTask(self_clearance=0.0))
     assert len(read) == 1
 
@@ -83,8 +84,8 @@ def test_nobody_has_what_another_holds() -> None:
     robot = load("v3")
     held = [Wrapper(robot) for _ in range(3)]
     assert len({id(one.placo) for one in held}) == 3
-    shapes = Shapes(robot)
-    assert all(shapes.wrapper is not one.placo for one in held)
+    context = Context(robot)
+    assert all(context.wrapper is not one.placo for one in held)
     first = held[0].placo
     del held[0]
     assert Wrapper(robot).placo is first

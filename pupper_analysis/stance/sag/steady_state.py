@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import math
-import threading
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -17,6 +15,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
+from pupper_analysis.robot.lent import lent
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
@@ -344,9 +343,7 @@ def pose_at(way: Way, margin: float) -> SteadyState:
     )
 
 
-@functools.lru_cache(maxsize=8)
-def _data_of(robot: Robot, _thread: int) -> mujoco.MjData:
-    """Returns data that belong to one thread; what is asked of them depends on qpos alone."""
+def _data_of(robot: Robot) -> mujoco.MjData:
     return mujoco.MjData(robot.mj_model)
 
 
@@ -372,12 +369,12 @@ def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tupl
         diagnose("joint-beyond-limit", subject=("joint", robot.joint_names[i]))
         for i in np.flatnonzero(beyond)
     ]
-    data = _data_of(robot, threading.get_ident())
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_kinematics(robot.mj_model, data)
-    mujoco.mj_comPos(robot.mj_model, data)
-    mujoco.mj_collision(robot.mj_model, data)
-    others = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
+    with lent(robot, _data_of) as data:  # what is asked of them depends on qpos alone
+        robot.mj_convention.set_state(data, qpos)
+        mujoco.mj_kinematics(robot.mj_model, data)
+        mujoco.mj_comPos(robot.mj_model, data)
+        mujoco.mj_collision(robot.mj_model, data)
+        others = contact.bodies_on_ground(robot.mj_model, data, robot.foot_geoms)
     failures += [
         diagnose("body-touches-ground", subject=("body", body), time=None)
         for body in sorted(others)
