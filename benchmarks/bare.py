@@ -191,8 +191,8 @@ def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray,
 
 
 def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
-    config, shapes = pa.Configuration(robot, stand.qpos), Shapes(robot)
-    wrapper = shapes.wrapper
+    config, context = pa.Configuration(robot, stand.qpos), Context(robot)
+    wrapper = context.wrapper
     wrapper.state.q = robot.pin_convention.q(stand.qpos)
     wrapper.update_kinematics()
     solver = placo.DynamicsSolver(wrapper)
@@ -206,7 +206,7 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
         if kind == "minimum tangential":
             contact.weight_forces, contact.weight_tangentials = 1.0, 1e6
     solver.torque_cost = 1.0 if kind == "minimum torque" else 0.0
-    kept = solver, shapes  # which the solver does not keep itself
+    kept = solver, context  # which the solver does not keep itself
 
     def bare() -> np.ndarray:
         result = kept[0].solve(False)

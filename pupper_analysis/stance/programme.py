@@ -18,7 +18,7 @@ from scipy import linalg
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.constraints import TOUCHING, Constraint, constraints_of
+from pupper_analysis.stance.constraints import Constraint, constraints_of
 from pupper_analysis.stance.demands import is_angle, numbers_of, range_of, with_numbers
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.task import StandTask
@@ -99,6 +99,7 @@ class Programme:
         goal: What is asked.
         demands: Which demands may give.
         without: Constraints that are left out, by name.
+        allowed: How much nearer than they shall parts may come (m).
     """
 
     def __init__(
@@ -108,6 +109,7 @@ class Programme:
         demands: Sequence[str] = (),
         *,
         without: Collection[str] = (),
+        allowed: float = 0.0,
     ) -> None:
         robot = self._robot = shapes.robot
         self._shapes, self._goal, self._demands = shapes, goal, tuple(demands)
@@ -117,8 +119,7 @@ class Programme:
         kept = [one for one in own if one.name not in without]
         self._constraints: list[Constraint] = sorted(kept, key=lambda one: not one.equal)
         self._unit = robot.stand_height
-        # What the judge takes for touching may be all that is left; a limit is stated without it.
-        self._allowed = 0.0 if demands else TOUCHING / 2
+        self._allowed = allowed
         numbers = [(d, number) for d in demands for number in numbers_of(robot, goal.task, d)]
         self._fields = [demand for demand, _ in numbers]
         self._keys = [number.key for _, number in numbers]

