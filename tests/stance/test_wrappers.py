@@ -38,7 +38,7 @@ def stands(robot: pa.Robot) -> list[list[float]]:
 def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, whoever had it before: no mass, length or limit is left behind."""
     monkeypatch.setattr(wrappers, "_spare", {})
-    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)
+    monkeypatch.setattr("pupper_analysis.robot.lent._MOST_SPARE", 0)
     expected = []
     for robot in designs():
         wrappers._spare.clear()
