@@ -57,6 +57,10 @@ has slid."""
 SAME = 0.01
 """Share of the largest torque within which the file does as predicted: a verified stand's."""
 
+ALIKE = 0.1
+"""Of a keyframe's angles: a ctrl that is off by less, leads for the weight, is of angles. Torques
+of as many joints are not by chance."""
+
 SAME_HEIGHT = 1e-3
 """Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
 
@@ -133,13 +137,16 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         keyframes: Of those of these that it has, the first is taken.
 
     Returns:
-        What it does; None if it has no keyframe, no free base, or no servos at most joints.
+        What it does; None if it has no keyframe, no free base, or no servos at most joints: motors
+        that nothing controls let all fall. Unless the keyframe commands them angles.
     """
     model = bare.model
     names = {model.key(key).name or f"keyframe {key + 1}": key for key in range(model.nkey)}
     name = next((name for name in keyframes if name in names), None)
     holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
-    if name is None or not bare.floating or 2 * holding < len(bare.drives):
+    if name is None or not bare.floating:
+        return None
+    if 2 * holding < len(bare.drives) and not _commands_angles(model, names[name]):
         return None
     key, data = names[name], mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, key)
@@ -165,6 +172,15 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         collapses=motion.collapses,
         joint_error=float(np.abs(end.qpos[places] - pose).max()),
     )
+
+
+def _commands_angles(model: mujoco.MjModel, key: int) -> bool:
+    """Tells whether a keyframe's ctrl are its joints' angles: of servos, whatever it has."""
+    hinged = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
+    places = model.jnt_qposadr[model.actuator_trnid[hinged, 0]]
+    angles = model.key_qpos[key, places] * model.actuator_gear[hinged, 0]
+    off = float(np.linalg.norm(model.key_ctrl[key, hinged] - angles))
+    return bool(off < ALIKE * float(np.linalg.norm(angles)))
 
 
 def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:

@@ -232,3 +232,17 @@ def test_no_slip_that_makes_it_fall_is_said_to_hold(tmp_path: Path, name: str) -
     for seed in range(3):
         lost, holds, said = slip_holds(tmp_path, name, seed)
         assert not (lost > FALLS and holds), (seed, lost, said)
+
+
+def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:
+    """Servos that have lost their gains are motors, which the keyframe tells 0.6 and -1.2 N m."""
+    pair = legged.quadruped(tmp_path, floor=True)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is None  # nothing is said of what its motors shall do
+    angles = " ".join(["0 0.6 -1.2"] * 4)
+    text = pair.mjcf.read_text().replace('name="home"', f'name="home" ctrl="{angles}"')
+    pair.mjcf.write_text(text)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    assert robot.own_run is not None
+    assert robot.own_run.collapses
+    assert study_stance(robot, pa.StandTask()).verdict.code is VerdictCode.OWN_DRIVES_FAIL
