@@ -79,7 +79,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     """
     lines, seen = skeleton(robot, stand.qpos), standing(robot, stand, statics)
     figure = style.page_figure(f"{robot.name}: how it stands", 0.6 * style.WIDTH)
-    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; the contact forces that last"
+    text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=style.FONT, va="top")
     _draw_in_space(figure, lines, stand, seen)
     _draw_from_above(figure, lines, stand, seen, statics)

@@ -1,0 +1,79 @@
+"""Takes the pictures of the live page and of a report anew, in chromium.
+
+    python docs/take_pictures.py
+
+Needs the groups ``browser`` and ``test`` of pyproject.toml, chromium, and a font with Chinese. Look
+at what it writes.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+from playwright.sync_api import Browser, sync_playwright
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.live.export import link
+from pupper_analysis.live.server import Page
+from pupper_analysis.live.state import parse
+from pupper_analysis.pupper.live import Variants
+
+IMAGES = Path(__file__).resolve().parent / "images"
+OPTIONS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
+STATE = "height:128;pitch:-3;lift:FL,25;place:inside;com_margin:10;slope:7"
+PATIENCE = 120_000.0
+"""ms: without graphics hardware a picture takes seconds."""
+
+
+def live(browser: Browser, path: Path) -> None:
+    """The live page: v3 on three legs, uphill, and the simulated robot beside it."""
+    served = Page(Variants(pa.VARIANTS["v3"]))
+    page = browser.new_page(viewport={"width": 1240, "height": 840})
+    page.set_default_timeout(PATIENCE)
+    page.goto(link(served.address.removeprefix("http://").rstrip("/"), parse(STATE)))
+    page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
+    page.get_by_text("leg_back_l_3").first.wait_for()
+    page.locator("[role=tab]", has_text="MuJoCo").first.click()
+    page.get_by_role("button", name="Simulate", exact=True).first.click()
+    page.get_by_text("Play again").first.wait_for()
+    time.sleep(20.0)  # the motion is played to its end
+    page.locator("[role=tab]", has_text="Stance").first.click()
+    time.sleep(5.0)
+    page.screenshot(path=path)
+    page.close()
+    served.close()
+
+
+def report(browser: Browser, path: Path) -> None:
+    """The report of v3's stand: its verdict, its view, and a joint whose axis is lit up."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "report.html"
+        robot = pa.load_variant("v3")
+        pa.write_report(study_stance(robot, pa.StandTask()), file, robots=[robot])
+        page = browser.new_page(viewport={"width": 1100, "height": 900})
+        page.set_default_timeout(PATIENCE)
+        page.goto(file.as_uri())
+        joint = page.get_by_role("button", name="leg_front_r_3", exact=True).first
+        heading = page.get_by_text("The stand in three dimensions").first
+        heading.evaluate("element => window.scrollTo(0, element.offsetTop - 90)")
+        joint.hover()
+        time.sleep(5.0)
+        page.screenshot(path=path)
+        page.close()
+
+
+def main() -> None:
+    """Writes both pictures."""
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=OPTIONS)
+        report(browser, IMAGES / "report_v3.png")
+        live(browser, IMAGES / "live_v3.png")
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
