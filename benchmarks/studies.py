@@ -184,7 +184,7 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
         f"Statics and sag of v3 on {workers} processes: {each:.0f} ms of processor a design",
         size=FONT + 1,
     )
-    save(figure, Path(__file__).parents[1] / "docs" / "study_growth.png")
+    save(figure, Path(__file__).parents[1] / "build" / "study_growth.png")
 
 
 def batched(count: int) -> None:
@@ -317,7 +317,7 @@ def finding() -> None:
     pareto_figure(
         stands,
         {"leg_scale": "max", "total_mass": "max"},
-        Path(__file__).parents[1] / "docs" / "study_front.png",
+        Path(__file__).parents[1] / "docs" / "images" / "study_front.png",
         by="kp",
         title="The longest legs and the heaviest v3 that stay up on their servos",
         labels={

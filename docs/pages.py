@@ -50,7 +50,7 @@ def write(site: Path, language: str) -> None:
         "results.md": result_fields(words, language),
     }
     if language == "en":
-        pages |= command_pages() | api_pages() | table_pages()
+        pages |= {"commands.md": command_page()} | api_pages() | table_pages()
     for old in folder.rglob("*.*"):
         if old.relative_to(folder).as_posix() not in pages:
             old.unlink()
@@ -136,23 +136,18 @@ def result_fields(words: Mapping[str, Any], language: str) -> str:
 # --------------------------------------------------------------------------------- command line
 
 
-def command_pages() -> dict[str, str]:
-    """Returns a page for each command, and their list."""
+def command_page() -> str:
+    """Returns the page of all commands, each with its help and its options."""
     commands = cli.group.commands
-    pages = {f"commands/{name}.md": _command(name, command) for name, command in commands.items()}
-    lines = [f"# {WORDS['en']['commands']}", ""]
-    for name, command in commands.items():
-        lines.append(f"- [`{name}`](commands/{name}.md): {command.get_short_help_str(100)}")
-    lines += ["", WORDS["en"]["commands-about"], ""]
-    return pages | {
-        "commands.md": "\n".join(lines) + "\n" + _toctree([f"commands/{name}" for name in commands])
-    }
+    lines = [f"# {WORDS['en']['commands']}", "", WORDS["en"]["commands-about"], ""]
+    parts = (_command(name, command) for name, command in commands.items())
+    return "\n".join(lines) + "\n" + "\n".join(parts)
 
 
 def _command(name: str, command: click.Command) -> str:
     context = click.Context(command, info_name=f"pupper-analysis {name}")
     usage = " ".join(command.collect_usage_pieces(context))
-    parts = [f"# {name}", f"```text\npupper-analysis {name} {usage}\n```"]
+    parts = [f"## {name}", f"```text\npupper-analysis {name} {usage}\n```"]
     for paragraph in re.split(r"\n\s*\n", command.help or ""):
         lines = [line.strip("\b") for line in paragraph.splitlines()]
         text = "\n".join(line.strip() for line in lines if line.strip())
@@ -260,18 +255,22 @@ def _unmarked(line: str) -> str:
 
 
 def table_pages() -> dict[str, str]:
-    """Returns a page for each file of ``docs/data``, and their list.
+    """Returns a page for each group of tables of ``docs/data``, and their list.
 
-    ``tables.toml`` has of each a title, what it says and the command that measures it.
+    ``tables.toml`` has the groups, and of each table a title, what it says and the command that
+    measures it.
     """
-    tables = tomllib.loads((DATA / "tables.toml").read_text("utf-8"))
+    groups = tomllib.loads((DATA / "tables.toml").read_text("utf-8"))
     pages = {}
-    for name, table in tables.items():
-        with (DATA / f"{name}.csv").open(encoding="utf-8", newline="") as file:
-            header, *rows = csv.reader(file)
-        text = f"# {table['title']}\n\n{table['about']}\n\n"
-        if "command" in table:
-            text += f"```sh\n{table['command']}\n```\n\n"
-        pages[f"tables/{name}.md"] = text + _table(header, [map(_plain, row) for row in rows])
+    for group, tables in groups.items():
+        parts = [f"# {tables.pop('title')}"]
+        for name, table in tables.items():
+            with (DATA / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+                header, *rows = csv.reader(file)
+            parts += [f"## {table['title']}", table["about"].strip()]
+            if "command" in table:
+                parts.append(f"```sh\n{table['command']}\n```")
+            parts.append(_table(header, [map(_plain, row) for row in rows]))
+        pages[f"tables/{group}.md"] = "\n\n".join(parts)
     first = f"# {WORDS['en']['tables']}\n\n{WORDS['en']['tables-about']}\n\n"
-    return pages | {"tables.md": first + _toctree([f"tables/{name}" for name in tables])}
+    return pages | {"tables.md": first + _toctree([f"tables/{name}" for name in groups])}

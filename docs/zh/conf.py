@@ -6,10 +6,12 @@ import logging
 import runpy
 from pathlib import Path
 
+import jieba
+
 globals().update(runpy.run_path(str(Path(__file__).resolve().parents[1] / "conf.py")))
 
 language = "zh_CN"
 exclude_patterns: list[str] = []
-logging.getLogger("jieba").setLevel(logging.WARNING)  # it tells that it loads its dictionary
+jieba.setLogLevel(logging.WARNING)  # it tells that it loads its dictionary
 templates_path = ["../_templates"]
 html_context = {"other_language": ("English", "../index.html")}
