@@ -6,7 +6,7 @@ import hypothesis
 import pytest
 
 import pupper_analysis as pa
-from tests.support.durations import Recorder, mark_slow
+from tests.support.durations import Recorder, mark
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
 
@@ -42,7 +42,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Marks what is slow, before any are chosen by their marks."""
-    mark_slow(items)
+    mark(items)
 
 
 @pytest.fixture(scope="session", params=NAMES)

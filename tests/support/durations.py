@@ -1,8 +1,11 @@
-"""How long each test takes, as it was recorded, and which of them are slow because of it.
+"""How long each test takes, as it was recorded, and which cases are slow or longest because of it.
 
 `make durations` runs the tests and writes ``tests/durations.json``: seconds of processor of each
 test function, all its cases together, with what they start. A fixture that several share is paid
 by all of them alike; what nobody has recorded is quick. Nobody marks a test as slow by hand.
+
+Of a function's cases as many are quick as fit into `SLOW` seconds together, spread over all;
+beyond `LONGEST` they wait for the longest stage. So nearly every function has a case in each stage.
 """
 
 from __future__ import annotations
@@ -18,8 +21,11 @@ import pytest
 
 FILE = Path(__file__).resolve().parents[1] / "durations.json"
 
-SLOW = 0.3
-"""Seconds of processor from which a function is slow: what is left takes a minute of two cores."""
+SLOW = 0.2
+"""Seconds of processor of a function's quick cases: all take a minute of two cores together."""
+
+LONGEST = 3.0
+"""Seconds of its cases that are not among the longest: CI's clone is done in ten minutes."""
 
 LEAST = 0.05
 """What takes less is not written down: it changes from run to run."""
@@ -43,13 +49,27 @@ def recorded() -> dict[str, dict[str, float]]:
     return json.loads(FILE.read_text()) if FILE.exists() else {}
 
 
-def mark_slow(items: list[pytest.Item]) -> None:
-    """Marks what is slow by the record, or the longest by hand."""
+def _order(count: int) -> list[int]:
+    """Cases in an order whose beginning is spread over all, by the golden ratio."""
+    return sorted(range(count), key=lambda place: place * (5**0.5 - 1) / 2 % 1)
+
+
+def mark(items: list[pytest.Item]) -> None:
+    """Marks what is slow, or among the longest, by the record; the longest are slow, too."""
     seconds = recorded()
+    functions: dict[tuple[str, str], list[pytest.Item]] = defaultdict(list)
     for item in items:
-        file, name = function_of(item.nodeid)
-        if item.get_closest_marker("longest") or seconds.get(file, {}).get(name, 0.0) >= SLOW:
+        if item.get_closest_marker("longest"):
             item.add_marker(pytest.mark.slow)
+        else:
+            functions[function_of(item.nodeid)].append(item)
+    for (file, name), cases in functions.items():
+        each = seconds.get(file, {}).get(name, 0.0) / len(cases)
+        for rank, place in enumerate(_order(len(cases)), 1):
+            if rank * each > SLOW:
+                cases[place].add_marker(pytest.mark.slow)
+            if rank * each > LONGEST:
+                cases[place].add_marker(pytest.mark.longest)
 
 
 class Recorder:
