@@ -30,7 +30,6 @@ def run(script: str, *arguments: str, cwd: Path | None = None) -> subprocess.Com
     )
 
 
-@pytest.mark.slow
 def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -> None:
     result = run(
         "analyze_variant.py",
@@ -79,7 +78,6 @@ def test_analyze_prints_every_part_and_writes_figures_and_json(tmp_path: Path) -
     assert content["variants"]["v3-heavy"]["verified"] is True
 
 
-@pytest.mark.slow
 def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     page = answer("analyze", "v3", "v3-long-leg", "--no-figures", folder=tmp_path)
     assert page.returncode == 0
@@ -103,7 +101,6 @@ def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     assert both.stderr == "error: -v, -q: give one of them, or none\n"
 
 
-@pytest.mark.slow
 def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
     result = run(
         "analyze_variant.py",
@@ -119,7 +116,6 @@ def test_analyze_own_variant_in_another_stance(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 def test_write_makes_files_that_load(tmp_path: Path) -> None:
     folder = tmp_path / "models"
     result = run("analyze_variant.py", "v3-long-leg", "--no-figures", "--write", str(folder))
@@ -129,7 +125,6 @@ def test_write_makes_files_that_load(tmp_path: Path) -> None:
     assert model.body_mass.sum() == pytest.approx(3.642)
 
 
-@pytest.mark.slow
 def test_list() -> None:
     result = run("analyze_variant.py", "--list")
     assert result.returncode == 0
@@ -175,7 +170,6 @@ def test_bad_input_is_one_line_and_exit_status_2(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("option", ["--output", "--json"])
 def test_a_place_that_cannot_be_written(option: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
@@ -186,7 +180,6 @@ def test_a_place_that_cannot_be_written(option: str, tmp_path: Path) -> None:
     assert result.stdout == ""
 
 
-@pytest.mark.slow
 def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch) -> None:
     from click.testing import CliRunner
 
@@ -201,7 +194,6 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
     assert "0 of 1 verified" in result.stdout
 
 
-@pytest.mark.slow
 def test_view_headless() -> None:
     result = run("view_pupper.py", "--fixed-base", "--headless")
     assert result.returncode == 0, result.stderr
@@ -209,14 +201,12 @@ def test_view_headless() -> None:
     assert 'data.sensor("body_gyro")' in result.stdout
 
 
-@pytest.mark.slow
 def test_stand_headless() -> None:
     result = run("stand_pupper.py", "--headless")
     assert result.returncode == 0, result.stderr
     assert "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)" in result.stdout
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("script", "arguments"),
     [("stand_pupper.py", ["--headless", "--seconds", "nan"]), ("view_pupper.py", ["--fix"])],

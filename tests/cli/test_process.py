@@ -66,7 +66,6 @@ class Full(io.RawIOBase):
         raise OSError(self.number, os.strerror(self.number))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "status"), some([(errno.ENOSPC, 2), (errno.EIO, 2), (errno.EPIPE, 0)], 2)
 )
@@ -98,7 +97,6 @@ def test_a_stream_that_works_is_written_to() -> None:
     assert not stream.isatty()
 
 
-@pytest.mark.slow
 def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     process = start(
         *COMMAND, "workspace", "v3", "--json", "out.json", "--figure", "out.png", cwd=tmp_path
@@ -113,7 +111,6 @@ def test_a_reader_that_leaves_costs_no_results(tmp_path: Path) -> None:
     assert (tmp_path / "out.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("encoding", some(["ascii", "latin-1", "cp1252"], 3))
 def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
     process = start(
@@ -128,8 +125,6 @@ def test_any_encoding_will_do(encoding: str, tmp_path: Path) -> None:
     assert "\\u" in out or "≤" in out or "±" in out
 
 
-@pytest.mark.slow
-@pytest.mark.slow
 def test_a_result_for_a_closed_standard_output_is_refused(tmp_path: Path) -> None:
     """It would be nowhere; and no file may get the closed stream's number, and what is printed."""
     script = """
@@ -181,7 +176,6 @@ def test_a_signal_is_one_line(
     assert not (tmp_path / "out.json").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.cli.stances"])
 def test_ctrl_c_while_it_is_loaded_is_one_line(module: str, tmp_path: Path) -> None:
     """A signal at a known moment of the start: while a module is imported."""
@@ -285,7 +279,6 @@ def test_what_the_system_lacks_is_no_bug(
         assert said in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_names_that_are_no_text_and_windows_that_are_none(tmp_path: Path) -> None:
     """On Linux a file's name is bytes; an environment may ask for any window."""
     odd = tmp_path / os.fsdecode(b"\xff.urdf")

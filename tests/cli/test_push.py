@@ -62,7 +62,6 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
     assert "it does not stand, so it withstands no push" in out
 
 
-@pytest.mark.slow
 def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     urdf, mjcf = pa.write_variant("heavy", tmp_path / "robot")
     own = ("--urdf", str(urdf), "--mjcf", str(mjcf))
@@ -93,7 +92,6 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     assert "FL_foot lifted 10 mm" in out
 
 
-@pytest.mark.slow
 def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file = tmp_path / "all.json"
     arguments = ("original", "--leg-scale", "1.2", "--json", str(file))

@@ -54,7 +54,6 @@ def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
-@pytest.mark.slow
 def test_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("original", "--at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
@@ -117,7 +116,6 @@ def test_best_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None
     assert "payload at (0, 0, 80) mm" in out
 
 
-@pytest.mark.slow
 def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     csv, npz, file = tmp_path / "way.csv", tmp_path / "way.npz", tmp_path / "all.json"
     output = ("--csv", str(csv), "--npz", str(npz), "--json", str(file))
@@ -225,7 +223,6 @@ BAD = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_line_and_exit_status_2(
     case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

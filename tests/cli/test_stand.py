@@ -26,7 +26,6 @@ from tests.support.commands import check_refusal, run_command
 from tests.support.printing import printed
 
 
-@pytest.mark.slow
 def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("v3", "--swing", "FL=0.02", "--com", "inside", "--com-margin", "0.01")
@@ -109,7 +108,6 @@ def test_a_robot_of_ones_own(capfd: pytest.CaptureFixture[str], tmp_path: Path) 
     assert own_lines[1:] == ours.splitlines()[1:]  # all but the name
 
 
-@pytest.mark.slow
 def test_servos_stiffness_margins_and_a_derived_variant(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -135,7 +133,6 @@ def test_servos_stiffness_margins_and_a_derived_variant(
     assert "nearest links" in out
 
 
-@pytest.mark.slow
 def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
     robot = load_variant("v3-long-leg")
     result = study_stance(robot, StandTask(), kp=4.0, kd=0.1, stiffness=True)
@@ -144,7 +141,6 @@ def test_the_minimum_stiffness_is_found_where_the_given_one_is_less() -> None:
     assert 4.0 < result.minimum_stiffness < 6.0
 
 
-@pytest.mark.slow
 def test_motors_too_weak_are_said_so() -> None:
     """Reached and in balance, but held by no motor of 3 N m."""
     robot = load_variant(VariantSpec(base="v3", torso_mass_scale=12.0))
@@ -186,7 +182,6 @@ BAD = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_one_line_and_exit_status_2(
     case: str, capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -118,7 +118,6 @@ def test_in_a_terminal_each_difference_is_asked_for(
     assert "joint hip1 > limit: effort: 21.0 -> 25" in result.stdout
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("keys", "written"), [("sq", 0), ("q", 0), ("M", 2), ("sU", 1), ("us", 1), ("ss", 0)]
 )

@@ -84,7 +84,6 @@ def test_every_variant_has_limits_in_every_direction(variant: str) -> None:
     assert len(result.to_dict()["impulses"]) == 4
 
 
-@pytest.mark.slow
 def test_left_and_right_are_alike(variant: str) -> None:
     """v3's rear feet are not quite: 90 and 91 mm from its middle."""
     result = pushed(variant)
@@ -92,7 +91,6 @@ def test_left_and_right_are_alike(variant: str) -> None:
     assert result.tipping_estimate[1] == pytest.approx(result.tipping_estimate[3], rel=0.01)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "index"), [("original", 0), ("original", 1), ("v3", 2)])
 def test_limit_in_a_plain_loop(name: str, index: int) -> None:
     result = pushed(name)
@@ -134,7 +132,6 @@ def rigid(friction: float) -> Callable[[mujoco.MjModel], None]:
     return change
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     """The limit goes to the closed form of a rigid body that rolls over two feet."""
@@ -149,7 +146,6 @@ def test_stiff_robot_on_grippy_floor_tips_as_estimated(name: str) -> None:
     np.testing.assert_allclose(result.impulses / result.tipping_estimate, 1.03, atol=0.05)
 
 
-@pytest.mark.slow
 def test_compliance_costs_what_stiffness_keeps() -> None:
     """v3's soft servos fold up long before it would tip."""
     soft = pushed("v3-long-leg")
@@ -164,7 +160,6 @@ def test_compliance_costs_what_stiffness_keeps() -> None:
     assert (stiff.impulses > 1.1 * soft.impulses).all()
 
 
-@pytest.mark.slow
 def test_slippery_floor_lets_it_slide_instead_of_tipping() -> None:
     def ice(model: mujoco.MjModel) -> None:
         model.geom_friction[:, 0] = 0.2
@@ -267,7 +262,6 @@ def test_fixed_base_is_refused() -> None:
 # ------------------------------------------------------------------------------------- figure
 
 
-@pytest.mark.slow
 def test_figure(tmp_path: Path) -> None:
     path = tmp_path / "push.png"
     push_figure({name: pushed(name) for name in ("original", "v3")}, path, tipping="v3")
@@ -292,7 +286,6 @@ def test_bad_figures_are_refused(tmp_path: Path) -> None:
         push_figure({"a": result}, tmp_path / "file" / "push.png")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [
@@ -339,7 +332,6 @@ def test_a_table_has_each_number_under_its_name() -> None:
 # ------------------------------------------------------------------------------------- unpushed
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kd", "stands"), [(5.0, True), (8.0, False)])
 def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
     tmp_path: Path, kd: float, stands: bool
@@ -359,7 +351,6 @@ def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
         assert trial.failure == found.weakest_failure
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
 def test_what_ends_early_ends_as_it_would(name: str) -> None:
     """Around the limits, where robots dwell on two feet; v3-long-leg for seconds."""

@@ -12,7 +12,6 @@ import pupper_analysis as pa
 from tests.support.variants import load, stand_of
 
 
-@pytest.mark.slow
 def test_what_survives_and_what_does_not_is_as_the_search_says() -> None:
     robot, stand = load("original"), stand_of("original")
     found = pa.push_recovery(robot, stand, directions=3, duration=2.0, resolution=0.1)

@@ -35,7 +35,6 @@ BOUNDS = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), some(list(BOUNDS), 3))
 def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     tracking = track_path(load(name), path_of(name, kind))
@@ -51,7 +50,6 @@ def test_mujoco_tracks_a_path(name: str, kind: str) -> None:
     assert tracking.to_dict()["passed"] is True
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", some(["lift", "circle"], 2))
 def test_feet_that_roll_are_where_the_path_has_them(kind: str) -> None:
     """Centres that stay are a wish that friction does not grant."""
@@ -62,7 +60,6 @@ def test_feet_that_roll_are_where_the_path_has_them(kind: str) -> None:
     assert rolling.orientation_error < 0.9 * pinned.orientation_error
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seconds", some([0.4, 1.0, 4.0], 3))
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float) -> None:
@@ -78,7 +75,6 @@ def test_torques_in_motion_are_confirmed_at_any_speed(name: str, seconds: float)
         assert inertia > 4 * tracking.torque_error
 
 
-@pytest.mark.slow
 def test_an_integrators_own_error_is_kept_small() -> None:
     """The skeleton's 4 ms, implicit, are good for standing, and not for a fast path."""
     robot = load("original")
@@ -91,7 +87,6 @@ def test_an_integrators_own_error_is_kept_small() -> None:
     assert explicit.torque_error == pytest.approx(fine.torque_error, abs=0.02)
 
 
-@pytest.mark.slow
 def test_a_time_step_suits_the_servos_damping() -> None:
     """13 N m s/rad made half of the inertia of A1's knees: its fastest squat lost the ground."""
     robot, share = load("original"), []
@@ -107,7 +102,6 @@ def test_a_time_step_suits_the_servos_damping() -> None:
     assert 0.9 * share[0] < share[1] < 0.1
 
 
-@pytest.mark.slow
 def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
     """v3's feet are 4 mm in the ground: on its first command it stays, with 3 % less in knees."""
     robot = benchmark("sag").changed(load("v3"), benchmark("sag").without_dry_friction)
@@ -126,7 +120,6 @@ def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
     assert np.abs(path.torques[0] - held).max() > 0.01 * largest
 
 
-@pytest.mark.slow
 def test_what_fails_is_said() -> None:
     robot = load("v3")
     path = path_of("v3", "lift")
@@ -155,7 +148,6 @@ def fast_sway() -> pa.StancePath:
     return timed_path(robot, geometry, evenly(geometry, 0.6632), friction=friction)
 
 
-@pytest.mark.slow
 def test_feet_that_are_pushed_as_they_roll_creep_as_predicted() -> None:
     """By 1 mm; the simulated feet are within half of that, and would be 1.1 mm off without it."""
     robot, path = load("v3"), fast_sway()
@@ -168,7 +160,6 @@ def test_feet_that_are_pushed_as_they_roll_creep_as_predicted() -> None:
     assert tracking.torque_error < 0.046  # 0.052, when they did not
 
 
-@pytest.mark.slow
 def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
     """Simulated contacts are on its edge while a foot is pushed and rolls; the path's are not out.
 

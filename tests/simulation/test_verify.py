@@ -70,7 +70,6 @@ def test_verification_says_how_it_was_done(variant: str) -> None:
     assert result.height[-1] == pytest.approx(result.base_height, abs=1e-6)
 
 
-@pytest.mark.slow
 def test_feet_carry_the_weight(variant: str) -> None:
     for feedforward in (True, False):
         result = verified(variant, feedforward)
@@ -405,7 +404,6 @@ def test_damping_has_no_part_in_how_fast_soft_servos_buckle() -> None:
     assert found.lasts.tolist() == [[False] * 3, [True] * 3]
 
 
-@pytest.mark.slow
 def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
     robot, stand = load("v3"), stand_of("v3")
     result = pa.sweep_gains(robot, stand)
@@ -531,7 +529,6 @@ def test_the_error_of_a_foot_that_bears_nothing_is_measured_by_the_weight() -> N
     assert not report.passed
 
 
-@pytest.mark.slow
 def test_servos_too_stiff_for_the_time_step_are_said_with_one_that_does() -> None:
     robot, stand = load("v3"), stand_of("v3")
     report = pa.verify_stand(robot, stand, kp=5.0, kd=25.0, integrator="Euler")

@@ -133,7 +133,6 @@ def test_a_failure_map_has_the_reason_where_it_is(table: pd.DataFrame, tmp_path:
     assert bad[0] > bad[1] + 0.3  # red
 
 
-@pytest.mark.slow
 def test_the_other_figures_are_drawn(table: pd.DataFrame, tmp_path: Path) -> None:
     figures.parallel_coordinates(table, ["x", "y", "m"], "m", tmp_path / "parallel.png")
     figures.pareto_figure(table, {"x": "max", "m": "min"}, tmp_path / "front.png")
@@ -163,7 +162,6 @@ POINT = (0.05, 0.02, 0.03)
 TASKS = [pa.StandTask(), pa.StandTask(roll=0.1, pitch=0.08, height=0.12)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS, ids=["nominal", "tilted"])
 def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
     """Central differences of whole designs, stand and equilibrium solved anew."""
@@ -210,7 +208,6 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
 # ----------------------------------------------------------------------------- Sobol's indices
 
 
-@pytest.mark.slow
 def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
     """Of a product of independent factors, in closed form; together they make a share of it."""
     vary = {"kp": pa.uniform(2.0, 8.0), "kd": pa.uniform(0.1, 0.9)}
@@ -470,7 +467,6 @@ def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -
         )
 
 
-@pytest.mark.slow
 def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor) -> None:
     """Masses enter the mass; of motors' strengths only that of the one that is used most."""
     robot = pa.load_variant("v3")

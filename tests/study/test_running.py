@@ -54,7 +54,6 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 # ----------------------------------------------------------------------------- the table
 
 
-@pytest.mark.slow
 def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert len(undisturbed) == 12
     assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
@@ -69,7 +68,6 @@ def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert row["peak_utilisation"] == pytest.approx(statics.motor_utilisation.max(), rel=1e-9)
 
 
-@pytest.mark.slow
 def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
     soft = undisturbed[undisturbed["kp"] == 0.2]
     assert set(soft["failure"]) == {"no equilibrium"}
@@ -82,7 +80,6 @@ def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
     assert others["servo_sag"].notna().all()
 
 
-@pytest.mark.slow
 def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
     threads: Executor, tmp_path: Path
 ) -> None:
@@ -112,7 +109,6 @@ def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Sta
     return robot, pa.solve_stand(robot, pa.StandTask(height=height))
 
 
-@pytest.mark.slow
 def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
     vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.normal(1.0, 1e-3)}
     table = study(vary, "peak_utilisation", study_measures.fails, samples=32).run(
@@ -206,7 +202,6 @@ def counted(seen: list[int]) -> Any:
     return lambda progress: seen.append(progress.done)
 
 
-@pytest.mark.slow
 def test_what_is_there_is_not_done_again(
     undisturbed: pd.DataFrame, tmp_path: Path, threads: Executor
 ) -> None:
@@ -246,7 +241,6 @@ def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> Non
     assert len(table) == table["design"].nunique()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("sole", some([True, False], 2), ids=["boxes", "spheres"])
 def test_a_pair_of_files_as_published(sole: bool, tmp_path: Path, threads: Executor) -> None:
     """Joints of other names, torque motors, no floor: factors are in both of its models."""
@@ -308,7 +302,6 @@ def test_other_files_are_other_designs(tmp_path: Path) -> None:
 HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs more than 4 kg
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
     measure = getattr(study_measures, guilty)
@@ -448,7 +441,6 @@ def test_killed_at_any_moment_it_goes_on(tmp_path: Path) -> None:
         same(pa.read_study(folder), slow_study().run(tmp_path / "other", executor=executor))
 
 
-@pytest.mark.slow
 def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     """The second is refused, in this process and in another; a dead run does not hold it."""
     refusals = []
@@ -488,7 +480,6 @@ def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     assert study({"kp": [5.0]}).execute(tmp_path, executor=threads).there == 1
 
 
-@pytest.mark.slow
 def test_a_full_disk_leaves_whole_shards(
     tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -553,7 +544,6 @@ kp = [0.2, 10]
 """
 
 
-@pytest.mark.slow
 def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     file, folder = tmp_path / "legs.toml", tmp_path / "legs"
     file.write_text(LEGS)

@@ -48,7 +48,6 @@ def agree(files: Files) -> bool:
     return compared.agree and max(compared.deviations.values()) < 1e-9
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize(
     ("link", "values"), some(CHANGES, 3), ids=[str(i) for i in range(len(CHANGES))]
@@ -77,7 +76,6 @@ def test_link_frames_that_are_turned(
                 assert numbers[0] == pytest.approx(numbers[1], rel=1e-11, abs=1e-11)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize(
     ("link", "values"),
@@ -134,7 +132,6 @@ def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) 
         assert [float(word) for word in edit.new.split()] == pytest.approx(list(there), abs=1e-12)
 
 
-@pytest.mark.slow
 def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
     """And what differs beside it is written in the file's own frame."""
     c, s = math.cos(0.15), math.sin(0.15)
@@ -166,7 +163,6 @@ def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
         assert [edit.attribute for edit in result.edits] == ["mass" if side == "urdf" else "value"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 def test_frames_of_an_mjcf_count(tmp_path: Path, side: str) -> None:
     """Bodies, joints and sites in a <frame> state their places in that."""

@@ -259,7 +259,6 @@ def restored(pair: Pair, seed: int) -> str | None:
             file.write_bytes(text.encode())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("model", some(MODELS, 3))
 def test_a_few_mutations_are_undone(model: str, folder: Path) -> None:
     pair = written(model, folder / model)

@@ -88,7 +88,6 @@ def test_files_that_agree_are_left_alone(tmp_path: Path) -> None:
 DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, damping=0.3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("take", "expected"),
     [
@@ -157,7 +156,6 @@ def test_values_can_go_both_ways_at_once(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- forms
 
 
-@pytest.mark.slow
 def test_degrees_and_euler_angles_are_kept(tmp_path: Path) -> None:
     files = pair(tmp_path)
     text = files.mjcf.read_text().replace('angle="radian"', 'angle="degree"')
@@ -180,7 +178,6 @@ def test_degrees_and_euler_angles_are_kept(tmp_path: Path) -> None:
     assert float(limit.new.split()[0]) == pytest.approx(math.degrees(-0.5), rel=1e-15)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stated", "attribute"),
     [
@@ -199,7 +196,6 @@ def test_orientations_in_other_words(tmp_path: Path, stated: str, attribute: str
     assert agree(files)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("inertia", [(0.004, 0.005, 0.0022, 0, 0, 0), (0.005, 0.00525, 0.002) * 2])
 def test_principal_moments_stay_principal_moments(tmp_path: Path, inertia: Any) -> None:
     wanted = changed(ROBOT, "thigh1", inertia=(*inertia[:3], 1e-4, -3e-4, 8e-4))
@@ -286,7 +282,6 @@ def test_what_is_not_there_is_put_in(tmp_path: Path) -> None:
     assert '<mass value="6"/>' in files.urdf.read_text()
 
 
-@pytest.mark.slow
 def test_limits_come_and_go(tmp_path: Path) -> None:
     endless = changed(ROBOT, "thigh2", kind="continuous")
     files = pair(tmp_path, urdf=endless)
@@ -482,7 +477,6 @@ def git(folder: Path, *arguments: str) -> None:
     subprocess.run(["git", *named, *arguments], cwd=folder, check=True, capture_output=True)
 
 
-@pytest.mark.slow
 def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> None:
     files = pair(tmp_path)
     try:
@@ -518,7 +512,6 @@ while True:
 """
 
 
-@pytest.mark.slow
 def test_killed_at_any_moment_a_file_is_the_old_or_the_new(tmp_path: Path) -> None:
     file = tmp_path / "robot.xml"
     contents = {b"1" * 4_000_000, b"2" * 4_000_001}

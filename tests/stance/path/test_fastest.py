@@ -63,7 +63,6 @@ def beyond(robot: pa.Robot, found: pa.FastestPath) -> tuple[float, float, float,
     return tuple(worst)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", some(["v3", "original"], 2))
 def test_it_is_within_the_limits_and_its_own_derivatives(name: str) -> None:
     robot = load(name)
@@ -124,7 +123,6 @@ def test_a_squat_falls_no_faster_than_gravity() -> None:
     assert found.binding.limit is Limit.LIFTING
 
 
-@pytest.mark.slow
 def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     robot, tasks = load("original"), aside("original")
     free = fastest_path(robot, tasks, reserve=0.0).seconds
@@ -205,7 +203,6 @@ def test_mujoco_confirms_the_least_time(name: str, kind: str) -> None:
     assert tracking.torque_error < 0.05
 
 
-@pytest.mark.slow
 def test_what_is_stated_by_default_is_what_mujoco_follows() -> None:
     robot, tasks = load("v3"), stances("v3", "squat")
     found = fastest_path(robot, tasks)

@@ -57,7 +57,6 @@ def path_of(name: str, kind: str, rolling: bool = True) -> StancePath:
     return stance_path(load(name), stances(name, kind), SECONDS[kind], rate=rate, rolling=rolling)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
 @pytest.mark.parametrize("kind", SECONDS)
 @pytest.mark.parametrize("rolling", [False, True])
@@ -102,7 +101,6 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
         np.testing.assert_allclose(stand.qpos, one.qpos, atol=1e-7)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
     """The velocity of the foot's material point at the contact, by differences, is zero."""
@@ -135,7 +133,6 @@ def test_a_squat_rolls_the_feet_by_radius_times_angle() -> None:
         assert rolled[0] == pytest.approx(robot.foot_radius[foot] * turn[1], rel=1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", some(list(SECONDS), 2))
 def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
     path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
@@ -150,7 +147,6 @@ def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
         assert near.min() < 0.2 * acceleration.max()
 
 
-@pytest.mark.slow
 def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
     """From sample to sample they change half as much at twice the rate."""
     jumps = []
@@ -161,7 +157,6 @@ def test_torques_do_not_jump_where_a_foot_gives_its_load_away() -> None:
     assert jumps[1] < 0.1 * np.ptp(path.torques, axis=0).max()
 
 
-@pytest.mark.slow
 def test_finite_differences_shrink_with_the_step_at_a_stance() -> None:
     """Velocity as step^2 and acceleration as step: both are zero in the limit."""
     rates = []
@@ -174,7 +169,6 @@ def test_finite_differences_shrink_with_the_step_at_a_stance() -> None:
     assert rates[1][1] == pytest.approx(rates[0][1] / 2, rel=0.15)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "kind"), [("v3", "circle"), ("original", "lift")])
 def test_velocity_and_acceleration_are_derivatives(name: str, kind: str) -> None:
     """Of a spline of order 7 through qpos, leg by leg: at the stances the jerk is not smooth."""
@@ -248,7 +242,6 @@ def test_a_foot_is_unloaded_before_it_lifts() -> None:
     assert loads[-1] == pytest.approx(loads[0], rel=1e-4)
 
 
-@pytest.mark.slow
 def test_a_lifted_foot_may_land_elsewhere_and_on_a_slope() -> None:
     robot, ground = load("v3"), pa.Ground(slope=0.05, uphill=0.5)
     moved = [
@@ -373,7 +366,6 @@ def test_refusals_name_the_moment() -> None:
         stance_path(robot, [Task(), Task(swing={"XX": 0.01})], 1.0)
 
 
-@pytest.mark.slow
 def test_a_path_keeps_its_clearances() -> None:
     """A knee that comes down to 30 mm, where 35 are asked for."""
     robot = load("v3")

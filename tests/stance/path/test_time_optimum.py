@@ -98,7 +98,6 @@ def test_bounded_speed() -> None:
     assert found.prices["torque"].sum() == pytest.approx(MASS * 1.0 / 20.0, rel=1e-2)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rise", [0.05, 0.15])
 def test_bounded_jerk_where_the_force_is_reached(rise: float) -> None:
     """With t_r = a/j that the acceleration takes to rise: T = t_r + sqrt(t_r^2 + 4 d/a)."""
@@ -107,7 +106,6 @@ def test_bounded_jerk_where_the_force_is_reached(rise: float) -> None:
     assert smooth(20.0, acceleration / rise) == pytest.approx(closed, rel=1e-2)
 
 
-@pytest.mark.slow
 def test_bounded_jerk_alone() -> None:
     """T = (32 d / j)^(1/3), where the force is never reached."""
     assert smooth(1e3, 40.0) == pytest.approx((32 * WAY / 40.0) ** (1 / 3), rel=1e-2)
