@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
 from pupper_analysis.prepare.servo_tuning import suggested_gains
+from pupper_analysis.prepare.visuals import take_visuals_of
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servos
@@ -71,11 +72,16 @@ def with_motors(robot: Robot) -> Robot:
     return rebuilt(robot, mjcf=spec)
 
 
-def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
+def driven(robot: Robot, stand: Stand, original: mujoco.MjSpec) -> tuple[Robot, Array, Array, int]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Of those with which it does, the first with which it is then as predicted: light feet on stiff
     servos may come to rest against each other, in friction, with other torques.
+
+    Args:
+        robot: The robot.
+        stand: Its stand.
+        original: The spec of its file, which says whether it is compiled with what is only seen.
 
     Returns:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
@@ -86,18 +92,20 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
     torques = stand_statics(robot, stand).joint_torques
     stated = {limit.joint: limit for limit in robot.efforts}
 
-    def built(kp: Array, kd: Array, parts: int) -> Robot:
+    def built(parts: int, kp: Array, kd: Array) -> Robot:
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.option.timestep /= parts
+        take_visuals_of(spec, original)
         return rebuilt(robot, mjcf=spec, efforts=stated)
 
-    kp, kd = _kept(robot, own, *suggested_gains(robot, stand, torques, _SAGS[0]))
-    trial = built(kp, kd, 1)
-    timestep = float(trial.mj_model.opt.timestep)
     candidates = [
         (parts, *_kept(robot, own, *suggested_gains(robot, stand, torques, sag, parts)))
         for parts, sag in itertools.product(_FINER, _SAGS)
     ]
+
+    spec = with_servos(robot.description.mjcf, robot, *candidates[0][1:])
+    trial = rebuilt(robot, mjcf=spec, efforts=stated)
+    timestep = float(trial.mj_model.opt.timestep)
 
     def first(*ways: bool) -> Iterator[tuple[int, Array, Array]]:
         """Yields the candidates with which it comes to rest, fed forward or not."""
@@ -110,10 +118,10 @@ def driven(robot: Robot, stand: Stand) -> tuple[Robot, Array, Array, int]:
     for parts, kp, kd in first(False, True):
         resting = resting or (parts, kp, kd)
         if _as_predicted(trial, stand, kp, kd):
-            return built(kp, kd, parts), kp, kd, 2
+            return built(parts, kp, kd), kp, kd, 2
     fed = None if resting else next(first(True), None)
     parts, kp, kd = resting or fed or candidates[0]
-    return built(kp, kd, parts), kp, kd, 2 if resting else int(fed is not None)
+    return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
 
 
 def advice(robot: Robot, stand: Stand) -> Diagnostic | None:

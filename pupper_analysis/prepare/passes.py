@@ -269,7 +269,7 @@ def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     if stand is None:
         return robot, []
     own = own_servos(robot)
-    built, kp, kd, rests = drives.driven(robot, stand)
+    built, kp, kd, rests = drives.driven(robot, stand, mjcf.spec)
     idle = drives.following(robot)
     model = mjcf.model
     made = []

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.prepare import start, touching
-from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -43,7 +42,7 @@ def started(
                 notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
                 if nominal is home:
                     notes.append(diagnose("feet-placed-by-start-pose"))
-                return _kept(tried), notes
+                return _kept(whole, tried), notes
     poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
     bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
@@ -52,7 +51,7 @@ def started(
     if found is None:
         return whole, [diagnose("no-start-pose")]
     height = Quantity(found.stand_height, "m")
-    return _kept(found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
+    return _kept(whole, found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
 
 
 def _at(robot: Robot, joints: Array) -> Robot:
@@ -63,16 +62,21 @@ def _at(robot: Robot, joints: Array) -> Robot:
     return replace(robot, home=qpos, stand_height=height)
 
 
-def _kept(robot: Robot) -> Robot:
-    """Returns the robot with its start pose in its description, so that it lasts."""
-    spec = robot.description.mjcf.copy()
+def _kept(whole: Robot, posed: Robot) -> Robot:
+    """Returns a robot with the start pose of one that is posed, also in its description."""
+    spec = whole.description.mjcf.copy()
     for key in list(spec.keys):
         spec.delete(key)
-    model = robot.mj_model
-    data = mujoco.MjData(model)
-    qpos = robot.home.copy()
-    qpos[:7] = (0.0, 0.0, robot.stand_height, 1.0, 0.0, 0.0, 0.0)
-    robot.mj_convention.set_state(data, qpos)
+    data = mujoco.MjData(whole.mj_model)
+    home = posed.home.copy()
+    home[:7] = (0.0, 0.0, posed.stand_height, 1.0, 0.0, 0.0, 0.0)
+    whole.mj_convention.set_state(data, home)
     spec.add_key(name="home", qpos=data.qpos)
-    nominal = dict(zip(robot.joint_names, robot.nominal.tolist(), strict=True))
-    return rebuilt(robot, mjcf=spec, nominal=nominal)
+    nominal = dict(zip(posed.joint_names, posed.nominal.tolist(), strict=True))
+    return replace(
+        whole,
+        description=replace(whole.description, mjcf=spec, nominal=nominal),
+        home=home,
+        nominal=posed.nominal,
+        stand_height=posed.stand_height,
+    )
