@@ -62,6 +62,8 @@ def take_unknown(
         one = BY_KIND[kind]
         stated = {name: mine[name].stated(one) for name in names if name in mine.keys() & theirs}
         given = {name: float(value) for name, value in stated.items() if value is not None}
+        if kind == "effort":  # of 0 is how a URDF says that it states none
+            given = {name: value for name, value in given.items() if value > 0}
         for name, value in given.items():
             state_number(theirs[name], one, value)
             for model in models if one.mujoco else ():

@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Vector, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -114,6 +114,11 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
         bodies[name] = body
         inertial = inertials.get(name)
         if inertial is not None:
+            if not _is_taken(inertial):
+                told = diagnose(
+                    "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
+                )
+                raise refusal(model.file.place("body", name), told)
             body.explicitinertial = True
             body.mass, body.ipos = inertial.mass, inertial.com
             (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
@@ -149,7 +154,8 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
         added.axis = inverse.rotation @ joint.axis
         if math.isfinite(joint.lower) or math.isfinite(joint.upper):
             added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            added.range = np.clip((joint.lower, joint.upper), -_FAR, _FAR)
+            lower, upper = np.clip((joint.lower, joint.upper), -_FAR, _FAR)
+            added.range = lower, upper + (_NARROW if lower == upper else 0.0)
         for kind in ("armature", "damping", "friction", "spring", "effort"):
             if kind in joint.stated:
                 state_number(added, BY_KIND[kind], joint.stated[kind])
@@ -158,10 +164,14 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 _FAR = 1e6
 """rad, m: where MuJoCo wants two limits, and a joint has one."""
 
+_NARROW = 1e-9
+"""MuJoCo refuses a range from 0 to 0, which converters write of a URDF without a range."""
+
 
 def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
     """Gives a joint of a spec a number, in SI units; an effort is a limit to either side."""
     if attribute.kind == "effort":
+        value = max(value, _NARROW)
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
         joint.actfrcrange = (-value, value)
         return

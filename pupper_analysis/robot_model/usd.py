@@ -108,11 +108,14 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     for name in trees.order:
         above = parents.get(name)
         parent = above[0] if above is not None else None
+        hold = trees.hold(name)
         joints: tuple[Joint, ...] = ()
         if above is not None:
             joints = (_joint(above[1], above[0], name, to_base * poses[above[0]]),)
-        elif not trees.anchored(name):
+        elif hold is None:
             joints = (_free(name, to_base * poses[name]),)
+        elif hold.kind != FIXED:
+            joints = (_joint(hold, "", name, to_base),)
         links[name] = Link(
             name,
             parent,
@@ -134,7 +137,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
         weights,
         tuple(loops),
         {name: _apart(edge, places) for name, edge in edges.items() if all(edge.bodies)},
-        not trees.anchored(base),
+        trees.hold(base) is None,
         Pose(units.up @ poses[base].position, units.up @ poses[base].rotation),
         _gravity(file, units),
         _idle(file, prims, units),
@@ -220,8 +223,10 @@ class _Forest:
             for end in edge.bodies:
                 if end and not edge.outside:
                     self._at[end].append(edge)
-            if not all(edge.bodies) and not edge.outside and edge.kind == FIXED:
-                self._held.setdefault(edge.bodies[0] or edge.bodies[1], edge)
+            if not all(edge.bodies) and not edge.outside:
+                body = edge.bodies[0] or edge.bodies[1]
+                if body not in self._held or edge.kind == FIXED:
+                    self._held[body] = edge
             if all(edge.bodies):
                 self._below[edge.bodies[1]] += 1
         self.order: list[str] = []
@@ -251,9 +256,9 @@ class _Forest:
         self._sizes[root] = len(tree)
         self.order += tree
 
-    def anchored(self, body: str) -> bool:
-        """Says whether a root is fixed to the world."""
-        return body in self._held
+    def hold(self, body: str) -> Edge | None:
+        """Returns the joint between a root and the world; None if it is free."""
+        return self._held.get(body)
 
     def poses(
         self, places: Mapping[str, Placed]
@@ -289,7 +294,7 @@ def _joint(edge: Edge, parent: str, child: str, pose: Pose) -> Joint:
     return Joint(
         name=edge.name,
         kind=edge.kind,
-        parent=parent,
+        parent=parent or "world",
         child=child,
         position=frame.position,
         axis=axis,

@@ -257,13 +257,26 @@ def _stated(
 
 
 def _effort(motor: Any, unit: float) -> float | None:
-    """Returns what a motor of MuJoCo's schema gives at most at its joint; None if without limit."""
-    ends = [motor.GetAttribute(f"mjc:forceRange:{end}").Get() for end in ("min", "max")]
-    if str(motor.GetAttribute("mjc:forceLimited").Get()) == "false" or None in ends:
-        return None
-    gear = motor.GetAttribute("mjc:gear").Get()
-    ratio = abs(float(gear[0])) if gear else 1.0
-    return max(abs(float(written(end))) for end in ends) * ratio * unit or None
+    """Returns what a motor of MuJoCo's schema gives at most at its joint; None if without limit.
+
+    That is its forceRange; or, of a motor without bias, its ctrlRange times its gain.
+    """
+
+    def greatest(name: str) -> float | None:
+        ends = [motor.GetAttribute(f"mjc:{name}Range:{end}").Get() for end in ("min", "max")]
+        if None in ends or str(motor.GetAttribute(f"mjc:{name}Limited").Get()) == "false":
+            return None
+        return max(abs(float(written(end))) for end in ends) or None
+
+    def first(name: str) -> float:
+        values = motor.GetAttribute(name).Get()
+        return abs(float(values[0])) if values else 1.0
+
+    limit = greatest("force")
+    if limit is None and str(motor.GetAttribute("mjc:biasType").Get() or "none") == "none":
+        control = greatest("ctrl")
+        limit = None if control is None else control * first("mjc:gainPrm")
+    return None if limit is None else limit * first("mjc:gear") * unit
 
 
 def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:

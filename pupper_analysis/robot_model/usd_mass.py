@@ -58,6 +58,8 @@ class Weighed:
         inertia_made: Whether the inertia is not stated, but follows from the mass.
         axes_made: Whether moments are stated, but not their axes: they are taken to be the body's,
             where USD's own reckoning takes those of the shapes that touch.
+        com_made: Whether the com is not stated, but that of the shapes that touch: not stated is
+            not at the origin.
         newton: (3, 3) What `newton:inertia` states, in the body's axes (kg m^2); None if nothing.
         water: kg of the mass that are of no stated density.
     """
@@ -68,6 +70,7 @@ class Weighed:
     newton: Array | None
     water: float = 0.0
     axes_made: bool = False
+    com_made: bool = False
 
 
 def weigh(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Units) -> Weighed:
@@ -118,12 +121,13 @@ def weigh(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Units) ->
     origin = Origin.STATED if mass > 0 else Origin.WATER if water > 0 else Origin.SHAPES
     factor = mass / whole if mass > 0 else 1.0
     mass, about = whole * factor, about * factor
+    com_made = com is None
     com = middle if com is None else com
     if tensor is None:
         tensor = about + mass * _square(com - middle)
     told = Inertial(mass, com, tensor, origin is Origin.STATED and not made, rounding)
     water = 0.0 if origin is Origin.STATED else water
-    return Weighed(told, origin, made, newton, water, axes_made)
+    return Weighed(told, origin, made, newton, water, axes_made, com_made)
 
 
 def _summed(

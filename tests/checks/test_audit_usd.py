@@ -58,6 +58,21 @@ def test_a_slip_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
     assert found[0].line is None
 
 
+def test_an_unstated_com_is_not_at_the_origin(tmp_path: Path) -> None:
+    """A converter left out a com of (0, 0, 0): then it is the shapes', and the trunk's is off."""
+    changes = (
+        ("point3f physics:centerOfMass = (1, 2, 3)\n", "\n"),
+        ("float3 xformOp:scale = (15, 25, 10)", "float3 xformOp:scale = (15, 25, 10)\n"
+         "double3 xformOp:translate = (0, 5, 0)"),
+        ('["xformOp:scale"]', '["xformOp:translate", "xformOp:scale"]'),
+    )  # fmt: skip
+    found = {
+        one.diagnostic.code: one for one in audit_model(usd.write(tmp_path, *changes)).findings
+    }
+    assert found["com-unstated"].prim == BASE
+    assert str(found["com-unstated"].severity) == "warning"
+
+
 def test_every_rule_of_usd_has_a_test() -> None:
     assert {name for name, rule in RULES.items() if rule.formats == ("usd",)} <= set(SLIPS)
 

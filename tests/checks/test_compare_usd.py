@@ -139,3 +139,15 @@ def test_a_thin_plate_in_single_precision_is_no_impossible_body(tmp_path: Path) 
     urdf = usd.write_urdf(tmp_path, ('iyy="0.01" izz="0.025"', 'iyy="0.01" izz="0.03"'))
     path = usd.write(tmp_path, ("200000, 250000)", "200000, 300000.01)"))
     assert compare_models(urdf, path, configurations=2).agree
+
+
+def test_an_inertia_that_no_body_has_is_refused_at_its_prim(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"leg\.usda:</leg/base/thigh/shank>"):
+        compared(tmp_path, ("(20000, 19000, 2000)", "(20000, 10000, 2000)"))
+
+
+def test_a_range_from_0_to_0_is_a_difference(tmp_path: Path) -> None:
+    """A URDF without a range has none; a converter wrote 0 to 0, which holds the joint."""
+    zero = (("lowerLimit = -30", "lowerLimit = 0"), ("upperLimit = 60", "upperLimit = 0"))
+    kinds = {one.kind for one in compared(tmp_path, *zero).differences}
+    assert kinds == {"lower limit", "upper limit"}

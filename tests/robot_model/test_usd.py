@@ -272,3 +272,38 @@ def test_what_no_engine_can_take_is_refused(
     with pytest.raises(ModelError, match=r"leg\.usda:</leg/") as refused:
         model(usd.write(tmp_path, change))
     assert refused.value.diagnostic.values["problem"].code in (code, "usd-body-scaled-unevenly")
+
+
+MOTOR = """
+        def MjcActuator "motor"
+        {
+            rel mjc:target = </leg/joints/hip>
+            uniform double mjc:ctrlRange:min = -20000000
+            uniform double mjc:ctrlRange:max = 20000000
+            uniform double[] mjc:gear = [3]
+        }
+
+        def PhysicsFixedJoint "ankle"
+"""
+
+
+def test_of_several_limits_of_an_effort_the_least_counts(tmp_path: Path) -> None:
+    """Of a drive 12 N m; of MuJoCo's motor 2 N m before a gear of 3."""
+    change = ('def PhysicsFixedJoint "ankle"', MOTOR.strip())
+    assert model(usd.write(tmp_path, change)).joints["hip"].effort == pytest.approx(6.0)
+
+
+def test_a_hinge_on_the_world_is_the_first_joint_of_its_tree(tmp_path: Path) -> None:
+    mine = model(
+        usd.write(
+            tmp_path,
+            ("rel physics:body0 = </leg/base>", "rel physics:body0 = </leg>"),
+            ("localPos0 = (10, 20, 0)", "localPos0 = (1, 2, 3)"),
+        )
+    )
+    assert mine.base == "thigh"
+    assert not mine.floating
+    (hip,) = mine.links["thigh"].joints
+    assert (hip.kind, hip.parent, hip.upper) == ("hinge", "world", pytest.approx(math.pi / 3))
+    assert np.allclose(mine.mount.position, (0.01, -0.03, 0.02))  # y up: z is -y
+    assert [joint.kind for joint in mine.links["base"].joints] == ["free"]

@@ -21,6 +21,9 @@ CONTRADICTION = 1e-3
 GAP, TURN = 1e-3, math.radians(1.0)
 """How far the frames of a joint may be apart (m, rad): prims may stand at rounded numbers."""
 
+OFF = 1e-4
+"""m: a com that is not stated may be so far from the origin, where it may have been meant."""
+
 SATURATED = math.radians(2.0)
 """A drive that is at its limit when its joint is off by less is stiff, or of another unit (rad).
 
@@ -73,6 +76,11 @@ def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
             )
             severity = None if shapes else Severity.WARNING
             yield Found(robot.link_tag, name, told, severity=severity)
+        elif stated and weighed.com_made and inertial is not None:
+            away = float(np.linalg.norm(inertial.com))
+            if away > OFF:
+                told = diagnose("com-unstated", away=Quantity(away, "m"))
+                yield Found(robot.link_tag, name, told, severity=Severity.WARNING)
         elif weighed.axes_made and inertial is not None and np.ptp(inertial.moments) > 0:
             yield Found(robot.link_tag, name, diagnose("principal-axes-unstated"))
 
