@@ -22,7 +22,7 @@ import click
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.checks.audit.registry import RULES
+from pupper_analysis.checks.audit.registry import FORMATS, RULES
 from pupper_analysis.diagnostics.catalogue import LINED
 from pupper_analysis.report.formats import visible
 
@@ -96,7 +96,7 @@ def audit_rules(words: Mapping[str, Any], language: str) -> str:
     rows = []
     for rule in RULES.values():
         said = rule.chinese if language == "zh" else vars(rule)
-        where = ", ".join(name.upper() for name in rule.formats)
+        where = "all" if rule.formats == FORMATS else ", ".join(rule.formats).upper()
         words_of = (_plain(said[key]) for key in ("title", "why", "todo"))
         rows.append((f"`{rule.id}`", str(rule.severity), where, *words_of))
     return f"# {words['rules']}\n\n{words['rules-about']}\n\n" + _table(words["rule-columns"], rows)

@@ -17,6 +17,7 @@ from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import Cause, causes
 from pupper_analysis.checks.shares import shares
 from pupper_analysis.checks.states import check_states
+from pupper_analysis.checks.words import with_names_of_models
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.conventions import Conventions
@@ -29,6 +30,7 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.usd_file import is_usd
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot_model.as_mjcf import read_usd_as_mjcf
+from pupper_analysis.robot_model.as_urdf import read_usd_as_urdf
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""
@@ -112,9 +114,11 @@ def compare_models(
 ) -> Comparison:
     """Compares a URDF with an MJCF of the same robot, and explains how they differ.
 
+    A USD (UsdPhysics) may stand in the place of either.
+
     Args:
-        urdf: Path of the URDF.
-        mjcf: Path of the MJCF.
+        urdf: Path of the URDF, or a USD.
+        mjcf: Path of the MJCF, or a USD.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: its folder}, for ``package://`` paths.
         feet: Frames, by their names in the MJCF, that count as feet; by default all frames that
@@ -136,12 +140,13 @@ def compare_models(
 
     Raises:
         ModelError: If a file cannot be read, or the two cannot be matched.
+        MissingPackageError: If one is a USD, and usd-core is not installed.
         UnknownNameError: If a name is not in its file.
         ConfigurationError: If an argument is out of its range.
     """
     check_states(configurations, seed)
     tolerances = tolerances or Tolerances()
-    urdf_file, mjcf_file = read_urdf(urdf, packages), _second(mjcf)
+    urdf_file, mjcf_file = _first(urdf, packages), _second(mjcf)
     matched = match(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
@@ -201,6 +206,11 @@ def compare_models(
     )
 
 
+def _first(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:
+    """Reads the first file: a URDF, or what stands for one."""
+    return read_usd_as_urdf(Path(path)) if is_usd(Path(path)) else read_urdf(path, packages)
+
+
 def _second(path: str | Path) -> MjcfFile:
     """Reads the second file: an MJCF, or what stands for one."""
     return read_usd_as_mjcf(Path(path)) if is_usd(Path(path)) else read_mjcf(path)
@@ -227,9 +237,15 @@ def _placed(
 ) -> Iterator[Difference]:
     """Yields the differences, and names that are another, with where they stand."""
     one, two = matched.sources(urdf, mjcf)
+    usds = {
+        term: Term("the USD")
+        for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
+        if is_usd(file.path)
+    }
     for difference in (*explanation.differences, *(_name(*pair) for pair in names.items())):
         yield replace(
             difference,
+            diagnostic=with_names_of_models(difference.diagnostic, usds),
             urdf_place=one.place(difference.kind, difference.element).path,
             mjcf_place=two.place(difference.kind, difference.element).path,
             made_of=shares(difference, one, two),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, bound, diagnose
+from pupper_analysis.frozen import FrozenDict
 
 Array = NDArray[np.float64]
 
@@ -40,6 +42,20 @@ FORMATS = ModelNames(Term("the URDF"), Term("the MJCF"), alike=False)
 
 VERSIONS = ModelNames(Term("the old file"), Term("the new file"), alike=True)
 """Two files of one format."""
+
+
+def with_names_of_models(told: Diagnostic, names: Mapping[str, Term]) -> Diagnostic:
+    """Returns a difference with other names of the models, {name: other name}."""
+
+    def renamed(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return tuple(renamed(one) for one in value)
+        if isinstance(value, Diagnostic):
+            return with_names_of_models(value, names)
+        return names.get(str(value), value) if isinstance(value, Term) else value
+
+    values = {key: renamed(value) for key, value in told.values.items()}
+    return replace(told, values=FrozenDict(values)) if names else told
 
 
 def pair(one: float, two: float, unit: str) -> dict[str, Any]:

@@ -198,7 +198,7 @@ def match(
     parts = [] if complete else take_off(sides, paths, ways, pairs)
     models = whole, whole if joined else mjcf.compile()
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
-    unstated = {} if strict else take_unstated(root, spec, mjcf.path)
+    unstated = {} if strict else take_unstated(root, spec, mjcf.path, urdf.unknown, pairs)
     frames = common_frames(root, spec, wanted)
     for foot in feet:
         if foot not in frames:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
@@ -16,14 +17,29 @@ from pupper_analysis.robot_model.as_mjcf import state_number
 
 
 def take_unstated(
-    root: etree._Element, spec: mujoco.MjSpec, source: Path
+    root: etree._Element,
+    spec: mujoco.MjSpec,
+    source: Path,
+    unknown: Mapping[str, tuple[str, ...]],
+    pairs: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
     """Gives a URDF's joints the MJCF's damping and dry friction where it states none, in place.
+
+    Args:
+        root: The URDF, with the MJCF's names of joints.
+        spec: The MJCF.
+        source: Its file.
+        unknown: What the URDF leaves open, see `UrdfFile.unknown`: its efforts become the MJCF's.
+        pairs: {joint in the URDF's file: in the MJCF}.
 
     Returns:
         {``damping`` or ``friction``: the joints that were given it}.
     """
     theirs = mjcf_tree(spec, source).joints
+    effort = BY_KIND["effort"]
+    for name in (pairs.get(name, name) for name in unknown.get("effort", ())):
+        if name in theirs and math.isfinite(theirs[name].effort):
+            UrdfTree(root).joints[name].state(effort, theirs[name].effort)
     optional = [one for one in PASSIVE if one.in_both]
     given: dict[str, list[str]] = {one.kind: [] for one in optional}
     for name, joint in UrdfTree(root).joints.items():

@@ -41,6 +41,8 @@ class UrdfFile:
         root: The parsed XML, without comments; ``sourceline`` is an element's line.
         packages: Folders of packages, for ``package://``.
         notes: What was assumed on reading.
+        unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
+            for a file of another format that can leave open what a URDF takes for none.
     """
 
     path: Path
@@ -48,6 +50,7 @@ class UrdfFile:
     root: etree._Element = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict)
     notes: tuple[Diagnostic, ...] = ()
+    unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @cached_property
     def tree(self) -> UrdfTree:

@@ -75,12 +75,8 @@ def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
     file = read_usd(path)
     model = read_usd_model(file)
     spec = mjspec_of(model)
-    notes = (diagnose("usd-compared-as-mjcf", file=path.name), *model.notes, *_notes(model))
-    moving = [joint for joint in model.joints.values() if joint.moves]
-    unknown = {
-        kind: tuple(joint.name for joint in moving if kind not in joint.stated)
-        for kind in ("effort", "damping", "friction")
-    }
+    notes = (diagnose("usd-compared-as-mjcf", file=path.name), *model.notes, *notes_of(model))
+    unknown = {kind: unstated(model, kind) for kind in ("effort", "damping", "friction")}
     return UsdAsMjcf(
         path=path,
         spec=spec,
@@ -90,6 +86,11 @@ def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
         _model=compile_spec(spec.copy(), path),
         usd=file,
     )
+
+
+def unstated(model: UsdModel, kind: str) -> tuple[str, ...]:
+    """Returns the joints of which a number is not known."""
+    return tuple(n for n, joint in model.joints.items() if joint.moves and kind not in joint.stated)
 
 
 def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
@@ -280,7 +281,7 @@ def _quaternion(rotation: Array) -> Array:
     return quaternion
 
 
-def _notes(model: UsdModel) -> Iterator[Diagnostic]:
+def notes_of(model: UsdModel) -> Iterator[Diagnostic]:
     """Yields what a comparison rests on that the file does not state."""
     water = [name for name, one in model.weights.items() if one.water > 0]
     if water:

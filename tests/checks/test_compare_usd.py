@@ -151,3 +151,29 @@ def test_a_range_from_0_to_0_is_a_difference(tmp_path: Path) -> None:
     zero = (("lowerLimit = -30", "lowerLimit = 0"), ("upperLimit = 60", "upperLimit = 0"))
     kinds = {one.kind for one in compared(tmp_path, *zero).differences}
     assert kinds == {"lower limit", "upper limit"}
+
+
+def test_a_usd_stands_in_the_place_of_either_file(tmp_path: Path) -> None:
+    """As a URDF and as an MJCF it is written by two writers, of which neither reads the other's."""
+    old = usd.write(tmp_path, name="old.usda")
+    assert compare_models(old, usd.write(tmp_path), configurations=2).agree
+    change = ("centerOfMass = (0, 0, -10)", "centerOfMass = (0, 1, -10)")
+    found = compare_models(old, usd.write(tmp_path, change), configurations=2)
+    (difference,) = found.differences
+    assert (difference.kind, difference.element) == ("com", "hip")
+    assert difference.urdf_place == f"{old}:<{THIGH}>"
+    assert difference.mjcf_place == f"{tmp_path / 'leg.usda'}:<{THIGH}>"
+    assert difference.urdf == pytest.approx((0, 0, -0.1))
+    assert "in the USD" in difference.message
+
+
+def test_frames_of_urdf_links_are_at_their_joints(tmp_path: Path) -> None:
+    """A joint may be anywhere on a USD's body: of a URDF's link it is the origin."""
+    moved = (
+        ("localPos0 = (10, 20, 0)", "localPos0 = (10, 20, -3)"),
+        ("localPos1 = (0, 0, 0)", "localPos1 = (0, 0, -3)"),
+    )
+    old = usd.write(tmp_path, *moved, name="old.usda", after='"hip"')
+    found = compare_models(old, usd.write(tmp_path, *moved, after='"hip"'), configurations=2)
+    assert found.agree
+    assert max(found.deviations.values()) < 1e-9

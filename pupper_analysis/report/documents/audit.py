@@ -6,7 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
+from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity
+from pupper_analysis.checks.audit.registry import FORMATS
 from pupper_analysis.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build
@@ -136,6 +137,10 @@ def _findings(audit: Audit) -> doc.Table:
     )
 
 
+def _formats(rule: Rule) -> doc.Cell:
+    return text("all-formats") if rule.formats == FORMATS else doc.Name(", ".join(rule.formats))
+
+
 def rules_table() -> doc.Table:
     """Returns all rules."""
     return doc.Table(
@@ -150,7 +155,7 @@ def rules_table() -> doc.Table:
             (
                 doc.Name(rule.id),
                 word(str(rule.severity)),
-                doc.Name(", ".join(rule.formats)),
+                _formats(rule),
                 rule_words(rule.id, "title"),
             )
             for rule in RULES.values()

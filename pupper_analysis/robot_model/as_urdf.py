@@ -1,0 +1,145 @@
+"""A robot model as a URDF in memory: what compares files compares it, and names its own places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+
+from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
+from pupper_analysis.models.usd_file import UsdFile, read_usd
+from pupper_analysis.models.xml import to_text
+from pupper_analysis.robot_model.as_mjcf import notes_of, unstated
+from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link
+from pupper_analysis.robot_model.pose import Array, Pose
+from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
+
+FAR = 1e6
+"""m: the limit of a slide that has none, which a URDF cannot say."""
+
+
+@dataclass(frozen=True, eq=False)
+class UsdAsUrdf(UrdfFile):
+    """A USD that can be asked what a URDF is asked.
+
+    Attributes:
+        usd: The file, to whose prims the places lead.
+    """
+
+    usd: UsdFile | None = None
+
+    def place(self, kind: str, name: str, child: str | None = None) -> Place:
+        """Finds a prim; see `UsdFile.place`."""
+        assert self.usd is not None
+        return self.usd.place(kind, name, child)
+
+
+def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
+    """Reads a USD as a URDF of the same numbers.
+
+    Raises:
+        ModelError: If it cannot be read, or says what no URDF can.
+        MissingPackageError: If usd-core is not installed.
+    """
+    file = read_usd(path)
+    model = read_usd_model(file)
+    root = urdf_of(model)
+    made = urdf_from(path, to_text(root), root, {})
+    notes: list[Diagnostic] = [diagnose("usd-compared-as-urdf", file=path.name), *model.notes]
+    notes += notes_of(model)
+    if model.loops:
+        notes.append(diagnose("usd-loops-left-out", joints=[edge.name for edge in model.loops]))
+    unknown = {"effort": unstated(model, "effort")}
+    if unknown["effort"]:
+        notes.append(diagnose("usd-efforts-unknown", joints=unknown["effort"]))
+    told = (*notes, *(note for note in made.notes if note.code != "effort-or-velocity-unstated"))
+    return UsdAsUrdf(path, made.text, made.root, {}, told, unknown, file)
+
+
+def urdf_of(model: UsdModel) -> etree._Element:
+    """Writes a model as a URDF: links, joints and inertials of the base's tree; no shapes.
+
+    Raises:
+        ModelError: If a joint moves in a way that no URDF's joint does.
+    """
+    root = etree.Element("robot", name=model.file.path.stem)
+    names = [model.base, *(link.name for link in model.descendants(model.base))]
+    # A URDF's joint is at the origin of the link that it moves: the frames are put there.
+    poses = {name: _frame(model.links[name], name == model.base) for name in names}
+    for name in names:
+        link = model.links[name]
+        root.append(_link(link, poses[name].inverse() * link.pose))
+        if name == model.base:
+            continue
+        for joint in link.joints:
+            if joint.kind in (BALL, FREE):
+                place = model.file.place("joint", joint.name)
+                raise refusal(place, diagnose("usd-joint-of-several-axes"))
+            outer = poses[str(link.parent)]
+            root.append(_joint(model, joint, outer.inverse() * poses[name], poses[name]))
+    return root
+
+
+def _frame(link: Link, base: bool) -> Pose:
+    joints = [joint for joint in link.joints if joint.moves]
+    return Pose(joints[0].position, link.pose.rotation) if joints and not base else link.pose
+
+
+def _link(link: Link, pose: Pose) -> etree._Element:
+    """Returns a <link>, of the body's pose in it."""
+    element = etree.Element("link", name=link.name)
+    if link.inertial is not None:
+        inertial = etree.SubElement(element, "inertial")
+        _origin(inertial, Pose(pose.point(link.inertial.com)))
+        etree.SubElement(inertial, "mass", value=repr(float(link.inertial.mass)))
+        tensor = pose.rotation @ link.inertial.inertia @ pose.rotation.T
+        numbers = {name: repr(float(tensor[at])) for name, at in INERTIA_ENTRIES.items()}
+        etree.SubElement(inertial, "inertia", numbers)
+    return element
+
+
+def _joint(model: UsdModel, joint: Joint, place: Pose, frame: Pose) -> etree._Element:
+    """Returns a <joint>, of where it is in its parent, and of its frame in the base's."""
+    endless = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
+    kinds = {HINGE: "continuous" if endless else "revolute", SLIDE: "prismatic", FIXED: "fixed"}
+    element = etree.Element("joint", name=joint.name, type=kinds[joint.kind])
+    etree.SubElement(element, "parent", link=joint.parent)
+    etree.SubElement(element, "child", link=joint.child)
+    _origin(element, place)
+    if not joint.moves:
+        return element
+    etree.SubElement(element, "axis", xyz=_text(frame.rotation.T @ joint.axis))
+    stated: Mapping[str, float] = joint.stated
+    if not (endless and joint.kind == HINGE):
+        ends = np.clip((joint.lower, joint.upper), -FAR, FAR)
+        stated = {**stated, "lower limit": float(ends[0]), "upper limit": float(ends[1])}
+    for one in JOINT_ATTRIBUTES:
+        if one.urdf is not None and one.kind in stated:
+            tag, word = one.urdf
+            found = element.find(tag)
+            found = etree.SubElement(element, tag) if found is None else found
+            found.set(word, repr(float(stated[one.kind])))
+    mimic = model.edges[joint.name].mimic
+    if mimic is not None:
+        leader, multiplier, offset = mimic
+        numbers = {"multiplier": repr(multiplier), "offset": repr(offset)}
+        etree.SubElement(element, "mimic", {"joint": leader, **numbers})
+    return element
+
+
+def _origin(element: etree._Element, pose: Pose) -> None:
+    turns = pin.rpy.matrixToRpy(pose.rotation)
+    etree.SubElement(element, "origin", xyz=_text(pose.position), rpy=_text(turns))
+
+
+def _text(values: Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
