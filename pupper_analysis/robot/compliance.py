@@ -113,6 +113,8 @@ class GroundLaw:
             near: A penetration that is not far from it (m), to begin with.
         """
         start = -self.margin
+        if not self._first_rate:  # a solref of zeros: nothing pushes back
+            return math.inf if force > 0 else start
         linear = force / self._first_rate
         if force <= 0:
             return start + linear

@@ -9,6 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.robot.impedance import reference
+
 Array = NDArray[np.float64]
 
 
@@ -69,7 +71,7 @@ def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters
     return ContactParameters(
         condim=condim,
         friction=(slide, slide, spin, roll, roll),
-        solref=tuple(float(value) for value in solref),
+        solref=reference(solref),
         solimp=tuple(float(value) for value in solimp),
         margin=float(model.geom_margin[[first, second]].sum()),
     )

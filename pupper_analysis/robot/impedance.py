@@ -16,6 +16,9 @@ _DISTANCES = {
 }
 """Equations of a constraint whose impedance is that at their common length; others have one."""
 
+_DEFAULT_REFERENCE = (0.02, 1.0)
+"""Time constant (s) and damping ratio: MuJoCo's mj_defaultSolRefImp."""
+
 _HALVINGS = 60
 """Of the bounds of an opening: to rounding."""
 
@@ -33,6 +36,17 @@ def bounded(solimp: Iterable[float]) -> tuple[float, ...]:
         min(max(value, mujoco.mjMINIMP), mujoco.mjMAXIMP) for value in (dmin, dmax, midpoint)
     )
     return dmin, dmax, width, midpoint, max(power, 1.0)
+
+
+def reference(solref: Iterable[float]) -> tuple[float, float]:
+    """Returns solref as MuJoCo takes it: one number above zero and one not are its default.
+
+    Two above zero are a time constant and a damping ratio; else they are stiffness and damping.
+
+    Source: MuJoCo's getsolparam in engine_core_constraint.c; it warns.
+    """
+    first, second = (float(value) for value in solref)
+    return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
 
 
 def impeded(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
