@@ -327,12 +327,14 @@ def plain_rich(folder: str, path: str) -> tuple[str, tuple[float, ...]]:
 
 @quiet()
 def moved(text: str) -> tuple[float, ...]:
-    """Returns the state of 0.1 s from the keyframe."""
+    """Returns the state of 0.1 s from the keyframe; none if MuJoCo gives up."""
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    for _ in range(50):
-        mujoco.mj_step(model, data)
+    try:
+        mujoco.mj_step(model, data, 50)
+    except mujoco.FatalError:
+        return ()
     return tuple(data.qpos.tolist())
 
 

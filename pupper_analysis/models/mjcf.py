@@ -139,6 +139,11 @@ def no_number(model: mujoco.MjModel) -> Diagnostic | None:
     lengths = np.linalg.norm(model.jnt_axis, axis=1)
     for joint in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo's are unit vectors, of 1e308 none
         return diagnose("axis-without-direction", subject=("joint", model.joint(joint).name))
+    for kind, field in (("body", "quat"), ("body", "iquat"), ("geom", "quat"), ("site", "quat")):
+        lengths = np.linalg.norm(getattr(model, f"{kind}_{field}"), axis=1)
+        for row in np.flatnonzero(~(lengths > 0.5)):  # MuJoCo makes them 1, but not the least
+            name = getattr(model, kind)(row).name or f"#{row}"
+            return diagnose("quaternion-without-direction", subject=(kind, name), field=field)
     if not (np.abs(model.opt.gravity) <= MAX_NUMBER).all():
         return diagnose("gravity-not-usable", gravity=model.opt.gravity, most=MAX_NUMBER)
     return None

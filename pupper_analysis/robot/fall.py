@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -91,10 +91,14 @@ def base_motion(
         What became of the base, and the data at the end.
     """
     data, seconds = copy.copy(start), OWN_SECONDS
-    advance(data, seconds)
-    if still_moves(model, data, base):
-        advance(data, (LONGER - 1) * seconds)
-        seconds *= LONGER
+    try:
+        advance(data, seconds)
+        if still_moves(model, data, base):
+            advance(data, (LONGER - 1) * seconds)
+            seconds *= LONGER
+    except mujoco.FatalError:  # a contact of shapes without directions, say
+        moved = base_moved(model, start, data, base, ground, seconds)
+        return replace(moved, diverged=True), data
     height = height_of_keyframe(model, start, data, base)
     return base_moved(model, start, data, base, ground, seconds, height), data
 

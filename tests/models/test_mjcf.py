@@ -154,3 +154,21 @@ def test_a_gravity_that_no_number_can_be_is_refused(gravity: str, tmp_path: Path
     )
     with pytest.raises(ModelError, match=r"gravity|number"):
         read_mjcf(path)
+
+
+@pytest.mark.parametrize("tag", ["geom", "body", "inertial"])
+def test_a_turn_without_direction_is_refused(tag: str, tmp_path: Path) -> None:
+    """MuJoCo compiles it, and dies at the first contact, which ended `audit` as a bug."""
+    turn = {tag: 'quat="1e-9 1e-9 1e-9 1e-9"'}
+    path = tmp_path / "robot.xml"
+    path.write_text(
+        '<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>'
+        f'<body name="base" pos="0 0 0.1" {turn.get("body", "")}><freejoint/>'
+        f'<inertial pos="0 0 0" mass="1" diaginertia="1 1 1" {turn.get("inertial", "")}/>'
+        f'<geom type="box" size="0.1 0.1 0.1" {turn.get("geom", "")}/></body></worldbody>'
+        '<keyframe><key name="home" qpos="0 0 0.09 1 0 0 0"/></keyframe></mujoco>'
+    )
+    with pytest.raises(ModelError) as caught:
+        read_mjcf(path)
+    assert caught.value.diagnostic.code == "quaternion-without-direction"
+    assert audit_model(path).counts["error"]

@@ -245,7 +245,10 @@ def by_itself(path: Path, seconds: float = 5.0) -> float:
     start = float(place[2])
     began = data.time
     for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
+        try:
+            mujoco.mj_step(model, data)
+        except mujoco.FatalError:
+            return math.inf
         if math.isnan(touched) and _on_the_ground(model, data):
             touched = float(data.xpos[base][2])
     mujoco.mj_kinematics(model, data)

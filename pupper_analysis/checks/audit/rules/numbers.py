@@ -48,7 +48,7 @@ def quaternion_not_unit(robot: MjcfModel) -> Iterator[Found]:
         quaternion = np.array(element.quat)  # type: ignore[attr-defined]
         length = float(np.linalg.norm(quaternion))
         parts = np.abs(quaternion[quaternion != 0])
-        on_purpose = len(parts) > 0 and np.ptp(parts) < 1e-9 * parts.max()
+        on_purpose = length > 0.5 and np.ptp(parts) < 1e-9 * parts.max()
         if abs(length - 1.0) > 1e-3 and not on_purpose:
             told = diagnose(
                 "quaternion-not-unit",

@@ -275,7 +275,10 @@ def _contacts(
     data.qpos[:] = start.qpos
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    mujoco.mj_collision(model, data)
+    try:
+        mujoco.mj_collision(model, data)
+    except mujoco.FatalError:  # of shapes without directions, which are told
+        return
     for number in range(data.ncon):
         one, other = (int(geom) for geom in data.contact.geom[number])
         if one < 0 or other < 0:
