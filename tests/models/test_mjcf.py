@@ -170,5 +170,5 @@ def test_a_turn_without_direction_is_refused(tag: str, tmp_path: Path) -> None:
     )
     with pytest.raises(ModelError) as caught:
         read_mjcf(path)
-    assert caught.value.diagnostic.code == "quaternion-without-direction"
+    assert caught.value.cause.code == "quaternion-without-direction"
     assert audit_model(path).counts["error"]
