@@ -186,6 +186,30 @@ def test_every_room_has_an_answer_to_where_a_new_thing_goes() -> None:
 GLOSSARY = [row for row in rows("docs/reference/glossary.md") if len(row) == 3]
 
 
+@pytest.mark.parametrize(
+    ("term", "place"),
+    {
+        "rolling feet": "robot/friction.py",
+        "metric": "study/measures.py",
+        "failure": "diagnose(",
+        "friction cone": "statics/cone_program.py",
+        "effort": "models/efforts.py",
+        "solimp": "robot/contact.py",
+        "static stability": "stance/payload/",
+        "armature": "models/conversion.py",
+        "rule of the audit": "checks/audit/rules/catalogue.toml",
+        "translation": "texts.toml",
+        "closed loop": "robot/closure.py",
+        "eigenvalue": "robot/stability.py",
+    }.items(),
+)
+def test_a_search_for_the_fields_term_finds_its_place_first(term: str, place: str) -> None:
+    table = [row for row in rows("docs/explanation/architecture.md") if len(row) == 2]
+    found = next(row for row in table if term in row[0])
+    assert place in found[1]
+    assert (PACKAGE / place).exists() or "/" not in place
+
+
 def test_the_glossary_is_short_and_has_one_entry_per_word() -> None:
     words = [row[0].lower() for row in GLOSSARY]
     assert 20 < len(words) <= 40
