@@ -260,7 +260,7 @@ def main() -> None:
     parser.add_argument("--sample", type=int, default=40, help="mutants of each room")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
     parser.add_argument("--files", type=int, default=6, help="test files, of the nearest, for each")
-    parser.add_argument("--mark", default="not slow", help="which of their tests (pytest -m)")
+    parser.add_argument("--mark", default="not longest", help="which of their tests (pytest -m)")
     parser.add_argument("--least", type=float, default=0.0, help="share killed, or it fails")
     given = parser.parse_args()
     scores: dict[str, Counter[bool]] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -127,3 +128,14 @@ def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
             if not goal.by_base:
                 com = context.wrapper.com_world()[:2]
                 np.testing.assert_allclose(com, goal.place, atol=1e-15)
+
+
+def test_links_that_are_too_near_are_both_named() -> None:
+    stand = pa.solve_stand(load("v3"), pa.StandTask(self_clearance=1e-3))
+    assert stand.self_clearance is not None
+    near = replace(stand, task=pa.StandTask(self_clearance=stand.self_clearance.distance + 0.01))
+    (told,) = near.blocked
+    assert told.code == "links-too-near"
+    named = [told.subject.name, told.values["other"]]
+    assert named == list(stand.self_clearance.links)
+    assert len(set(named)) == 2
