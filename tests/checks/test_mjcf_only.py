@@ -476,6 +476,7 @@ OTHER = {
     "backwards, wrongly": '<joint joint1="hip0" joint2="knee0" polycoef="0.1 2 0 0 0"/>',
     "another joint": '<joint joint1="knee0" joint2="hip1" polycoef="0.1 2 0 0 0"/>',
     "a parabola": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0.1 0 0"/>',
+    "a curve of the fourth order": '<joint joint1="knee0" joint2="hip0" polycoef="0.1 2 0 0 0.1"/>',
 }
 
 
