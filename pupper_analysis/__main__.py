@@ -6,15 +6,34 @@ import os
 import sys
 
 
-def main() -> None:
-    """Runs the command line; Ctrl-C while it is loaded is no traceback either."""
+def main(command: str | None = None) -> None:
+    """Runs the command line; Ctrl-C while it is loaded is no traceback either.
+
+    A package that is not installed is one line and exit status 2: mostly the environment is not
+    activated.
+
+    Args:
+        command: One command of ``pupper_analysis.cli`` by its name; by default the first argument
+            names it.
+    """
     try:
-        from pupper_analysis.cli import main as run
+        from pupper_analysis import cli
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         sys.stderr.flush()
         os._exit(130)
-    run()
+    except ModuleNotFoundError as missing:
+        if (missing.name or "").startswith(__package__ or "pupper_analysis"):
+            raise
+        sys.stderr.write(
+            f"error: {sys.executable} has no package {missing.name}. In a checkout: `make setup`, "
+            "then `source .venv/bin/activate`; else `pip install` the package anew.\n"
+        )
+        sys.exit(2)
+    if command is None:
+        cli.main()
+    else:
+        cli.run(getattr(cli, command))
 
 
 if __name__ == "__main__":

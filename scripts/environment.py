@@ -1,23 +1,19 @@
-"""Runs a command of the package for a script, or says how to get the package."""
+"""Finds the package for the scripts of this folder, whether it is installed or not."""
 
 from __future__ import annotations
 
 import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 
 def run(command: str) -> None:
-    """Runs ``pupper_analysis.cli``'s command; where a package is missing, one line and status 2.
+    """Runs a command; where the environment is not activated, says what to do instead.
 
     Args:
-        command: Its name: ``analyze``, ``drop`` or ``view``.
+        command: Its name in ``pupper_analysis.cli``: ``analyze``, ``drop`` or ``view``.
     """
-    try:
-        from pupper_analysis import cli
-    except ModuleNotFoundError as missing:
-        print(
-            f"error: {sys.executable} has no package {missing.name}. In the repository's folder: "
-            "`make setup`, then `source .venv/bin/activate`; or `uv run python scripts/...`.",
-            file=sys.stderr,
-        )
-        sys.exit(2)
-    cli.run(getattr(cli, command))
+    from pupper_analysis.__main__ import main
+
+    main(command)
