@@ -11,7 +11,7 @@ from pupper_analysis.cli.stance_options import AS_IS, FOUND, files_given, option
 
 
 @click.command(
-    "load", context_settings=shared.CONTEXT, short_help="Load a robot, and tell what was made up."
+    "load", context_settings=shared.CONTEXT, short_help="Load a robot, and tell what was added."
 )
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
@@ -38,7 +38,7 @@ def load(
 ) -> None:
     """Load a robot of your own, and print what its files lack to stand.
 
-    A free base, a level ground, feet, a start pose and position servos are found or made up for, in
+    A free base, a level ground, feet, a start pose and position servos are found, or added, in
     memory: no file is changed. Each is done by a pass; --explain prints them in their order.
 
     \b

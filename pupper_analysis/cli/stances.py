@@ -39,8 +39,8 @@ def stand(
     """Solve a stance; print joint angles, what the motors hold, and whether it lasts.
 
     NAME is a variant (v3 by default); --base, --leg-scale and --torso-mass-scale make others. A
-    robot of your own is a URDF and an MJCF: feet, floor, servos and start pose are found or made
-    up for where the files lack them, and every such thing is printed as a note.
+    robot of your own is a URDF and an MJCF: feet, floor, servos and start pose are found, or
+    added where the files lack them, and every such thing is printed as a note.
 
     Lengths are in m and angles in rad, or have a unit: 20mm, 2cm, 5deg.
 

@@ -128,7 +128,7 @@ def pareto_figure(
         values = sorted(table[by].dropna().unique())
         groups = [(Name(f"{said} {value:g}"), table[table[by] == value]) for value in values]
     x, y = objectives
-    shown = Name(title or f"Designs worth building: {x} against {y}")
+    shown = Name(title or f"Pareto front: {x} against {y}")
     plots = [
         study_plots.front_plot(
             part, pareto_front(part, objectives), objectives, title=shown, labels=labels, name=name
