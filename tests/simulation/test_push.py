@@ -20,7 +20,7 @@ from pupper_analysis.simulation import push
 from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
 from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import place_on_ground
-from tests.support.engines import with_efforts
+from tests.support.engines import mujoco_at, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 
@@ -181,6 +181,26 @@ def test_estimate_is_near_that_of_a_point_mass() -> None:
     pendulum = robot.total_mass * math.sqrt(2 * 9.81 * rise)
     # The inertia about the com, and the part of the push that the hinge takes, make it larger.
     assert pendulum < estimate[0] < 1.35 * pendulum
+
+
+def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
+    """By MuJoCo's bodies: their own inertia, and their distances from the line between two feet."""
+    robot, stand = load("heavy"), stand_of("heavy")
+    config, data = pa.Configuration(robot, stand.qpos), mujoco_at(robot, stand.qpos)
+    com, ground = config.center_of_mass(), config.contact_points()
+    (estimate,) = tipping_impulses(config, com, np.array([[1.0, 0.0]]))
+    one, two = sorted(ground.values(), key=lambda place: -place[0])[:2]
+    hinge = (two - one) / np.linalg.norm(two - one)
+    inertia = 0.0
+    for body in range(1, robot.mj_model.nbody):
+        axes, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - one
+        inertia += robot.mj_model.body_inertia[body] @ (axes.T @ hinge) ** 2
+        inertia += robot.mj_model.body_mass[body] * float(np.sum(np.cross(hinge, arm) ** 2))
+    lever = np.cross(hinge, com - one)
+    height, far = com[2] - one[2] - robot.foot_radius["FL"], one[0] - com[0]
+    energy = robot.total_mass * 9.81 * (math.hypot(height, far) - height)
+    expected = math.sqrt(2 * inertia * energy) / abs(lever[0])
+    assert estimate == pytest.approx(expected, rel=1e-6)
 
 
 # ------------------------------------------------------------------------------------- failures
