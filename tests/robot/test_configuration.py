@@ -100,6 +100,20 @@ def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> 
     np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], omega, atol=1e-7)
 
 
+def test_a_point_that_is_offset_from_a_frame_moves_with_it() -> None:
+    robot, offset = load("v3"), np.array([0.03, -0.05, 0.07])
+    frame, (qpos, qvel) = next(iter(robot.foot_frames.values())), random_state(robot, 5)
+    config = pa.Configuration(robot, qpos)
+    held = config.frame_rotation(frame).T @ offset
+
+    def place(at: np.ndarray) -> np.ndarray:
+        moved = pa.Configuration(robot, at)
+        return moved.frame_position(frame) + moved.frame_rotation(frame) @ held
+
+    velocity = config.frame_jacobian(frame, offset)[:3] @ qvel
+    np.testing.assert_allclose(velocity, rate_along(robot, place, qpos, qvel), atol=1e-7)
+
+
 @given(data=st.data())
 def test_contact_jacobian_follows_the_material_point(
     any_robot: pa.Robot, data: st.DataObject
