@@ -222,7 +222,6 @@ def shaken(parts: Parts, seed: int) -> Parts:
     return result
 
 
-@pytest.mark.slow
 @given(seed=st.integers(0, 10**6), fixed=st.booleans())
 def test_all_differences_taken_away_nothing_is_left(
     tmp_path_factory: pytest.TempPathFactory, seed: int, fixed: bool
@@ -339,7 +338,6 @@ BY_TOLERANCE: dict[str, tuple[str, float, Any]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("strict", [False, True])
 @pytest.mark.parametrize("kind", BY_TOLERANCE)
 def test_each_tolerance_passes_just_below_and_fails_just_above(

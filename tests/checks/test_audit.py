@@ -591,7 +591,6 @@ def test_our_own_models_are_sound(path: Path) -> None:
     assert result.counts["warning"] == 0, [str(finding) for finding in result.findings]
 
 
-@pytest.mark.slow
 def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
     for path in pa.write_variant(variant, tmp_path):
         result = audit_model(path)
@@ -633,7 +632,6 @@ def test_the_tutorials_long_leg_is_found(format: str, tmp_path: Path) -> None:
             assert values[name].value == pytest.approx(expected), name  # type: ignore[union-attr]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "extra",
     [

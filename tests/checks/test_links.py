@@ -158,7 +158,6 @@ def test_a_link_is_found_besides_dropped_products(folder: Path) -> None:
     assert "lidar of 0.02 kg" in the_cause(comparison, "links")
 
 
-@pytest.mark.slow
 def test_no_link_is_blamed_for_another_inertial(folder: Path) -> None:
     """A body that differs at random is no missing link, though its mass be exactly one's."""
     random = np.random.default_rng(5)

@@ -348,7 +348,6 @@ def accelerations(text: str, seed: int) -> np.ndarray:
     return np.array(rows)
 
 
-@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     chosen=st.dictionaries(

@@ -823,7 +823,6 @@ def test_a_joint_that_is_fixed_in_one_file_is_named(tmp_path: Path) -> None:
     assert comparison.complete
 
 
-@pytest.mark.slow
 def test_the_program_says_so_if_a_change_is_missed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,7 +105,6 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
     }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factors", "words"),
     [
@@ -154,7 +153,6 @@ def test_products_of_inertia_that_are_dropped(tmp_path: Path) -> None:
     assert line.startswith("DISAGREE: all products of inertia are 0 in the MJCF, of 9 bodies")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("file", ["URDF", "MJCF"])
 def test_coms_that_are_left_out(file: str, tmp_path: Path) -> None:
     """As in a URDF of a LEAP Hand: each com is its link's origin."""

@@ -108,7 +108,6 @@ def test_trees_that_differ_in_numbers_share_data(written: Written, workspaces: l
     assert len(workspaces) <= 3
 
 
-@pytest.mark.slow
 def test_a_large_robot_is_compared_without_pinocchios_data(
     written: Written, workspaces: list[int]
 ) -> None:
@@ -130,7 +129,6 @@ def test_a_large_robot_is_compared_without_pinocchios_data(
     assert set(edges) == {"models (MuJoCo)", "models (reader)", "readers (URDF)", "extras (MJCF)"}
 
 
-@pytest.mark.slow
 def test_a_large_robot_that_agrees(written: Written) -> None:
     urdf, mjcf = written(60, 4)
     result = pa.compare_models(urdf, mjcf)
@@ -191,7 +189,6 @@ def _calls(work: Callable[[], object]) -> int:
     return count
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("heavier", some([5, 0], 2))
 def test_twice_the_robot_is_twice_the_work(written: Written, heavier: int) -> None:
     one, two = written(52, 4, heavier), written(104, 4, heavier)

@@ -43,7 +43,6 @@ def test_the_centre_is_refused_if_it_is_asked_for(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(com="centre"), explain=False)
 
 
-@pytest.mark.slow
 def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
     """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
     robot = load(planar(quadruped(tmp_path)))
@@ -55,7 +54,6 @@ def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(height=heights.high + 1e-3), explain=False)
 
 
-@pytest.mark.slow
 def test_it_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))
     holds(robot, pa.StandTask(height=0.9 * robot.stand_height))
@@ -81,7 +79,6 @@ def test_legs_of_three_joints_move_the_com(tmp_path: Path) -> None:
     assert pa.solve_stand(robot).task.com == "centre"
 
 
-@pytest.mark.slow
 def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) -> None:
     pair = planar(quadruped(tmp_path))
     for narrow in ("-2.6 -0.4", "-1.5 2.5"):
@@ -95,7 +92,6 @@ def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) 
     holds(robot)
 
 
-@pytest.mark.slow
 def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
     """MuJoCo's friction creeps, by as much as its law says."""
     robot = load(planar(quadruped(tmp_path)))

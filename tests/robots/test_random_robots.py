@@ -50,7 +50,6 @@ def check(seed: int, folder: Path) -> None:
     assert not found or drawn.motors == "position", (seed, drawn.said, found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", QUICK)
 def test_a_random_robot_stands_as_published_or_says_why_not(seed: int, tmp_path: Path) -> None:
     check(seed, tmp_path)

@@ -70,7 +70,6 @@ def _take_off(urdf: ElementTree.Element, mjcf: ElementTree.Element, leg: str) ->
                 parent.remove(child)
 
 
-@pytest.mark.slow
 def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     """Forces pass through the axles, wherever the wheels turned: they hold nothing."""
     files = wheeled(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)

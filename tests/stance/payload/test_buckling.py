@@ -49,7 +49,6 @@ def test_stiffness_is_the_slope_of_the_balance(name: str, slope: float) -> None:
     np.testing.assert_allclose(found[6:], np.array(expected).T[6:], atol=1e-6)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> None:
     """Substituted twice, as the depths under the load change the configuration."""

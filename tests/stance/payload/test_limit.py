@@ -166,7 +166,6 @@ def test_more_torque_carries_more_in_proportion() -> None:
     assert (two + robot.total_mass) / (one + robot.total_mass) == pytest.approx(2.0, rel=0.03)
 
 
-@pytest.mark.slow
 def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
     robot, stand = with_efforts(load("v3"), np.inf), stand_of("v3")
     limit = payload_limit(robot, stand)
@@ -201,7 +200,6 @@ def test_motors_too_weak_for_the_robot_itself() -> None:
 # ------------------------------------------------------------------------------------- servos
 
 
-@pytest.mark.slow
 def test_at_the_servos_limit_the_equilibrium_stops_being_stable() -> None:
     robot, stand = load("v3"), stand_of("v3")
     bound = servo_limit(robot, stand, ON_TOP)
@@ -215,7 +213,6 @@ def test_at_the_servos_limit_the_equilibrium_stops_being_stable() -> None:
     assert stiffness[0] > 0 > stiffness[1]
 
 
-@pytest.mark.slow
 def test_stiffer_servos_carry_more_until_the_motors_saturate() -> None:
     robot, stand = load("v3"), stand_of("v3")
     bounds = [servo_limit(robot, stand, ON_TOP, kp=kp) for kp in (4.0, 8.0, 60.0)]
@@ -249,7 +246,6 @@ def test_a_surprise_is_carried_less_well() -> None:
         payload_limit(robot, stand, command="shout")  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3", "v3-long-leg"])
 def test_first_order_is_near_the_limit(name: str) -> None:
     robot, stand = load(name), stand_of(name)
@@ -290,7 +286,6 @@ def check_by_simulation(
     assert above.failure is limit.failure, (above.where, above.time)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_mujoco_agrees_on_the_limit(name: str) -> None:
     check_by_simulation(load(name), stand_of(name))
@@ -321,7 +316,6 @@ def test_mujoco_agrees_where_motors_bind() -> None:
     assert above.failure is Failure.MOTOR
 
 
-@pytest.mark.slow
 def test_dry_friction_holds_up_what_is_not_stable() -> None:
     """So that a robot which nobody touches proves nothing."""
     robot, stand = load("v3"), stand_of("v3")

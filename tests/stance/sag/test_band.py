@@ -30,7 +30,6 @@ def without_joints(model: object) -> None:
     model.dof_frictionloss[:] = 0  # type: ignore[attr-defined]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3", "v3-heavy"])
 def test_friction_of_any_kind_stays_inside(name: str) -> None:
     """Equilibria with random torques and moments in their sets are between the ends."""
@@ -58,7 +57,6 @@ def test_friction_of_any_kind_stays_inside(name: str) -> None:
     assert max(reached) - min(reached) > 0.2 * (high - low)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", STANDING_V3)
 def test_robots_on_gripping_ground_end_inside_and_near_the_ends(name: str) -> None:
     robot, stand = sag.changed(load(name), sag.gripping), stand_of(name)
@@ -90,7 +88,6 @@ def test_each_kind_of_friction_alone(change: object) -> None:
     assert low < let_up < low + 0.4 * (middle - low)
 
 
-@pytest.mark.slow
 def test_friction_carries_what_does_not_stand_without() -> None:
     robot, stand = sag.changed(load("v3-long-leg"), sag.gripping), stand_of("v3-long-leg")
     band = steady_state_band(robot, stand)
@@ -121,7 +118,6 @@ def test_feedforward_and_stiff_servos_narrow_it() -> None:
     assert middle == pytest.approx(pa.steady_state(robot, stand, feedforward=True).base_height)
 
 
-@pytest.mark.slow
 def test_it_is_refused_where_nothing_holds() -> None:
     robot, stand = load("v3"), stand_of("v3")
     with pytest.raises(pa.NoEquilibriumError, match="not even with friction"):

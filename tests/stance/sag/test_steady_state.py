@@ -136,7 +136,6 @@ def test_nominal_stands(name: str) -> None:
     assert_predicts(pose, run, 1e-6 if name in SKELETON_NAMES else 1e-4)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", some(BASES_FIRST, 6, first=2))
 def test_random_stands(name: str) -> None:
     robot, random, count = load(name), np.random.default_rng(1), 0
@@ -226,7 +225,6 @@ def test_slopes_steps_and_three_legs(name: str, what: str) -> None:
             np.testing.assert_allclose(pose.contact_forces[foot], force, atol=0.25)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["heavy", "v3"])
 def test_creep_in_time(name: str) -> None:
     """Sliding down a slope, and towards the sliding equilibrium on the level."""
@@ -249,7 +247,6 @@ def test_creep_in_time(name: str) -> None:
     assert away[2] < 0.05 * away[0] + 1e-6
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "heavy"])
 def test_feet_slip_as_it_is_let_go_where_that_is_said(name: str) -> None:
     """Against simulations: with margin to spare the height is exact, and below zero it is not."""
@@ -294,7 +291,6 @@ LANDING = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "foot", "height", "kp"), LANDING)
 def test_a_lifted_foot_that_comes_down_carries(
     name: str, foot: str, height: float, kp: float
@@ -418,7 +414,6 @@ def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
     assert pose.base_height == pytest.approx(run.base_height, abs=2e-5)
 
 
-@pytest.mark.slow
 def test_minimum_stiffness_keeps_a_swing_foot_off_the_ground() -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.02)
     kp = minimum_stiffness(robot, stand, tolerance=0.02)
@@ -488,7 +483,6 @@ def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
     assert heights[20] == pytest.approx(pose.base_height, abs=1e-4)
 
 
-@pytest.mark.slow
 def test_minimum_stiffness_of_pinned_feet() -> None:
     robot, stand = load("long-leg"), stand_of("long-leg")
     kp = minimum_stiffness(robot, stand, tolerance=0.05)
@@ -542,7 +536,6 @@ def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -
     assert sum(lost) < 10 * len(lost)  # all took 25 steps
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("torso", [1.0, 3.0, 5.0])
 def test_a_search_that_finds_something_does_not_go_round(
     monkeypatch: pytest.MonkeyPatch, torso: float
