@@ -120,7 +120,8 @@ def _readable(template: str) -> str:
     """Returns a template of the catalogue with its values named, and all that is optional said."""
     text = re.sub(r"\[!?\w+\?([^\[\]]*)\]", r"\1", template)
     text = re.sub(r"\{\w+\|[^{}|]*\|([^{}|]*)\}", r"\1", text)
-    return re.sub(r"\{(\w+)[^{}]*\}", r"⟨\1⟩", text)
+    text = re.sub(r"(?<!\{)\{(\w+)[^{}]*\}(?!\})", r"⟨\1⟩", text)
+    return text.replace("{{", "{").replace("}}", "}")
 
 
 def result_fields(words: Mapping[str, Any], language: str) -> str:

@@ -154,6 +154,7 @@ def test_what_is_generated_is_plain_text(generated: Path) -> None:
     assert pages._readable("{name!r}[limit? beyond {limit:.2f}], {n|foot|feet}") == (
         "⟨name⟩ beyond ⟨limit⟩, feet"
     )
+    assert pages._readable("{given}: write {{values = [1]}}") == "⟨given⟩: write {values = [1]}"
     lines = ["least |f_t| of name_, ``a_``", "code::", "", "    x_ = *y", "so *it*"]
     pages.plain_text(lines)
     assert lines == [
