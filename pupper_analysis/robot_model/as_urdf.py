@@ -73,25 +73,29 @@ def urdf_of(model: UsdModel) -> etree._Element:
     """
     root = etree.Element("robot", name=model.file.path.stem)
     names = [model.base, *(link.name for link in model.descendants(model.base))]
+    poses: dict[str, Pose] = {}
+    if any(joint.moves for joint in model.links[model.base].joints):  # the world holds it so
+        etree.SubElement(root, "link", name="world")
+        poses["world"] = model.mount.inverse()
     # A URDF's joint is at the origin of the link that it moves: the frames are put there.
-    poses = {name: _frame(model.links[name], name == model.base) for name in names}
+    poses |= {name: _frame(model.links[name]) for name in names}
     for name in names:
         link = model.links[name]
         root.append(_link(link, poses[name].inverse() * link.pose))
-        if name == model.base:
-            continue
         for joint in link.joints:
+            if joint.parent not in poses:
+                continue  # a free base has no joint
             if joint.kind in (BALL, FREE):
                 place = model.file.place("joint", joint.name)
                 raise refusal(place, diagnose("usd-joint-of-several-axes"))
-            outer = poses[str(link.parent)]
+            outer = poses[joint.parent]
             root.append(_joint(model, joint, outer.inverse() * poses[name], poses[name]))
     return root
 
 
-def _frame(link: Link, base: bool) -> Pose:
+def _frame(link: Link) -> Pose:
     joints = [joint for joint in link.joints if joint.moves]
-    return Pose(joints[0].position, link.pose.rotation) if joints and not base else link.pose
+    return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 
 
 def _link(link: Link, pose: Pose) -> etree._Element:

@@ -177,3 +177,22 @@ def test_frames_of_urdf_links_are_at_their_joints(tmp_path: Path) -> None:
     found = compare_models(old, usd.write(tmp_path, *moved, after='"hip"'), configurations=2)
     assert found.agree
     assert max(found.deviations.values()) < 1e-9
+
+
+def test_a_base_that_slides_on_the_world_keeps_its_joint(tmp_path: Path) -> None:
+    """A cart on a rail: the world is the first link."""
+    rail = """def PhysicsPrismaticJoint "rail"
+        {
+            rel physics:body1 = </leg/base>
+            uniform token physics:axis = "X"
+            point3f physics:localPos0 = (0, 40, 0)
+            quatf physics:localRot0 = (0.70710677, -0.70710677, 0, 0)
+            float physics:lowerLimit = -100
+            float physics:upperLimit = 100
+        }
+
+        def PhysicsFixedJoint "ankle\""""
+    cart = usd.write(tmp_path, ('def PhysicsFixedJoint "ankle"', rail), name="cart.usda")
+    found = compare_models(cart, cart, configurations=2)
+    assert found.agree
+    assert found.joints == ("rail", "hip", "knee", "spring")

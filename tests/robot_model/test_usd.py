@@ -215,6 +215,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_a_body_weighs_what_usd_itself_reckons(case: str, tmp_path: Path) -> None:
     """Against ``ComputeMassProperties`` of USD, which is told each shape's volume alone."""
+    if case == "a shape that does not touch" and Usd.GetVersion() < (0, 26, 0):
+        pytest.skip("USD once counted what is switched off")
     file = tmp_path / "b.usda"
     file.write_text(body("box", *CASES[case]))
     mine = model(file)
