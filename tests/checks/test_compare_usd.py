@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,27 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.errors import ModelError
 from tests.support import usd
+from tests.support.repository import ROOT
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize(
+    ("converter", "folder"), [("urdf_usd_converter", "urdf"), ("mujoco_usd_converter", "mjcf")]
+)
+def test_what_converters_write_of_our_files_agrees(
+    converter: str, folder: str, tmp_path: Path
+) -> None:
+    """Where they are on the path, from an environment of their own: they want other libraries."""
+    command = shutil.which(converter)
+    if command is None:
+        pytest.skip(f"{converter} is not installed")
+    urdf, mjcf = ROOT / "urdf/pupper_v3.urdf", ROOT / "mjcf/pupper_v3.xml"
+    source = urdf if folder == "urdf" else mjcf
+    subprocess.run([command, str(source), str(tmp_path / "made")], check=True, capture_output=True)
+    (made,) = (tmp_path / "made").glob("*.usd*")
+    for pair in ((urdf, made), (made, mjcf)):
+        found = compare_models(*pair, configurations=2)
+        assert found.agree, [str(one.diagnostic) for one in found.differences]
 
 
 def compared(
