@@ -34,8 +34,8 @@ UPRIGHT = 0.1
 """A robot that leans by more on its servos is not held up by them (rad)."""
 
 _SURE = 0.25
-"""What is below this part of each bound after two seconds is at rest; the spectrum says whether it
-stays so."""
+"""What is below this part of each bound for a second is at rest; the spectrum says whether it stays
+so."""
 
 _LOST = 2.0
 """Feet that have moved by so many times the bound do not come back: friction holds them."""
@@ -128,11 +128,11 @@ def _time_to_forget(stability: Stability) -> float:
 def _settled(held: Standing) -> _Second | None:
     """Simulates a stand until it is at rest; returns its last second, None if it comes to none."""
     model, state = held.drive.model, held.start
-    steps = round(LAST / float(model.opt.timestep))
+    steps = max(2, round(LAST / float(model.opt.timestep)))
     seconds = round((1 - NUDGED) * LASTING / LAST)
     ctrl = np.tile(held.ctrl, (steps, 1))
     data = mujoco.MjData(model)
-    for number in range(1, seconds + 1):
+    for _ in range(seconds):
         states = run(model, state, ctrl)
         state = states[-1]
         if monitor.diverged(states, float(model.opt.timestep)):
@@ -140,7 +140,7 @@ def _settled(held: Standing) -> _Second | None:
         seen = _looked_at(held, data, states)
         if seen.slip > _LOST * STAYED or _collapses(held, state):
             return None
-        if number > 1 and seen.rests(_SURE):
+        if seen.rests(_SURE):
             return seen
     return seen if seen.rests() else None
 

@@ -48,7 +48,7 @@ def test_it_simulates_no_longer_than_it_takes(
 
     monkeypatch.setattr(settling, "run", counted)
     assert comes_to_rest(robot, stand)
-    assert sum(simulated) == pytest.approx(2.0)  # of 5 s in which a stand may settle
+    assert sum(simulated) == pytest.approx(1.0)  # of 5 s in which a stand may settle
     simulated.clear()
     assert not comes_to_rest(robot, stand, feedforward=False, kp=0.05, kd=0.001)
     assert sum(simulated) < 5.0
