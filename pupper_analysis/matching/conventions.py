@@ -208,9 +208,10 @@ def _poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
         yield pin.SE3(two.rotation, two.position) * here.inverse()
     here = np.array([first.joints[name].position for name in names])
     there = np.array([second.joints[name].position for name in names])
-    if first.bodies[first.base].mass and second.bodies[second.base].mass:
-        here = np.vstack([here, first.bodies[first.base].com])
-        there = np.vstack([there, second.bodies[second.base].com])
+    bases = [values.bodies[values.base] for values in (first, second)]
+    if all(base.mass and np.isfinite(base.com).all() for base in bases):
+        here = np.vstack([here, bases[0].com])
+        there = np.vstack([there, bases[1].com])
     # Where bodies have their coms does not depend on where links have their frames.
     coms = [_coms(values, names) for values in (first, second)]
     for chosen in _samples(len(names)):
