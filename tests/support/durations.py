@@ -21,7 +21,7 @@ import pytest
 
 FILE = Path(__file__).resolve().parents[1] / "durations.json"
 
-SLOW = 0.2
+SLOW = 0.12
 """Seconds of processor of a function's quick cases: all take a minute of two cores together."""
 
 LONGEST = 3.0
