@@ -83,8 +83,8 @@ def standing(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
+    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     drive, torques = servos(robot, kp, kd, integrator), prediction.joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques if feedforward else None)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+from weakref import ref
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +27,7 @@ from pupper_analysis.stance.constraints import (
 )
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import margin_inside
 
 Array = NDArray[np.float64]
@@ -79,6 +84,35 @@ class Stand(Result):
     self_clearance: Clearance | None
     iterations: int
     robot: str
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "_statics"}
+
+    @cached_property
+    def _statics(self) -> list[tuple[ref[Robot], str, GravityCompensation]]:
+        return []
+
+    def statics(
+        self, robot: Robot, distribution: str, find: Callable[[], GravityCompensation]
+    ) -> GravityCompensation:
+        """Returns what the motors hold, found once for a robot and a distribution of the forces.
+
+        Args:
+            robot: Whose stand it is.
+            distribution: Which of the feasible contact forces.
+            find: Finds it.
+        """
+        for whose, kind, found in self._statics:
+            if whose() is robot and kind == distribution:
+                return found
+        self._statics.append((ref(robot), distribution, find()))
+        return self._statics[-1][2]
+
+    def of_task(self, task: StandTask) -> Stand:
+        """Returns the same stand as that of another task, which it satisfies as well."""
+        other = replace(self, task=task)
+        other._statics.extend(self._statics)
+        return other
 
     @property
     def blocked(self) -> tuple[Diagnostic, ...]:

@@ -100,12 +100,16 @@ def stand_statics(
         StaticsInfeasibleError: If the stance is reached but cannot be held: it slides or tips.
     """
     stand.check(robot)
-    # Of contacts on level, rigid ground all is known that depends on the robot alone.
-    level = all(normal.tolist() == _UP for normal in stand.normals.values())
-    return gravity_compensation(
-        Configuration(robot, stand.qpos),
-        stand.stance_feet,
-        normals=None if level else stand.normals,
-        depths=stand.depths if any(stand.depths.values()) else None,
-        distribution=distribution,
-    )
+
+    def find() -> GravityCompensation:
+        # Of contacts on level, rigid ground all is known that depends on the robot alone.
+        level = all(normal.tolist() == _UP for normal in stand.normals.values())
+        return gravity_compensation(
+            Configuration(robot, stand.qpos),
+            stand.stance_feet,
+            normals=None if level else stand.normals,
+            depths=stand.depths if any(stand.depths.values()) else None,
+            distribution=distribution,
+        )
+
+    return stand.statics(robot, distribution, find)

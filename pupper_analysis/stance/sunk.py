@@ -122,7 +122,7 @@ def sunk_stand(
             # They are the softer the less they are open: by turns too much and too little.
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
-            return replace(stand, task=asked)
+            return stand.of_task(asked)
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = goal_of(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -125,3 +126,25 @@ def test_a_cell_of_a_sweep_is_what_it_is_alone() -> None:
         for p in kp
     ]
     np.testing.assert_array_equal(grid, alone)
+
+
+def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:
+    robot, found = load("v3"), []
+
+    def counted(*given: object, **named: object) -> pa.GravityCompensation:
+        found.append(named["distribution"])
+        return pa.gravity_compensation(*given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("pupper_analysis.stance.stand.gravity_compensation", counted)
+    stand = pa.solve_stand(robot, pa.StandTask(height=0.11))
+    held = pa.stand_statics(robot, stand)
+    assert pa.stand_statics(robot, stand) is held
+    pa.steady_state(robot, stand)
+    assert len(found) == 1
+    loaded = pa.stand_statics(pa.with_payload(robot, 1.0), stand)
+    assert loaded.joint_torques.tolist() != held.joint_torques.tolist()
+    peak = pa.stand_statics(robot, stand, distribution="minimum peak")
+    assert peak.joint_torques.tolist() != held.joint_torques.tolist()
+    again = pickle.loads(pickle.dumps(stand))
+    np.testing.assert_array_equal(pa.stand_statics(robot, again).joint_torques, held.joint_torques)
+    assert len(found) == 4
