@@ -89,7 +89,7 @@ class Equilibrium:
         per_force = self.units.length / self.units.weight
         self._pliancy, self._give = sole_pliancy(robot, per_force), foot_pliancy(robot, per_force)
         self._giving, self._softer = any(self._give.values()), 1.0
-        self._touch: tuple[object, Touch] | None = None
+        self._touch: tuple[object, Array, Touch] | None = None
         self._rigid = RigidSoles(self._sole, self.frame)
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self._creeps = robot.mj_model.opt.noslip_iterations == 0  # with that solver feet stay
@@ -137,14 +137,14 @@ class Equilibrium:
 
     def touch(self, qpos: Array) -> Touch:
         """Looks at the feet that touch, or has looked at them just now."""
-        key, seen = (tuple(self.anchors.items()), qpos.tobytes()), self._touch
-        if seen is None or seen[0] != key:
+        anchors, seen = tuple(self.anchors.items()), self._touch
+        if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
             config, feet = Configuration(self.robot, qpos), self.robot.feet
             places = config.foot_places(feet)
             own = places[[feet.index(foot) for foot in self.anchors]].reshape(-1, 3)
             touch = Touch(config, self.anchors, own, self.frame, self.depths(places))
-            seen = self._touch = key, touch
-        return seen[1]
+            seen = self._touch = anchors, qpos.copy(), touch
+        return seen[2]
 
     def slips(self, qpos: Array, forces: Array) -> Array:
         """Returns slips from where feet stick, less what they give, and depths (n, 3)."""
