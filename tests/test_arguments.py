@@ -294,3 +294,10 @@ def test_numbers_beyond_measure_are_refused() -> None:
     assert "\n" not in str(refused.value)
     with pytest.raises(pa.ConfigurationError, match="not a mapping of names"):
         pa.Ground(heights={"FL": 0.1}).steps({2: np.zeros(3)})  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize("far", [1000.5, -1000.5])
+def test_lengths_end_a_kilometre_away_on_either_side(far: float) -> None:
+    assert length("height", far / 1.001) == far / 1.001
+    with pytest.raises(pa.ConfigurationError, match="height"):
+        length("height", far)
