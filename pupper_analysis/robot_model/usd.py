@@ -37,6 +37,8 @@ from pupper_analysis.robot_model.usd_shapes import (
     placed,
     shapes_of,
     units_of,
+    value_of,
+    world_matrix,
     written,
 )
 
@@ -90,7 +92,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     units, cache = units_of(file.stage), UsdGeom.XformCache()
     prims = {name: file.stage.GetPrimAtPath(path) for name, path in file.bodies.items()}
     places = {
-        name: placed(file, prim, cache.GetLocalToWorldTransform(prim), units)
+        name: placed(file, prim, world_matrix(file, prim, cache), units)
         for name, prim in prims.items()
     }
     for name, place in places.items():
@@ -151,7 +153,7 @@ def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any
     motors = _motors(file)
     for name, path in file.joints.items():
         prim = file.stage.GetPrimAtPath(path)
-        if prim.GetAttribute("physics:jointEnabled").Get() is False:
+        if value_of(prim, "physics:jointEnabled", "number") is False:
             continue
         bodies, frames = [], []
         for end in (0, 1):
@@ -162,10 +164,10 @@ def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any
                 raise refusal(Place(file.path, None, path), told)
             body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
             if target:
-                matrix = cache.GetLocalToWorldTransform(target)
+                matrix = world_matrix(file, target, cache)
                 place = placed(file, target, matrix, units)
-            position = prim.GetAttribute(f"physics:localPos{end}").Get()
-            rotation = prim.GetAttribute(f"physics:localRot{end}").Get()
+            position = value_of(prim, f"physics:localPos{end}", "point")
+            rotation = value_of(prim, f"physics:localRot{end}", "quaternion")
             frame = place.frame(position, rotation)
             if not body:
                 frame = place.pose * frame
@@ -322,7 +324,7 @@ def _frames(file: UsdFile, body: Any, place: Placed, units: Units, cache: Any) -
         guide = UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide
         empty = prim.GetTypeName() == "Xform" and not prim.GetChildren()
         if guide or empty:
-            world = np.array(cache.GetLocalToWorldTransform(prim))[3, :3] * units.length
+            world = np.array(world_matrix(file, prim, cache))[3, :3] * units.length
             yield Frame(prim.GetDisplayName() or prim.GetName(), place.pose.inverse().point(world))
 
 
@@ -351,8 +353,8 @@ def _gravity(file: UsdFile, units: Units) -> Array | None:
     for prim in Usd.PrimRange(file.stage.GetPseudoRoot()):
         if not prim.IsA(UsdPhysics.Scene):
             continue
-        size = prim.GetAttribute("physics:gravityMagnitude").Get()
-        way = np.array(prim.GetAttribute("physics:gravityDirection").Get(), dtype=float)
+        size = value_of(prim, "physics:gravityMagnitude", "number")
+        way = np.array(value_of(prim, "physics:gravityDirection", "point"), dtype=float)
         if size is None or not np.isfinite(size) or size < 0:
             continue
         if not way.any():
@@ -371,7 +373,7 @@ def _idle(file: UsdFile, prims: Mapping[str, Any], units: Units) -> dict[str, fl
         for prim in own_prims(file, body):
             if prim == body or prim.HasAPI(UsdPhysics.CollisionAPI):
                 continue
-            mass = prim.GetAttribute("physics:mass").Get()
+            mass = value_of(prim, "physics:mass", "number")
             if mass:
                 found[str(prim.GetPath())] = float(written(mass)) * units.mass
     return found

@@ -15,7 +15,7 @@ import numpy as np
 
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE
 from pupper_analysis.robot_model.pose import Pose
-from pupper_analysis.robot_model.usd_shapes import Units, written
+from pupper_analysis.robot_model.usd_shapes import AXES, Units, axis_of, value_of, written
 
 DEGREE: Final = math.pi / 180
 
@@ -26,7 +26,6 @@ _KINDS: Final = {
     "PhysicsFixedJoint": FIXED,
 }
 
-_AXES: Final = {"X": 0, "Y": 1, "Z": 2}
 _FREEDOMS: Final = ("transX", "transY", "transZ", "rotX", "rotY", "rotZ")
 
 
@@ -182,7 +181,7 @@ def edge_of(
         | {what: min(found.values()) for what, found in stated.items() if what == "effort"},
         stated=stated,
         drive=_drive(prim, word, turns, units) if kind in (HINGE, SLIDE) else None,
-        outside=bool(prim.GetAttribute("physics:excludeFromArticulation").Get()),
+        outside=bool(value_of(prim, "physics:excludeFromArticulation", "number")),
         mimic=_mimic(prim, turns, units, paths),
     )
 
@@ -191,10 +190,10 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
     """Returns a joint's kind, its axis, and its limits as they are written."""
     kind = _KINDS.get(str(prim.GetTypeName()))
     if kind is not None:
-        axis = _AXES[str(prim.GetAttribute("physics:axis").Get() or "X")]
+        axis = AXES[axis_of(prim, "physics:axis", "X")]
         lower, upper = (
             default
-            if (value := prim.GetAttribute(f"physics:{end}Limit").Get()) is None
+            if (value := value_of(prim, f"physics:{end}Limit", "number")) is None
             else float(written(value))
             for end, default in (("lower", -math.inf), ("upper", math.inf))
         )
@@ -202,7 +201,7 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
     # A general joint is free about and along all axes but those whose limits are exchanged.
     free: dict[str, tuple[float, float]] = {}
     for word in _FREEDOMS:
-        low, high = (prim.GetAttribute(f"limit:{word}:physics:{end}").Get() for end in _ENDS)
+        low, high = (value_of(prim, f"limit:{word}:physics:{end}", "number") for end in _ENDS)
         low = -math.inf if low is None else float(written(low))
         high = math.inf if high is None else float(written(high))
         if not low > high:
@@ -211,7 +210,7 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
         return FIXED, 0, -math.inf, math.inf
     if len(free) == 1:
         (word, (low, high)), *_ = free.items()
-        return HINGE if word.startswith("rot") else SLIDE, _AXES[word[-1]], low, high
+        return HINGE if word.startswith("rot") else SLIDE, AXES[word[-1]], low, high
     ball = set(free) == set(_FREEDOMS[3:])
     return BALL if ball else FREE, 0, -math.inf, math.inf
 
@@ -238,7 +237,7 @@ def _stated(
     found = {}
     for statement in statements:
         name = statement.name.format(axis=word)
-        value = prim.GetAttribute(name).Get()
+        value = value_of(prim, name, "number")
         if value is None or not np.isfinite(value) or not prim.GetAttribute(name).IsAuthored():
             continue
         if what == "velocity":
@@ -263,17 +262,17 @@ def _effort(motor: Any, unit: float) -> float | None:
     """
 
     def greatest(name: str) -> float | None:
-        ends = [motor.GetAttribute(f"mjc:{name}Range:{end}").Get() for end in ("min", "max")]
-        if None in ends or str(motor.GetAttribute(f"mjc:{name}Limited").Get()) == "false":
+        ends = [value_of(motor, f"mjc:{name}Range:{end}", "number") for end in ("min", "max")]
+        if None in ends or str(value_of(motor, f"mjc:{name}Limited", "text")) == "false":
             return None
         return max(abs(float(written(end))) for end in ends) or None
 
     def first(name: str) -> float:
-        values = motor.GetAttribute(name).Get()
+        values = value_of(motor, name, "list")
         return abs(float(values[0])) if values else 1.0
 
     limit = greatest("force")
-    if limit is None and str(motor.GetAttribute("mjc:biasType").Get() or "none") == "none":
+    if limit is None and str(value_of(motor, "mjc:biasType", "text") or "none") == "none":
         control = greatest("ctrl")
         limit = None if control is None else control * first("mjc:gainPrm")
     return None if limit is None else limit * first("mjc:gear") * unit
@@ -285,10 +284,10 @@ def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:
         return None
 
     def of(name: str) -> float | None:
-        value = prim.GetAttribute(f"drive:{word}:physics:{name}").Get()
+        value = value_of(prim, f"drive:{word}:physics:{name}", "number")
         return None if value is None else float(written(value))
 
-    accelerates = prim.GetAttribute(f"drive:{word}:physics:type").Get() == "acceleration"
+    accelerates = value_of(prim, f"drive:{word}:physics:type", "text") == "acceleration"
     force = 1.0 if accelerates else units.inertia if turns else units.mass
     unit = force / DEGREE if turns else force
     authored = prim.GetAttribute(f"drive:{word}:physics:targetPosition").IsAuthored()
@@ -316,13 +315,13 @@ def _mimic(
         if leader is None:
             continue
         if name.startswith("newton:"):
-            one, two = (prim.GetAttribute(f"newton:mimicCoef{n}").Get() for n in (1, 0))
+            one, two = (value_of(prim, f"newton:mimicCoef{n}", "number") for n in (1, 0))
             return (
                 leader,
                 1.0 if one is None else float(written(one)),
                 float(written(two or 0.0)) * unit,
             )
         start = name.removesuffix(":referenceJoint")
-        gearing, offset = (prim.GetAttribute(f"{start}:{w}").Get() for w in ("gearing", "offset"))
+        gearing, offset = (value_of(prim, f"{start}:{w}", "number") for w in ("gearing", "offset"))
         return leader, -float(written(gearing or 0.0)), -float(written(offset or 0.0)) * unit
     return None

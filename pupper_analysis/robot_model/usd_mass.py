@@ -22,6 +22,7 @@ from pupper_analysis.robot_model.usd_shapes import (
     Units,
     UsdShape,
     rotation_of,
+    value_of,
     written,
 )
 
@@ -82,7 +83,7 @@ def weigh(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Units) ->
         shapes: Its shapes.
         units: Of the stage.
     """
-    below = body.GetAttribute("physics:mass").Get() or 0.0
+    below = value_of(body, "physics:mass", "number") or 0.0
     mass = (_positive(body, "physics:mass") or min(float(below), 0.0)) * units.mass
     com = _vector(body, "physics:centerOfMass")
     com = None if com is None else com * place.scale
@@ -187,20 +188,20 @@ def _square(d: Array) -> Array:
 
 def _positive(prim: Any, name: str) -> float:
     """Returns a number that states something if it is above 0; else 0."""
-    value = prim.GetAttribute(name).Get()
+    value = value_of(prim, name, "number")
     return max(float(written(value)), 0.0) if value is not None and np.isfinite(value) else 0.0
 
 
 def _vector(prim: Any, name: str) -> Array | None:
     """Returns three numbers; None where they are not stated (-inf is the schema's default)."""
-    value = prim.GetAttribute(name).Get()
+    value = value_of(prim, name, "vector")
     values = None if value is None else written(value)
     return None if values is None or not np.isfinite(values).all() else values
 
 
 def _axes(prim: Any) -> Array | None:
     """Returns the rotation (3, 3) of the principal axes; None where they are not stated."""
-    value = prim.GetAttribute("physics:principalAxes").Get()
+    value = value_of(prim, "physics:principalAxes", "quaternion")
     values = () if value is None else (value.GetReal(), *value.GetImaginary())
     return rotation_of(values) if any(values) else None
 
@@ -215,7 +216,7 @@ def _of_material(prim: Any) -> float:
 
 def _newton(body: Any, units: Units) -> Array | None:
     """Returns what `newton:inertia` states: xx, yy, zz, xy, xz, yz in the body's axes."""
-    value = body.GetAttribute("newton:inertia").Get()
+    value = value_of(body, "newton:inertia", "list")
     if value is None or len(value) != 6:
         return None
     xx, yy, zz, xy, xz, yz = np.array(value, dtype=float) * units.inertia

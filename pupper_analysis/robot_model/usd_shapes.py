@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -84,8 +85,63 @@ class Placed:
 
     def frame(self, position: Any, rotation: Any) -> Pose:
         """Returns a frame in the prim's, of a position in its lengths and a quaternion."""
-        turned = rotation.GetReal(), *rotation.GetImaginary()
-        return Pose(written(position) * self.scale, rotation_of(turned))
+        place = np.zeros(3) if position is None else written(position) * self.scale
+        if rotation is None:
+            return Pose(place)
+        return Pose(place, rotation_of((rotation.GetReal(), *rotation.GetImaginary())))
+
+
+def value_of(prim: Any, name: str, kind: str) -> Any:
+    """Returns what an attribute states; None where nothing does.
+
+    Args:
+        prim: Its prim.
+        name: Its name.
+        kind: ``"number"``, ``"vector"`` of three, ``"point"``, which is a finite one,
+            ``"quaternion"``, likewise, ``"text"`` or ``"list"``.
+
+    Raises:
+        ModelError: If it is of another type: a file may declare any.
+    """
+    value = prim.GetAttribute(name).Get()
+    fits = (
+        value is None
+        or {
+            "number": isinstance(value, bool | int | float),
+            "vector": hasattr(value, "GetNormalized") and np.size(value) == 3,
+            "point": hasattr(value, "GetNormalized") and np.size(value) == 3 and _finite(*value),
+            "quaternion": hasattr(value, "GetImaginary")
+            and _finite(value.GetReal(), *value.GetImaginary()),
+            "text": isinstance(value, str),
+            "list": type(value).__name__.endswith(("Array", "list")),
+        }[kind]
+    )
+    if not fits:
+        file = Path(prim.GetStage().GetRootLayer().realPath)
+        told = diagnose("usd-value-of-other-type", attribute=name, kind=type(value).__name__)
+        raise refusal(Place(file, None, str(prim.GetPath())), told)
+    return value
+
+
+def _finite(*values: float) -> bool:
+    return bool(np.isfinite(values).all())
+
+
+AXES: Final = {"X": 0, "Y": 1, "Z": 2}
+
+
+def axis_of(prim: Any, name: str, usual: str) -> str:
+    """Returns one of X, Y and Z.
+
+    Raises:
+        ModelError: If it is none of them.
+    """
+    axis = str(value_of(prim, name, "text") or usual)
+    if axis not in AXES:
+        file = Path(prim.GetStage().GetRootLayer().realPath)
+        told = diagnose("usd-value-of-other-type", attribute=name, kind=axis)
+        raise refusal(Place(file, None, str(prim.GetPath())), told)
+    return axis
 
 
 def written(value: Any) -> Array:
@@ -106,6 +162,21 @@ def rotation_of(quaternion: Any) -> Array:
     values = np.array(quaternion, dtype=float)
     length = float(np.linalg.norm(values))
     return np.eye(3) if length == 0 else rotation_from_quaternion(values / length)
+
+
+def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
+    """Returns the transform of a prim to the world of its stage, as USD has it.
+
+    Raises:
+        ModelError: If one of its operations has no value.
+    """
+    from pxr import Tf
+
+    try:
+        return cache.GetLocalToWorldTransform(prim)
+    except Tf.ErrorException as error:
+        told = diagnose("usd-transform-without-value")
+        raise refusal(Place(file.path, None, str(prim.GetPath())), told) from error
 
 
 def placed(file: UsdFile, prim: Any, matrix: Any, units: Units) -> Placed:
@@ -173,7 +244,7 @@ def shapes_of(file: UsdFile, body: Any, place: Placed, units: Units, cache: Any)
         )
         if not collides and UsdGeom.Imageable(prim).ComputePurpose() == UsdGeom.Tokens.guide:
             continue
-        world = np.array(cache.GetLocalToWorldTransform(prim)).T
+        world = np.array(world_matrix(file, prim, cache)).T
         world[:3] *= units.length
         inverse = place.pose.inverse()
         local = Pose(inverse.point(world[:3, 3]), inverse.rotation @ world[:3, :3])
@@ -199,11 +270,11 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
     from pxr import UsdGeom
 
     def of(name: str, default: float) -> float:
-        value = prim.GetAttribute(name).Get()
+        value = value_of(prim, name, "number")
         return default if value is None else float(written(value))
 
     kind = str(prim.GetTypeName()).removesuffix("_1").lower()
-    axis = str(prim.GetAttribute("axis").Get() or "Z")
+    axis = axis_of(prim, "axis", "Z")
     turn = (
         local.rotation @ _TO_Z[axis] if kind in ("cylinder", "capsule", "cone") else local.rotation
     )
@@ -224,11 +295,11 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
             radius = of("radius", 0.5 if kind == "capsule" else 1.0)
             size = (float(radius * scale[0]), float(half * scale[2]))
         case "mesh":
-            points = prim.GetAttribute("points")
-            approximation = str(prim.GetAttribute("physics:approximation").Get() or "none")
+            points = value_of(prim, "points", "list")
+            approximation = str(value_of(prim, "physics:approximation", "text") or "none")
 
             def vertices() -> Array | None:
-                values = np.array(points.Get() or (), dtype=float).reshape(-1, 3)
+                values = np.array(points or (), dtype=float).reshape(-1, 3)
                 return values @ local.rotation.T if len(values) else None
 
             place = Pose(local.position, np.eye(3))
@@ -276,8 +347,8 @@ def _mesh_solid(shape: UsdShape) -> Solid | None:
     import trimesh  # slow to import; yourdfpy depends on it
 
     points = shape.vertices()
-    counts = np.array(shape.prim.GetAttribute("faceVertexCounts").Get() or (), dtype=int)
-    indices = np.array(shape.prim.GetAttribute("faceVertexIndices").Get() or (), dtype=int)
+    counts = np.array(value_of(shape.prim, "faceVertexCounts", "list") or (), dtype=int)
+    indices = np.array(value_of(shape.prim, "faceVertexIndices", "list") or (), dtype=int)
     if points is None or counts.sum() != len(indices) or not np.isfinite(points).all():
         return None
     if len(indices) and (indices.min() < 0 or indices.max() >= len(points)):

@@ -309,3 +309,19 @@ def test_a_hinge_on_the_world_is_the_first_joint_of_its_tree(tmp_path: Path) -> 
     assert (hip.kind, hip.parent, hip.upper) == ("hinge", "world", pytest.approx(math.pi / 3))
     assert np.allclose(mine.mount.position, (0.01, -0.03, 0.02))  # y up: z is -y
     assert [joint.kind for joint in mine.links["base"].joints] == ["free"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("float physics:mass = 500", 'string physics:mass = "heavy"'),
+        ("double mjc:damping = 1000000", "double[] mjc:damping = [1, 2]"),
+        ('uniform token physics:axis = "X"', 'uniform token physics:axis = "W"'),
+        ("localPos0 = (10, 20, 0)", "localPos0 = (inf, 20, 0)"),
+    ],
+)
+def test_a_value_of_another_type_is_refused_at_its_prim(
+    change: tuple[str, str], tmp_path: Path
+) -> None:
+    with pytest.raises(ModelError, match=r"leg\.usda:</leg/.*physics|leg\.usda:</leg/.*mjc"):
+        model(usd.write(tmp_path, change))
