@@ -49,8 +49,6 @@ SLIPS = {
 @pytest.mark.parametrize("rule", SLIPS)
 def test_a_slip_is_found_at_its_prim(rule: str, tmp_path: Path) -> None:
     change, prim = SLIPS[rule]
-    sound = {found.rule for found in audit_model(usd.write(tmp_path)).findings}
-    assert rule not in sound
     path = usd.write(tmp_path, change)
     found = [one for one in audit_model(path).findings if one.rule == rule]
     assert [one.prim for one in found] == [prim]

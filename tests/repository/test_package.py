@@ -62,6 +62,7 @@ def run(code: str, folder: Path) -> str:
 
 LOADED = "import sys; print([m for m in {names} if m in sys.modules])"
 HEAVY = (
+    "pxr",
     "matplotlib",
     "yourdfpy",
     "trimesh",
