@@ -15,6 +15,7 @@ from pupper_analysis.robot.fall import has_collapsed, travelled
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
+from pupper_analysis.simulation.causes import unstable
 from pupper_analysis.simulation.nudge import nudged_states, response
 from pupper_analysis.simulation.rollout import STATE, Standing, run, standing
 from pupper_analysis.simulation.stability import judged_at
@@ -115,7 +116,7 @@ def comes_to_rest(
     if monitor.diverged(later, float(model.opt.timestep)):
         return False
     nudge = response(model, state, later, last.states)
-    return nudge.decayed and nudge.stays and not _falls(held, later[-1])
+    return not unstable(judged, nudge) and not _falls(held, later[-1])
 
 
 def _time_to_forget(stability: Stability) -> float:
