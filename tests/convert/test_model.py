@@ -130,7 +130,6 @@ def from_keyframe(model: mujoco.MjModel) -> tuple[mujoco.MjData, np.ndarray]:
     return data, start
 
 
-@pytest.mark.slow
 def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
     mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
     data, start = from_keyframe(compiled(mjcf))
@@ -140,7 +139,6 @@ def test_the_keyframe_stands_by_itself_in_bare_mujoco(tmp_path: Path) -> None:
     assert np.abs(data.actuator_force).max() > 1.0  # it carries
 
 
-@pytest.mark.slow
 def test_nothing_has_to_be_made_up_for_the_new_file(tmp_path: Path) -> None:
     urdf = standing_urdf(tmp_path)
     mjcf, _ = converted(urdf, "quad.xml")
@@ -149,7 +147,6 @@ def test_nothing_has_to_be_made_up_for_the_new_file(tmp_path: Path) -> None:
     assert [note for note in notes if note.code == "start-pose-is-keyframe"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.4, 0.8])
 def test_sag_and_damping_ratio_are_those_asked_for(ratio: float, tmp_path: Path) -> None:
     """As the modes of MuJoCo's own motion have them, which it linearises about the stand.
@@ -176,7 +173,6 @@ def test_sag_and_damping_ratio_are_those_asked_for(ratio: float, tmp_path: Path)
     assert -bounce.real / abs(bounce) == pytest.approx(ratio, rel=0.03)
 
 
-@pytest.mark.slow
 def test_random_robots_are_the_same_in_both_formats(tmp_path: Path) -> None:
     random = np.random.default_rng(5)
     for number in range(6):
@@ -349,7 +345,6 @@ def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None
     assert "package://none/gone.stl, far.stl" in str(found.left[0])
 
 
-@pytest.mark.slow
 def test_the_new_file_is_tidy(tmp_path: Path) -> None:
     mjcf, _ = converted(standing_urdf(tmp_path), "quad.xml")
     text = mjcf.read_text()
@@ -368,7 +363,6 @@ def test_the_new_file_is_tidy(tmp_path: Path) -> None:
     assert max(map(len, text.splitlines()[:-30])) < 250
 
 
-@pytest.mark.slow
 def test_armature_is_where_it_was_given(tmp_path: Path) -> None:
     urdf = standing_urdf(tmp_path)
     given = {
@@ -397,7 +391,6 @@ def test_one_that_cannot_stand_is_converted_all_the_same(tmp_path: Path) -> None
 # ---------------------------------------------------------------------------- an MJCF as a URDF
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pupper_v3", "pupper_skeleton"])
 def test_our_own_mjcfs_become_urdfs_that_agree(name: str, tmp_path: Path) -> None:
     source = ROOT / "mjcf" / f"{name}.xml"
@@ -532,7 +525,6 @@ def run(folder: Path, *arguments: str) -> Answer:
     return answer("convert", *arguments, folder=folder)
 
 
-@pytest.mark.slow
 def test_the_command_says_what_it_did(tmp_path: Path) -> None:
     standing_urdf(tmp_path)
     done = run(

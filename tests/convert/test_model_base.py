@@ -46,7 +46,6 @@ def quad(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return mjcf
 
 
-@pytest.mark.slow
 def test_a_hand_is_no_legged_robot(tmp_path: Path) -> None:
     """Its base stays as the URDF has it, unless it is asked to be free."""
     mjcf, found = converted(hand(tmp_path), "hand.xml")
@@ -58,7 +57,6 @@ def test_a_hand_is_no_legged_robot(tmp_path: Path) -> None:
     assert is_free(compiled(mjcf))
 
 
-@pytest.mark.slow
 def test_nothing_is_thrown_up_from_qpos0(quad: Path) -> None:
     """Simulations begin there, if nobody resets to the keyframe: the feet were 0.4 m in the ground.
 
@@ -76,7 +74,6 @@ def test_nothing_is_thrown_up_from_qpos0(quad: Path) -> None:
     assert highest < model.qpos0[2] + 0.1
 
 
-@pytest.mark.slow
 def test_feet_hold_on_a_slope(quad: Path) -> None:
     """On 17 degrees, with a friction of 1: by MuJoCo's default contacts they creep by 26 mm/s."""
     speeds = {}

@@ -43,7 +43,6 @@ def _drift(mjcf: Path, but: str = "") -> float:
     return float(gone.max())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
@@ -59,7 +58,6 @@ def test_names_that_the_new_file_uses_itself(change: tuple[str, str], tmp_path: 
     assert same_dynamics(urdf, mjcf) < 1e-9
 
 
-@pytest.mark.slow
 def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
     red = '<material name="floor"><color rgba="1 0 0 1"/></material>'
     shapes = _shape("visual", '<box size="0.1 0.1 0.1"/>', "0 0 0").replace(
@@ -76,7 +74,6 @@ def test_a_material_and_a_shape_called_floor(tmp_path: Path) -> None:
     np.testing.assert_allclose(model.material("floor_2").rgba, [1, 0, 0, 1])
 
 
-@pytest.mark.slow
 def test_a_fixed_joint_is_called_like_the_base(tmp_path: Path) -> None:
     """PlaCo asks for frames by their names alone."""
     head = (
@@ -118,7 +115,6 @@ def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
     assert any("<inertial> of link 'world'" in text for text in map(str, found.left))
 
 
-@pytest.mark.slow
 def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
     """Those that are written anew, too: one must not stand for the other."""
     for folder, size in (("a", 0.1), ("b", 0.3)):
@@ -155,7 +151,6 @@ def _with_arm(folder: Path, mimic: str) -> Path:
     return _changed(folder, ("</robot>", f"{arm}</robot>"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1.0, -0.5])
 def test_the_keyframe_of_a_robot_with_a_mimic_stands(factor: float, tmp_path: Path) -> None:
     """The leader's servo holds what its follower needs as well, by virtual work."""
@@ -193,7 +188,6 @@ def test_a_light_finger_is_not_thrown_by_a_nudge(tmp_path: Path) -> None:
     assert furthest < 5e-3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
 def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None:
     mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
@@ -203,7 +197,6 @@ def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None
     assert _drift(mjcf) < 1e-4
 
 
-@pytest.mark.slow
 def test_what_an_mjcf_does_not_have_of_a_urdf_is_said(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ("</robot>", '<gazebo reference="trunk"/><transmission/></robot>'))
     _, found = converted(urdf, "quad.xml")
@@ -217,7 +210,6 @@ def test_an_armature_is_not_negative(tmp_path: Path) -> None:
         pa.convert_model(urdf, tmp_path / "new.xml", armature={"FR_knee": -1.0})
 
 
-@pytest.mark.slow
 def test_a_negative_effort_limit_is_left(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ('effort="80"', 'effort="-80"'))
     _, found = converted(urdf, "quad.xml")
@@ -333,7 +325,6 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
     )
 
 
-@pytest.mark.slow
 def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     """Robots have boxes of size 0 as markers (Upkie's base), which MuJoCo refuses."""
     path = standing_urdf(tmp_path)
@@ -346,7 +337,6 @@ def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.slow
 def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path: Path) -> None:
     """As Kuavo's toes, which sank in by 20 mm; and as Drake's Atlas, whose points were left out."""
     urdf = standing_urdf(tmp_path)
@@ -378,7 +368,6 @@ def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path
     np.testing.assert_allclose(model.body("FL_toe").pos, (0, 0, -0.2), atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
     """As Centauro's: the link is the world itself, and no body that moves."""
     floating = (
@@ -391,7 +380,6 @@ def test_a_base_that_floats_in_the_link_world(tmp_path: Path) -> None:
     assert compiled(mjcf).body("trunk").parentid == 0
 
 
-@pytest.mark.slow
 def test_legs_that_are_spread_as_a_spiders_have_feet(tmp_path: Path) -> None:
     """At zero angles they end at the base's height, one a little lower than the others."""
     urdf = standing_urdf(tmp_path)

@@ -564,10 +564,3 @@ def test_bad_input_is_refused_in_a_line(arguments: list[str], tmp_path: Path) ->
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
     assert len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    ("millimetres", "expected"), [(12.3, 0.0123), (-5.0, -0.005), (1e-5, 1e-8), (1e21, 1e18)]
-)
-def test_millimetres_of_a_page_are_metres(millimetres: float, expected: float) -> None:
-    assert metres(millimetres) == pytest.approx(expected, rel=1e-15)

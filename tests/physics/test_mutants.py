@@ -107,7 +107,6 @@ def test_a_payload_is_drawn_where_it_is_on_a_base_that_is_turned() -> None:
 # --------------------------------------------------------------------------------------- models
 
 
-@pytest.mark.slow
 def test_a_sphere_beside_a_foots_site_is_not_the_foot(tmp_path: Path) -> None:
     """A ball 3 cm above the site is the shin's; the foot is the box at it."""
     shapes = (
@@ -141,7 +140,6 @@ def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
     assert spec.geom("bar").mass == 0.07
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("foot", "floor"), [((0, 1), (1, 0)), ((2, 0), (0, 2))])
 def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
     foot: tuple[int, int], floor: tuple[int, int]
@@ -245,7 +243,6 @@ def test_it_takes_less_to_tip_a_robot_to_where_its_com_is_nearer_to_the_edge() -
     assert found[0] < 0.9 * found[1]
 
 
-@pytest.mark.slow
 def test_joints_that_miss_their_prediction_by_milliradians_do_not_verify_it() -> None:
     """Servos so soft that half a percent of torque is some mrad: torques and forces agree."""
     robot = load("v3")

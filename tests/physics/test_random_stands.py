@@ -18,7 +18,6 @@ stances = benchmark("stances")
 stances.STARTS = 60  # the benchmark has 200
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", some(BASES_FIRST, 6, first=2))
 def test_no_verdict_is_wrong(name: str) -> None:
     robot = load(name)
@@ -83,7 +82,6 @@ def test_inside_is_found_where_a_joint_is_at_its_limit(name: str) -> None:
 # ------------------------------------------------------------------------------------- the checks
 
 
-@pytest.mark.slow
 def test_the_check_sees_a_stand_that_is_a_little_off() -> None:
     robot = load("v3")
     for task in (

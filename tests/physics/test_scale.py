@@ -147,7 +147,6 @@ def test_a_resized_robot_has_the_same_numbers(mass: float, monkeypatch: pytest.M
     assert numbers(resized(robot, size), factor, size) == pytest.approx(one, rel=1e-6)
 
 
-@pytest.mark.slow
 def test_a_robot_of_20_grams_slides_to_where_it_does_at_3_kilograms() -> None:
     """With 1e-3 N/m to hold it in its place it came to rest 0.6 um higher."""
     losses = []

@@ -81,12 +81,10 @@ def test_a_quadruped_with_springs_stands_as_predicted(joint: str, tmp_path: Path
     verified(robot)
 
 
-@pytest.mark.slow
 def test_a_biped_with_springs_stands_as_predicted(tmp_path: Path) -> None:
     verified(load(with_springs(biped(tmp_path), "_ankle")))
 
 
-@pytest.mark.slow
 def test_springs_of_tendons_count(tmp_path: Path) -> None:
     """A tendon of length a + 0.5 b pulls with k (rest - length): by 1 and 0.5 of that."""
     pair = quadruped(tmp_path)
@@ -104,7 +102,6 @@ def test_springs_of_tendons_count(tmp_path: Path) -> None:
     verified(robot)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("motors", [False, True])
 def test_gravity_compensation_takes_weight_off_motors_and_feet(
     motors: bool, tmp_path: Path
@@ -124,7 +121,6 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
     verified(robot, stand)
 
 
-@pytest.mark.slow
 def test_the_stiffness_of_springs_counts_in_the_sag(tmp_path: Path) -> None:
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     stand = pa.solve_stand(robot)
