@@ -281,12 +281,18 @@ def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
 
 
 def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
-    """Returns the first solved stand from some joint positions (nu,); not all that there may be."""
-    found = (
-        begin_at(context, goal, joints) or begin_inside(context, goal, joints, goal.place)
-        for joints in seeds
-    )
-    return next((stand for stand in found if stand is not None), None)
+    """Returns the first solved stand from some joint positions (nu,); not all that there may be.
+
+    With the com anywhere inside it may be over the edge, and parts next to the ground: from another
+    start they need not be.
+    """
+    for joints in seeds:
+        if (stand := begin_at(context, goal, joints)) is not None:
+            return stand
+        stand = begin_inside(context, goal, joints, goal.place)
+        if stand is not None and clear_of_ground(context.robot, stand):
+            return stand
+    return None
 
 
 def leg_length(robot: Robot, qpos: Array) -> float:

@@ -120,7 +120,8 @@ def begin_inside(context: Context, goal: Goal, joints: Array, com: Array) -> Sta
 
 def meet(context: Context, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from one configuration (nq,), with all that it must fulfil met at once."""
-    stand = _Search(context, goal).met(Programme(context.shapes, goal), qpos)
+    there, programme = _Search(context, goal), Programme(context.shapes, goal)
+    stand = there.met(programme, qpos) or there.met_from_nearest(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
 
@@ -188,7 +189,7 @@ class _Search:
         without = CLEARANCES if self._in_vain else ()
         programme = Programme(self.shapes, self.goal, without=without)
         for qpos in self._seeds(best):
-            stand = self.met(programme, qpos) or self._met_from_nearest(programme, qpos)
+            stand = self.met(programme, qpos) or self.met_from_nearest(programme, qpos)
             if stand is not None and (stand.solved or self._in_vain):
                 return stand
         return self.result()
@@ -216,7 +217,7 @@ class _Search:
             yield from seeds(robot, goal, [closest.joint_positions(robot)], others)
             yield from scattered(robot, goal, _SCATTERED)
 
-    def _met_from_nearest(self, programme: Programme, qpos: Array) -> Stand | None:
+    def met_from_nearest(self, programme: Programme, qpos: Array) -> Stand | None:
         """The same as ``met`` from where the feet come nearest first: slower, and surer."""
         if not self.goal.com_is_free or self.reached:
             return None
