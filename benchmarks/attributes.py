@@ -14,9 +14,8 @@ range: the wrong way round), not a number, and a word, in this order; then of ot
 * `!`: something is said that is not so; the program then ends with status 1.
 
 Sensors, `visual`, `statistic`, `custom`, cameras, lights, textures, materials and sites cannot move
-a robot: MuJoCo reads them, and no force depends on them. Not swept yet, though they can: defaults
-of geoms, pairs, actuators and tendons, spatial tendons, and motor, velocity, muscle, cylinder, pid
-and dcmotor actuators.
+a robot: MuJoCo reads them, and no force depends on them. Not swept yet, though they can: pid and
+muscle actuators, and the defaults of general, intvelocity, cylinder, pid and muscle ones.
 """
 
 from __future__ import annotations
