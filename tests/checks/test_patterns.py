@@ -176,7 +176,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
     (cause,) = comparison.causes
     assert cause.differences == (0, 1, 2)
     assert lines(comparison)[0].startswith(
-        "DISAGREE: body of base: nothing of its inertial is the same: mass 6 kg in the URDF, 11 kg"
+        "DISAGREE: body of base: all inertial parameters differ: mass 6 kg in the URDF, 11 kg"
     )
 
 

@@ -582,7 +582,7 @@ def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     ("text", "message"),
     [
         (LEGS.replace("kp", "kq"), "no such number"),
-        (LEGS.replace("servo_sag", "sagging"), "no measure 'sagging'"),
+        (LEGS.replace("servo_sag", "sagging"), "there is no metric 'sagging'"),
         ("robot =", "cannot be read"),
     ],
 )

@@ -167,7 +167,7 @@ def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
     ("vary", "message"),
     [
         ({"leg": [1]}, "no such number; there are leg_scale, torso_mass_scale, height"),
-        ({"weight:leg": [1]}, "'weight' is no number of a model; there are mass:NAME"),
+        ({"weight:leg": [1]}, "'weight' is no parameter of a model; there are mass:NAME"),
         ({"kp": [0, 5]}, "from 0 to 5: it must be > 0"),
         ({"leg_scale": pa.linspace(-1, 1, 3)}, "from -1 to 1: it must be > 0"),
         ({"slope": [2.0]}, "<= 1.569"),
@@ -194,7 +194,7 @@ def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
 @pytest.mark.parametrize(
     ("measure", "message"),
     [
-        ("sagging", "no measure 'sagging'; there are total_mass, peak_utilisation"),
+        ("sagging", "there is no metric 'sagging'; there are total_mass, peak_utilisation"),
         ("nowhere:f", "cannot be imported"),
         (lambda robot, stand: 1.0, "define it at a module's top"),
         (local_function, r"no function of \(robot, stand\)"),
@@ -413,7 +413,7 @@ def test_offsets_of_coms_are_numbers_of_a_study() -> None:
     assert -0.03 < back < -0.5 * share * 0.02
     assert moved.stand.com_margin == pytest.approx(still.stand.com_margin, abs=1e-9)
     assert scaled(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
-    with pytest.raises(pa.ConfigurationError, match="no number of a model"):
+    with pytest.raises(pa.ConfigurationError, match="no parameter of a model"):
         study({"com_w:base": [0.0]})
     with pytest.raises(pa.ConfigurationError, match="offset of nan"):
         scaled(before, {name: math.nan})
