@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -68,8 +67,6 @@ class Context:
         return self.engine.placo
 
 
-@contextmanager
-def context_of(robot: Robot) -> Iterator[Context]:
+def context_of(robot: Robot) -> AbstractContextManager[Context]:
     """Lends a robot's context to one search, or to many one after the other."""
-    with lent(robot, Context) as context:
-        yield context
+    return lent(robot, Context)

@@ -32,6 +32,8 @@ from pupper_analysis.statics.support_polygon import margin_inside
 
 Array = NDArray[np.float64]
 
+_CLEARANCES = (GroundClearance, SelfClearance)
+
 _MISSED = (
     *("footholds", "loops", "joint-limits", "base-orientation", "base-height", "com-place"),
     "base-place",
@@ -203,7 +205,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     at = shapes.at(qpos)
     missed, near = dict.fromkeys(_MISSED, 0.0), dict[str, Clearance | None]()
     for one in constraints_of(shapes, goal):
-        if isinstance(one, GroundClearance | SelfClearance):
+        if isinstance(one, _CLEARANCES):
             near[one.name] = one.nearest(goal, at)
         else:
             missed[one.name] = one.missed(goal, at)

@@ -105,9 +105,10 @@ def goal_of(
         UnknownNameError: If the task, or depths, name a foot that the robot does not have.
     """
     if like is None and not depths:
-        like = robot.once(_nominal)
+        like, limits = robot.once(_nominal)
         # Who wants other limits of its joints may change those of its model.
-        if like is not None and not _has_limits(robot, like):
+        now = robot.pin_model.lowerPositionLimit, robot.pin_model.upperPositionLimit
+        if not ((now[0] == limits[0]).all() and (now[1] == limits[1]).all()):
             like = None
         elif task is None and like is not None:
             return like
@@ -118,19 +119,13 @@ def goal_of(
     return _goal_of(robot, task, depths, like, checked=checked)
 
 
-def _has_limits(robot: Robot, goal: Goal) -> bool:
-    """Whether a goal without margins has the robot's joint limits, as they are now."""
-    return bool(
-        (goal.lower == robot.lower_limits).all() and (goal.upper == robot.upper_limits).all()
-    )
-
-
-def _nominal(robot: Robot) -> Goal | None:
-    """Returns the goal of the nominal stand, if it has one; it depends on the robot alone."""
+def _nominal(robot: Robot) -> tuple[Goal | None, tuple[Array, Array]]:
+    """Returns the goal of the nominal stand, if it has one, and Pinocchio's limits with which."""
+    limits = robot.pin_model.lowerPositionLimit.copy(), robot.pin_model.upperPositionLimit.copy()
     try:
-        return _goal_of(robot, StandTask(), {}, None)
+        return _goal_of(robot, StandTask(), {}, None), limits
     except ConfigurationError:
-        return None
+        return None, limits
 
 
 def _goal_of(
