@@ -149,8 +149,8 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
       for name, value, scale in (
           ("base height", one.base_height, 1),
           ("loss of height", one.height_loss, 1e3),
-          ("of it servo sag", one.servo_sag, 1e3),
-          ("of it contact softness", one.contact_sag, 1e3),
+          ("of it joint deflection", one.servo_sag, 1e3),
+          ("of it contact penetration", one.contact_sag, 1e3),
           ("drift of height, last second", one.height_drift, 1e3),
           ("tilt against the task", math.degrees(one.tilt), 1),
           ("foot slip", one.foot_slip["RL"], 1e3),
@@ -168,8 +168,8 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
     *(("variants", "Comparison (ratios to the unscaled base model)", "one", column,
        getattr(row("one", 0.0), field), scale) for field, column, scale in (
         ("total_mass", "mass (kg)", 1), ("mass_ratio", "mass ratio (–)", 1),
-        ("peak_torque", "peak torque (N m)", 1), ("servo_sag", "servo sag (mm)", 1e3),
-        ("contact_sag", "contact softness (mm)", 1e3))),
+        ("peak_torque", "peak torque (N m)", 1), ("servo_sag", "joint deflection (mm)", 1e3),
+        ("contact_sag", "contact penetration (mm)", 1e3))),
     *(("pushes", "Largest push that the stand survives", "120", column,
        getattr(pushed("one", 0.0, 0.0).recovery, field)[1], 1) for field, column in (
         ("impulses", "impulse (N s)"), ("velocity_steps", "step of velocity (m/s)"),
