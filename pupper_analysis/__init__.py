@@ -108,7 +108,7 @@ if TYPE_CHECKING:
     from pupper_analysis.study.variables import linspace, log_uniform, normal, uniform, values
     from pupper_analysis.sync.models import Sync, sync_models
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 import_mujoco()
 
