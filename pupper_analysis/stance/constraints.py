@@ -35,6 +35,8 @@ _PAIRS = 12
 """Pairs of links that are looked at, the nearest: of a quadruped's 300 no more touch at once."""
 
 _FEET = frozenset({"feet", "foot_offsets", "ground"})
+_FOOTHOLDS, _PLACE, _MARGIN = _FEET | {"swing"}, _FEET | {"offset", "com"}, _FEET | {"com_margin"}
+_NOTHING: frozenset[str] = frozenset()
 
 
 class Constraint:
@@ -55,7 +57,7 @@ class Constraint:
 
     def __init__(self, shapes: Shapes, goal: Goal) -> None:
         self._shapes, self._begun = shapes, goal
-        self.reads: frozenset[str] = frozenset()
+        self.reads = _NOTHING
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """Returns what shall be zero, or not negative (n,) (m, rad).
@@ -111,7 +113,7 @@ class Footholds(Constraint):
 
     def __init__(self, shapes: Shapes, goal: Goal) -> None:
         super().__init__(shapes, goal)
-        self.reads = _FEET | {"swing"}
+        self.reads = _FOOTHOLDS
 
     @cached_property
     def pins(self) -> list[tuple[str, int, Array]]:
@@ -174,7 +176,7 @@ class Place(Constraint):
 
     def __init__(self, shapes: Shapes, goal: Goal) -> None:
         super().__init__(shapes, goal)
-        self.reads = _FEET | {"offset", "com"}
+        self.reads = _PLACE
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
@@ -203,7 +205,7 @@ class SupportMargin(Constraint):
 
     def __init__(self, shapes: Shapes, goal: Goal) -> None:
         super().__init__(shapes, goal)
-        self.reads = _FEET | {"com_margin"}
+        self.reads = _MARGIN
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""

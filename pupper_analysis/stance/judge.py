@@ -207,7 +207,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     for one in constraints_of(shapes, goal):
         if isinstance(one, _CLEARANCES):
             near[one.name] = one.nearest(goal, at)
-        else:
+        elif one.name in missed:  # the com's margin is a result, see com_short
             missed[one.name] = one.missed(goal, at)
     ground, apart = near["ground-clearance"], near.get("self-clearance")
     if ground is None and task.ground_clearance > 0.0:
