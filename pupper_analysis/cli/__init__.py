@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 
+import pupper_analysis
 from pupper_analysis.cli.convert import convert_command
 from pupper_analysis.cli.guard import check_command, diff_command
 from pupper_analysis.cli.live import live_command
@@ -130,7 +131,7 @@ def main() -> None:
 
 
 @click.group("pupper-analysis", context_settings=CONTEXT)
-@click.version_option(None, "-V", "--version", package_name="pupper-analysis")
+@click.version_option(pupper_analysis.__version__, "-V", "--version")
 @click.option(
     "--no-color",
     is_flag=True,
