@@ -36,7 +36,11 @@ def common_frames(
     places |= {
         body.name
         for body in spec.bodies
-        if body.name and body.name not in base and not list(body.joints)
+        # MuJoCo makes one body of those that nothing moves, where the file asks for it.
+        if not spec.compiler.fusestatic
+        and body.name
+        and body.name not in base
+        and not list(body.joints)
     }
     frames = {}
     for joint in UrdfTree(root).joints.values():

@@ -12,7 +12,10 @@ import pytest
 
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching.match import read_mapping
+from pupper_analysis.matching.match import match, read_mapping
+from pupper_analysis.matching.trees import trees
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
 from tests.support.robots import (
     FEET,
     Files,
@@ -31,6 +34,7 @@ from tests.support.robots import (
     write,
     write_parts,
 )
+from tests.support.tiny import TINY_MJCF, TINY_URDF
 
 URDF, MJCF = urdf_text(quadruped()), mjcf_text(quadruped())
 JOINTS = {f"{kind}{leg}" for kind in ("hip", "knee") for leg in range(4)}
@@ -838,3 +842,20 @@ def test_a_base_that_is_fused_with_the_world_has_no_mass_there(tmp_path: Path) -
     comparison = compare_texts(tmp_path, URDF, fused.replace("</worldbody>", other))
     assert comparison.agree
     assert "'door' is not part of the robot" in " ".join(map(str, comparison.notes))
+
+
+def test_bodies_that_mujoco_fuses_are_no_frames(tmp_path: Path) -> None:
+    """With ``fusestatic`` MuJoCo's model has no body that nothing moves: Tiago's casters."""
+    urdf, mjcf = tmp_path / "tiny.urdf", tmp_path / "tiny.xml"
+    urdf.write_text(TINY_URDF)
+    site, body = '<site name="foot" pos="0 0 -0.1"/>', '<body name="foot" pos="0 0 -0.1"/>'
+    kept = TINY_MJCF.replace(site, body)
+    for text, frames in (
+        (kept, {"foot"}),
+        (kept.replace("<compiler ", '<compiler fusestatic="true" '), set()),
+    ):
+        mjcf.write_text(text)
+        matched = match(read_urdf(urdf), read_mjcf(mjcf))
+        assert set(matched.robot.description.frames) == frames
+        one, two = trees(matched.robot)
+        assert one.joints.keys() == two.joints.keys() == {"turn", "bend", "push"}
