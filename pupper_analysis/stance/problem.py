@@ -107,8 +107,7 @@ def goal_of(
     if like is None and not depths:
         like, limits = robot.once(_nominal)
         # Who wants other limits of its joints may change those of its model.
-        now = robot.pin_model.lowerPositionLimit, robot.pin_model.upperPositionLimit
-        if not ((now[0] == limits[0]).all() and (now[1] == limits[1]).all()):
+        if _limits(robot) != limits:
             like = None
         elif task is None and like is not None:
             return like
@@ -119,9 +118,15 @@ def goal_of(
     return _goal_of(robot, task, depths, like, checked=checked)
 
 
-def _nominal(robot: Robot) -> tuple[Goal | None, tuple[Array, Array]]:
+def _limits(robot: Robot) -> list[list[float]]:
+    """Returns Pinocchio's limits; in lists, which are compared in no time."""
+    model = robot.pin_model
+    return [model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()]
+
+
+def _nominal(robot: Robot) -> tuple[Goal | None, list[list[float]]]:
     """Returns the goal of the nominal stand, if it has one, and Pinocchio's limits with which."""
-    limits = robot.pin_model.lowerPositionLimit.copy(), robot.pin_model.upperPositionLimit.copy()
+    limits = _limits(robot)
     try:
         return _goal_of(robot, StandTask(), {}, None), limits
     except ConfigurationError:
