@@ -43,7 +43,7 @@ def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
         assert stance["recovery"] == json.loads(results[name].to_json())
         assert stance["stand"] == json.loads(stand.to_json())
         deepest = max(deepest, *stand.depths.values())
-    assert f"what the feet sink in (at most {1e3 * deepest:.2f} mm)" in out
+    assert f"compensated for contact penetration (at most {1e3 * deepest:.2f} mm)" in out
     push_figure(results, tmp_path / "alike.png")
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 

@@ -70,7 +70,7 @@ def test_a_dry_run_prints_a_diff(folder: Path) -> None:
     assert result.returncode == 1
     assert '-<mass value="6.0"/>\n+<mass value="7.5"/>' in result.stdout
     assert "\n--- a/robot.urdf\n+++ b/robot.urdf\n@@ " in result.stdout
-    assert "\nWhat is left\njoint hip1: effort: nothing was chosen for it" in result.stdout
+    assert "\nNot written\njoint hip1: effort: nothing was chosen for it" in result.stdout
     told = "DISAGREE URDF and MJCF: attributes that would be written: 1\n  differences left: 1\n"
     assert result.stdout.startswith(told)
     assert (folder / "robot.urdf").read_bytes() == before
@@ -80,7 +80,7 @@ def test_what_cannot_be_stated_is_left(tmp_path: Path) -> None:
     write_parts(tmp_path, ROBOT, DIFFERENT)
     result = run(tmp_path, "--take", "mjcf")
     assert result.returncode == 1
-    assert "\nWhat is left\njoint hip1: armature: a URDF has no armature" in result.stdout
+    assert "\nNot written\njoint hip1: armature: a URDF has no armature" in result.stdout
     told = "DISAGREE URDF and MJCF: attributes written: 2\n  differences left: 1\n"
     assert result.stdout.startswith(told)
 

@@ -37,7 +37,7 @@ def stands(robot: Robot) -> pa.StandVerification:
 def test_nothing_is_named_and_it_stands(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path))
     assert set(robot.soles) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
-    assert "FL_calf on FL_calf" in said(robot, "no feet were named")
+    assert "FL_calf on FL_calf" in said(robot, "feet detected")
     assert "'home'" in said(robot, "start pose")
     said(robot, "a plane with MuJoCo's default contact was added")
     said(robot, "no position servos")

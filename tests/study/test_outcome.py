@@ -461,7 +461,7 @@ def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -
     assert (
         tightest_tolerance(study, tmp_path, wanted=0.9, criteria=wide, executor=thread).scale == 1
     )
-    with pytest.raises(pa.ConfigurationError, match="measures no 'height'"):
+    with pytest.raises(pa.ConfigurationError, match="has no metric 'height'"):
         tightest_tolerance(
             study, tmp_path, wanted=0.9, criteria={"height": (0, 1)}, executor=thread
         )
@@ -538,7 +538,7 @@ def test_searches_that_make_no_sense_are_refused(tmp_path: Path, thread: Executo
     study = searched()
     for options, message in (
         ({}, "say what is to be least"),
-        ({"minimise": ["sag"]}, "does not measure 'sag'"),
+        ({"minimise": ["sag"]}, "has no metric 'sag'"),
         ({"minimise": ["kp"], "subject_to": {"servo_sag": 3}}, "is no pair"),
         ({"minimise": ["kp"], "trials": 0}, "give at least 1"),
     ):
