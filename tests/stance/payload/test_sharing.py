@@ -13,6 +13,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.payload.sharing import load_sharing
+from pupper_analysis.stance.context import context_of
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.stand import stand_for
 from pupper_analysis.stance.sunk import loaded_stand
@@ -36,7 +37,8 @@ def lowest(robot: pa.Robot, stand: pa.Stand, share: float) -> float:
         for foot, force in sharing.normal_forces.items()
     }
     task = loaded_stand(laden, stand).task
-    sunk = stand_for(laden, goal_of(laden, task, depths), explain=False)
+    with context_of(laden) as context:
+        sunk = stand_for(context, goal_of(laden, task, depths), explain=False)
     drive = servos(laden)
     data = mujoco.MjData(drive.model)
     speed = np.zeros(laden.nv)
