@@ -12,8 +12,8 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.stance.payload.sharing import load_sharing
 from pupper_analysis.stance.context import context_of
+from pupper_analysis.stance.payload.sharing import load_sharing
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.stand import stand_for
 from pupper_analysis.stance.sunk import loaded_stand
