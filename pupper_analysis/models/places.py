@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, Source
+from pupper_analysis.diagnostics import Diagnostic, Source, diagnose
 from pupper_analysis.errors import ModelError
 
 T = TypeVar("T")
@@ -87,6 +87,20 @@ def refusal(place: Place, problem: Diagnostic) -> ModelError:
     sources = problem.sources or (place.source,)
     name = source_name(place.file, place.line) + (place.within if place.prim is not None else "")
     return ModelError(name, replace(problem, sources=sources))
+
+
+def check_regular(path: Path) -> None:
+    """Refuses what is no regular file: who opened a pipe would wait without end.
+
+    Raises:
+        ModelError: If it is a folder, not there, or neither file nor link to one.
+    """
+    if path.is_dir():
+        raise refusal(Place(path), diagnose("file-is-folder"))
+    if not path.exists():
+        raise refusal(Place(path), diagnose("no-such-file"))
+    if not path.is_file():
+        raise refusal(Place(path), diagnose("file-not-regular"))
 
 
 def source_name(path: Path, line: int | None = None) -> str:

@@ -16,7 +16,7 @@ from typing import Any, Final
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import MissingPackageError
-from pupper_analysis.models.places import Place, one_line, refusal
+from pupper_analysis.models.places import Place, check_regular, one_line, refusal
 from pupper_analysis.models.xml import LFS_POINTER
 
 SUFFIXES: Final = (".usd", ".usda", ".usdc", ".usdz")
@@ -123,12 +123,7 @@ def _library() -> Any:
 def _check_file(path: Path) -> None:
     """Refuses what is no file, too large, empty, or a pointer of Git LFS."""
     try:
-        if path.is_dir():
-            raise refusal(Place(path), diagnose("file-is-folder"))
-        if not path.exists():
-            raise refusal(Place(path), diagnose("no-such-file"))
-        if not path.is_file():
-            raise refusal(Place(path), diagnose("file-not-regular"))
+        check_regular(path)
         if path.stat().st_size > MAX_BYTES:
             raise refusal(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
         with path.open("rb") as file:

@@ -10,7 +10,7 @@ from lxml import etree
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models import standard_input
-from pupper_analysis.models.places import Place, one_line, refusal, refusal_at
+from pupper_analysis.models.places import Place, check_regular, one_line, refusal, refusal_at
 
 MAX_BYTES: Final = 20_000_000
 """Largest file that is read."""
@@ -105,12 +105,7 @@ def _text(path: Path) -> str:
 def _bytes(path: Path) -> bytes:
     """Returns what a file has, up to one byte more than is read."""
     try:
-        if path.is_dir():
-            raise refusal(Place(path), diagnose("file-is-folder"))
-        if not path.exists():
-            raise refusal(Place(path), diagnose("no-such-file"))
-        if not path.is_file():
-            raise refusal(Place(path), diagnose("file-not-regular"))
+        check_regular(path)
         with path.open("rb") as file:
             return file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:

@@ -16,17 +16,13 @@ from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refusal
 from pupper_analysis.models.usd_file import UsdFile, read_usd
-from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Inertial, Link
+from pupper_analysis.robot_model.mjcf import KINDS
+from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Inertial, Link
 from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 from pupper_analysis.robot_model.usd_joints import Edge
 
-_TYPES = {
-    HINGE: mujoco.mjtJoint.mjJNT_HINGE,
-    SLIDE: mujoco.mjtJoint.mjJNT_SLIDE,
-    BALL: mujoco.mjtJoint.mjJNT_BALL,
-    FREE: mujoco.mjtJoint.mjJNT_FREE,
-}
+_TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in KINDS.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.usd_file import UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
@@ -22,9 +23,6 @@ from pupper_analysis.robot_model.as_mjcf import notes_of, unstated
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link
 from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
-
-FAR = 1e6
-"""m: the limit of a slide that has none, which a URDF cannot say."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +122,7 @@ def _joint(model: UsdModel, joint: Joint, place: Pose, frame: Pose) -> etree._El
     etree.SubElement(element, "axis", xyz=_text(frame.rotation.T @ joint.axis))
     stated: Mapping[str, float] = joint.stated
     if not (endless and joint.kind == HINGE):
-        ends = np.clip((joint.lower, joint.upper), -FAR, FAR)
+        ends = np.clip((joint.lower, joint.upper), -ENDLESS_SLIDE, ENDLESS_SLIDE)
         stated = {**stated, "lower limit": float(ends[0]), "upper limit": float(ends[1])}
     for one in JOINT_ATTRIBUTES:
         if one.urdf is not None and one.kind in stated:

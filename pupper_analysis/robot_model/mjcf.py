@@ -37,7 +37,7 @@ from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.repair import full_matrix, repaired, switched_off_ranges
 from pupper_analysis.robot_model.urdf import half_digit
 
-_KINDS: dict[int, str] = {
+KINDS: dict[int, str] = {
     JointKind.FREE: FREE,
     JointKind.BALL: BALL,
     JointKind.SLIDE: SLIDE,
@@ -130,7 +130,7 @@ def zero_configuration(model: mujoco.MjModel) -> Array:
     """Returns the qpos (nq,) in which all angles are zero; free and ball joints as they start."""
     qpos = np.array(model.qpos0)
     for joint in range(model.njnt):
-        if _KINDS[int(model.jnt_type[joint])] in (HINGE, SLIDE):
+        if KINDS[int(model.jnt_type[joint])] in (HINGE, SLIDE):
             qpos[model.jnt_qposadr[joint]] = 0.0
     return qpos
 
@@ -169,7 +169,7 @@ def _joint(
     ranges: dict[int, tuple[float, float]],
 ) -> Joint:
     body = int(model.jnt_bodyid[joint])
-    kind = _KINDS[int(model.jnt_type[joint])]
+    kind = KINDS[int(model.jnt_type[joint])]
     limited = bool(model.jnt_limited[joint]) and kind in (HINGE, SLIDE)
     lower, upper = model.jnt_range[joint] if limited else (-math.inf, math.inf)
     if joint in ranges:
