@@ -1,0 +1,86 @@
+"""Edits of an MJCF's bodies: what MuJoCo then compiles."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pupper_analysis.models.spec_tree import SpecTree
+
+MJCF = """<mujoco><worldbody><body name="base"><freejoint/>
+  <inertial pos="0.1 0.2 0.3" mass="2" fullinertia="0.02 0.03 0.04 0.001 0.002 0.003"/>
+  <body name="arm" pos="0 0 1"><joint name="j"/>
+    <geom type="box" size="0.1 0.2 0.3" pos="0.05 0 0" density="500"/>
+    <geom type="sphere" size="0.1" pos="0 0.1 0" mass="3"/>
+    <body name="tip" pos="1 0 0"><geom type="sphere" size="0.05"/></body>
+  </body></body></worldbody></mujoco>"""
+
+
+def tree() -> SpecTree:
+    return SpecTree(mujoco.MjSpec.from_string(MJCF))
+
+
+def test_structure() -> None:
+    one = tree()
+    assert one.names == ("base", "arm", "tip")
+    assert [one.parent(name) for name in one.names] == [None, "base", "arm"]
+    assert [one.movers(name) for name in one.names] == [(), ("j",), ()]
+    assert one.fixed_group("arm") == [*one.subtree("arm")] == ["arm", "tip"]
+    assert one.moved_by("j") == "arm"
+    assert one.moved_by("k") is None
+
+
+@pytest.mark.parametrize("name", ["base", "arm"])
+def test_a_mass_is_scaled_with_its_inertia(name: str) -> None:
+    """Stated, of a density and of a geom's mass alike: the com stays."""
+    before, one = tree().spec.compile(), tree()
+    one.scale_mass(name, 1.5)
+    after = one.spec.compile()
+    body = before.body(name).id
+    assert after.body_mass[body] == pytest.approx(1.5 * before.body_mass[body], rel=1e-12)
+    np.testing.assert_allclose(after.body_inertia[body], 1.5 * before.body_inertia[body])
+    np.testing.assert_allclose(after.body_ipos[body], before.body_ipos[body], atol=1e-12)
+    assert one.weight(name) == pytest.approx(1.5 * tree().weight(name))
+
+
+@pytest.mark.parametrize("name", ["base", "arm"])
+def test_a_com_moves_alone(name: str) -> None:
+    before, one = tree().spec.compile(), tree()
+    one.move_com(name, np.array([0.01, -0.02, 0.03]))
+    after, body = one.spec.compile(), before.body(name).id
+    moved = after.body_ipos[body] - before.body_ipos[body]
+    np.testing.assert_allclose(moved, [0.01, -0.02, 0.03], atol=1e-12)
+    np.testing.assert_allclose(after.body_mass, before.body_mass, rtol=1e-12)
+    np.testing.assert_allclose(after.body_inertia, before.body_inertia, rtol=1e-9)
+
+
+def test_an_inertia_of_geoms_is_not_scaled() -> None:
+    with pytest.raises(ValueError, match="arm"):
+        tree().scale_inertia("arm", 2.0)
+
+
+def test_a_link_is_added_as_pinocchio_has_it() -> None:
+    inertia = pin.Inertia(
+        0.5,
+        np.array([0.1, 0.0, 0.2]),
+        np.array([[2.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 4.0]]),
+    )
+    one = tree()
+    one.add_link("load", "arm", "weld", np.array([0.0, 0.5, 0.0]), inertia)
+    model = one.spec.compile()
+    body = model.body("load")
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, body.iquat)
+    axes = turn.reshape(3, 3)
+    np.testing.assert_allclose(axes @ np.diag(body.inertia) @ axes.T, inertia.inertia, atol=1e-9)
+    np.testing.assert_allclose(body.ipos, inertia.lever)
+    assert (body.mass[0], model.body("arm").id) == (0.5, int(body.parentid[0]))
+
+
+def test_a_part_goes_with_its_joints() -> None:
+    one = tree()
+    one.remove_subtree("arm")
+    assert one.names == ("base",)
+    assert one.spec.compile().njnt == 1
