@@ -107,10 +107,8 @@ def vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     if found.shape != (size,):
         told = diagnose("array-of-another-shape", size=size, shape=str(found.shape))
         raise ConfigurationError(name, told)
-    # Quicker than to look at each; where the squares overflow, each is looked at.
-    with np.errstate(over="ignore"):
-        squares = found.dot(found)
-    if not math.isfinite(squares) and not np.isfinite(found).all():
+    # Quicker than to look at each; where the length overflows, each is looked at.
+    if not math.isfinite(math.hypot(*found.tolist())) and not np.isfinite(found).all():
         index = int(np.flatnonzero(~np.isfinite(found))[0])
         told = diagnose("element-not-finite", index=index, value=found[index])
         raise ConfigurationError(name, told)

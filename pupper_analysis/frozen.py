@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NoReturn, TypeVar
 
 _K = TypeVar("_K")
@@ -39,3 +39,14 @@ def frozen(value: Any) -> Any:
         view.flags.writeable = False
         return view
     return value
+
+
+def lasting(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
+    """Returns copies of arrays by names that many results may share: nobody can make them writable.
+
+    Of what cannot be written to a view cannot be made writable either.
+    """
+    copies = {name: one.copy() for name, one in arrays.items()}
+    for one in copies.values():
+        one.flags.writeable = False
+    return FrozenDict({name: one.view() for name, one in copies.items()})

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import cached_property
+from operator import sub
 from typing import ClassVar
 
 import numpy as np
@@ -251,9 +252,9 @@ class JointLimits(Constraint):
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
-        joints = at.qpos[-len(goal.lower) :]
-        beyond = np.maximum(goal.lower - joints, joints - goal.upper)
-        return max(0.0, float(beyond.max(initial=0.0)))
+        joints = at.qpos[-len(goal.lower) :].tolist()  # lists: of a dozen numbers quicker
+        below, above = map(sub, goal.lower.tolist(), joints), map(sub, joints, goal.upper.tolist())
+        return float(max(0.0, *below, *above))
 
     @cached_property
     def _limited(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -26,7 +26,7 @@ class Begun:
     """Where a search has begun last: with the base at the origin.
 
     Attributes:
-        joints: (nu,) the joint positions that were asked for (rad).
+        joints: (nu,) the joint positions that were asked for (rad); a list is compared in no time.
         limits: The goal's limits, lower and upper.
         turn: Its turn of the base.
         by_base: Whether it puts the base in its place, and not the com.
@@ -34,7 +34,7 @@ class Begun:
         over: x and y of what shall be over a place (m).
     """
 
-    joints: Array
+    joints: list[float]
     limits: tuple[Array, Array]
     turn: tuple[float, float, float, float]
     by_base: bool

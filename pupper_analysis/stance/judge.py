@@ -220,12 +220,11 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     return Stand(
         task=task,
         qpos=at.qpos,
-        # Who changes a stand changes that alone: goals share their arrays.
-        foot_targets={foot: target.copy() for foot, target in goal.targets.items()},
+        foot_targets=goal.targets,
         depths=goal.depths,
         stance_feet=goal.stance_feet,
-        normals=dict.fromkeys(goal.stance_feet, task.ground.normal()),
-        contact_points=dict(zip(goal.stance_feet, goal.contacts.copy(), strict=True)),
+        normals=goal.normals,
+        contact_points=goal.touches,
         foot_error=max(missed["footholds"], missed["loops"], missed["joint-limits"]),
         orientation_error=missed["base-orientation"],
         height_error=missed["base-height"],

@@ -51,9 +51,11 @@ class Part:
         turn, place = link
         a, b, c = normal
         # The normal in the link's axes, and the height of the link's origin.
-        (xx, xy, xz), (yx, yy, yz), (u, v, w) = turn.tolist()
-        at_x, at_y, height = place.tolist()
-        if a != 0.0 or b != 0.0:
+        if a == 0.0 and b == 0.0:
+            (u, v, w), height = turn[2].tolist(), place.item(2)
+        else:
+            (xx, xy, xz), (yx, yy, yz), (u, v, w) = turn.tolist()
+            at_x, at_y, height = place.tolist()
             u, v, w = a * xx + b * yx + c * u, a * xy + b * yy + c * v, a * xz + b * yz + c * w
             height = a * at_x + b * at_y + c * height
         x, y, z = self.centre

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.frozen import FrozenDict, lasting
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
@@ -48,7 +49,9 @@ class Goal:
         depths: {foot that carries: m} how deep these are in the ground.
         stance_feet: The feet that carry.
         contacts: (n, 3) contact points of these.
-        corners: Where these are, seen from above: (x, y) of each.
+        touches: {foot that carries: (3,) its contact point}.
+        normals: {foot that carries: (3,) out of the ground}.
+        corners: Where the contact points are, seen from above: (x, y) of each.
         centre: (3,) the mean of these.
         height: z of the base frame.
         turn: Its orientation, a unit quaternion (w, x, y, z).
@@ -60,10 +63,12 @@ class Goal:
     """
 
     task: StandTask
-    targets: dict[str, Array]
-    depths: dict[str, float]
+    targets: FrozenDict[str, Array]
+    depths: FrozenDict[str, float]
     stance_feet: tuple[str, ...]
     contacts: Array
+    touches: FrozenDict[str, Array]
+    normals: FrozenDict[str, Array]
     corners: tuple[tuple[float, float], ...]
     centre: Array
     height: float
@@ -143,6 +148,7 @@ def _goal_of(
 ) -> Goal:
     if like is not None and _same_feet(like.task, task):
         stance_feet, contacts, targets = like.stance_feet, like.contacts, like.targets
+        touches, normals, deep = like.touches, like.normals, like.depths
         corners, centre = like.corners, like.centre
     else:
         stance_feet = _stance_feet(robot, task, depths)
@@ -153,9 +159,10 @@ def _goal_of(
         )
         if checked:
             _check_area(robot, contacts, stance_feet)
-        targets = sunk_into(
-            robot, targets, {foot: depths.get(foot, 0.0) for foot in stance_feet}, normal
-        )
+        deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
+        targets = lasting(sunk_into(robot, targets, deep, normal))
+        touches = lasting(dict(zip(stance_feet, contacts, strict=True)))
+        normals = lasting(dict.fromkeys(stance_feet, normal))
         corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
         centre = contacts.mean(axis=0)
     task = _filled(robot, task)
@@ -180,14 +187,16 @@ def _goal_of(
         place = like.place
     # The centre, of which no margin is asked, always is inside.
     if checked and not by_base and not (isinstance(task.com, str) and task.com_margin == 0.0):
-        _check_inside(task, place, dict(zip(stance_feet, contacts, strict=True)))
+        _check_inside(task, place, touches)
     turn = like.turn if like is not None and _turned_alike(like.task, task) else task.turn()
     return Goal(
         task=task,
         targets=targets,
-        depths={foot: float(depths.get(foot, 0.0)) for foot in stance_feet},
+        depths=deep,
         stance_feet=stance_feet,
         contacts=contacts,
+        touches=touches,
+        normals=normals,
         corners=corners,
         centre=centre,
         height=float(centre[2]) + task.height,

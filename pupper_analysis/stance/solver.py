@@ -246,7 +246,7 @@ class Solver:
         goal, (low, high) = self.goal, begun.limits
         same = goal.by_base == begun.by_base and goal.turn == begun.turn
         alike = low is goal.lower and high is goal.upper
-        return same and alike and bool((joints == begun.joints).all())
+        return same and alike and joints.tolist() == begun.joints
 
     def _at_origin(self, joints: Array) -> Begun:
         """Begins with the base at the origin."""
@@ -255,7 +255,7 @@ class Solver:
             self._put(q)
             x, y, _ = self.context.wrapper.com_world().tolist()
             over = x, y
-        return Begun(joints.copy(), (goal.lower, goal.upper), goal.turn, goal.by_base, q, over)
+        return Begun(joints.tolist(), (goal.lower, goal.upper), goal.turn, goal.by_base, q, over)
 
     def _bent(self, joints: Array) -> Array:
         """Returns q with the base at the origin and turned as it shall be, joints inside limits."""
