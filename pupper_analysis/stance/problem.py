@@ -153,14 +153,14 @@ def _goal_of(
     else:
         stance_feet = _stance_feet(robot, task, depths)
         normal = task.ground.normal()
-        targets = footholds(robot, task)
+        places = footholds(robot, task)
         contacts = np.array(
-            [targets[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
+            [places[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
         )
         if checked:
             _check_area(robot, contacts, stance_feet)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
-        targets = lasting(sunk_into(robot, targets, deep, normal))
+        targets = lasting(sunk_into(robot, places, deep, normal))
         touches = lasting(dict(zip(stance_feet, contacts, strict=True)))
         normals = lasting(dict.fromkeys(stance_feet, normal))
         corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
