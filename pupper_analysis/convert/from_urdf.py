@@ -10,20 +10,19 @@ from lxml import etree
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.convert.meshes import Meshes
-from pupper_analysis.convert.xml_text import element, free_name, halved, is_zero, words
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.models.mjcf_xml import MjcfXml
+from pupper_analysis.models.model_tree import FLOOR
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.unlimited import states_no_limits
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
+from pupper_analysis.models.xml_text import element, free_name, halved, is_zero, words
 
 WORLD = "world"
 """A root link of this name is the world itself, as in MuJoCo's own importer."""
-
-FLOOR = "floor"
-"""What the floor that is added, and its material, are called."""
 
 _ZERO = "0 0 0"
 
@@ -52,7 +51,7 @@ class UrdfBodies:
         armature: {joint: rotor inertia (kg m^2)}.
         notes: What an MJCF cannot say, or what was left out.
         materials: {name: rgba} that shapes use.
-        mimics: The joints that follow others.
+        mimics: {joint: what it follows, multiplier, offset}, as they are written.
         efforts: {joint: effort limit (N m or N)}, of those that follow no other and have one.
         root: The link that is the base.
         floats: Whether the URDF has its base on a floating joint.
@@ -64,7 +63,7 @@ class UrdfBodies:
     armature: dict[str, float]
     notes: list[Diagnostic] = field(default_factory=list)
     materials: dict[str, str] = field(default_factory=dict)
-    mimics: list[etree._Element] = field(default_factory=list)
+    mimics: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     efforts: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -89,20 +88,20 @@ class UrdfBodies:
             return True
         return False
 
-    def add(self, worldbody: etree._Element, *, free: bool) -> None:
-        """Adds all bodies to an MJCF's <worldbody>.
+    def add(self, mjcf: MjcfXml, *, free: bool) -> None:
+        """Adds all bodies to an MJCF.
 
         Raises:
             ModelError: If a link cannot be a body of MuJoCo.
         """
-        links = self._tree.links
+        links, worldbody = self._tree.links, mjcf.section("worldbody")
         for link in links:
             # One that carries the base's floating joint is the world, and no body.
             above = link != self.root and self.floats and link not in self._tree.above
             if link == WORLD and not above and (link != self.root or free):
                 problem = diagnose("link-named-world", subject=("link", WORLD))
                 raise refusal_at(self.urdf.path, links[link].element, problem)
-        guarded = len(self.urdf.root.findall("joint/safety_controller"))
+        guarded = sum(joint.has("safety_controller") for joint in self._tree.joints.values())
         if guarded:
             self.notes.append(diagnose("safety-controllers-left", count=guarded))
         if self.root == WORLD:
@@ -120,9 +119,9 @@ class UrdfBodies:
         self.frames.add(link.name)
         if link.inertial is not None and body.tag != "worldbody":
             _add_inertial(body, link.inertial)
-        for kind in ("visual", "collision"):
-            for shape in link.element.findall(kind):
-                self._add_shape(body, link.name, kind, shape)
+        for kind, shape, geometry in link.shapes:
+            if geometry is not None:
+                self._add_shape(body, link.name, kind, shape, geometry)
         for joint in self._tree.below.get(link.name, ()):
             xyz, rpy = _origin(joint.element)
             inner = element(body, "body", name=joint.child, pos=xyz, euler=rpy)
@@ -163,8 +162,10 @@ class UrdfBodies:
             limit = Quantity(float(effort), "N m")
             self.notes.append(diagnose("effort-negative", subject=("joint", name), effort=limit))
             effort = None
-        if self._follows(stated):
-            self.mimics.append(joint)
+        mimic = stated.mimic
+        if mimic is not None and self._follows(stated):
+            factors = mimic.get("multiplier") or "1", mimic.get("offset") or "0"
+            self.mimics[name] = str(mimic.get("joint")), *factors
             if effort is not None:  # no motor, whose limit it could be
                 body[-1].set("actuatorfrcrange", f"-{effort.removeprefix('+')} {effort}")
         elif effort is not None:
@@ -196,9 +197,15 @@ class UrdfBodies:
             problem = diagnose("axis-without-direction", subject=("joint", str(joint.get("name"))))
             raise refusal_at(self.urdf.path, axis, problem)
 
-    def _add_shape(self, body: etree._Element, link: str, kind: str, shape: etree._Element) -> None:
-        geometry = next(iter(shape.find("geometry")), None)
-        attributes = None if geometry is None else self._geometry(geometry, kind)
+    def _add_shape(
+        self,
+        body: etree._Element,
+        link: str,
+        kind: str,
+        shape: etree._Element,
+        geometry: etree._Element,
+    ) -> None:
+        attributes = self._geometry(geometry, kind)
         if attributes is None:
             return
         xyz, rpy = _origin(shape)

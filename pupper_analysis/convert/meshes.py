@@ -16,12 +16,12 @@ from pupper_analysis.convert.mesh_files import (
     check_size,
     obj_of,
 )
-from pupper_analysis.convert.xml_text import element, free_name
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.flat import flat_mesh
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml_text import element, free_name
 
 
 class Meshes:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import pinocchio as pin
-from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.convert.inertials import add_to, inertia_of, placement_of, put_inertia
-from pupper_analysis.convert.xml_text import element, words
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.mjcf_xml import MjcfXml, XmlBody
 from pupper_analysis.models.places import refusal
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -23,8 +19,6 @@ from pupper_analysis.models.xml import parse_text, to_text
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
-Group = list[tuple[etree._Element, pin.SE3]]
-"""Bodies that are fixed to each other, with the placement of the first in the frame of each."""
 
 _TRIANGLE: Final = 1e-12
 """Slack of A + B >= C between principal moments, relative: rounding of the eigenvalues."""
@@ -74,7 +68,7 @@ class Repair(Result):
 
 
 def mend_inertials(
-    urdf: UrdfFile, worldbody: etree._Element, *, repair: bool
+    urdf: UrdfFile, mjcf: MjcfXml, *, repair: bool
 ) -> tuple[list[Diagnostic], list[Repair]]:
     """Makes inertials such that MuJoCo takes them.
 
@@ -84,7 +78,7 @@ def mend_inertials(
 
     Args:
         urdf: What was read.
-        worldbody: The bodies made of it.
+        mjcf: What was made of it.
         repair: Whether to repair: moments become the nearest that a body can have, and what moves
             without any mass is given a gram.
 
@@ -96,49 +90,41 @@ def mend_inertials(
     """
     moved: list[Diagnostic] = []
     repairs: list[Repair] = []
-    for body in list(worldbody.iter("body")):
-        inertial = body.find("inertial")
-        if inertial is None or is_possible(inertia_of(inertial)):
+    for body in mjcf.bodies:
+        inertia = body.inertia
+        if inertia is None or is_possible(inertia):
             continue
-        said = _moved(body)
+        said = _moved(body, inertia)
         if said is not None:
             moved.append(said)
-        elif repair and inertia_of(inertial).mass > 0:
+        elif repair and inertia.mass > 0:
             repairs.append(_repaired(body))
-        elif inertia_of(inertial).mass > 0:
-            raise _refusal(urdf, body)
-    for body in worldbody.iter("body"):
-        joints = body.findall("joint") + body.findall("freejoint")
-        if joints and not _weighs(body):
+        elif inertia.mass > 0:
+            raise _refusal(urdf, body.name, inertia)
+    for body in mjcf.bodies:
+        if body.moves and not _weighs(body):
             if not repair:
-                raise _weightless(urdf, body, joints[-1])
+                raise _weightless(urdf, body)
             repairs.append(_repaired(body))
     return moved, repairs
 
 
-def repaired_urdf(urdf: UrdfFile, worldbody: etree._Element, repairs: list[Repair]) -> UrdfFile:
+def repaired_urdf(urdf: UrdfFile, mjcf: MjcfXml, repairs: list[Repair]) -> UrdfFile:
     """Returns a URDF with the inertials that were repaired: what the new MJCF is of.
 
     Args:
         urdf: What was read.
-        worldbody: The bodies made of it, with their inertials.
+        mjcf: What was made of it.
         repairs: Which of them were repaired.
     """
     if not repairs:
         return urdf
     root = parse_text(urdf.text)
     links = UrdfTree(root).links
-    bodies = {str(body.get("name")): body for body in worldbody.iter("body")}
     for repair in repairs:
-        link = links[repair.link]
-        link.remove("inertial")
-        inertia = inertia_of(bodies[repair.link].find("inertial"))
-        inertial = element(link.element, "inertial")
-        element(inertial, "origin", xyz=words(inertia.lever))
-        element(inertial, "mass", value=words(inertia.mass))
-        tensor = np.array(inertia.inertia)
-        entries = {name: words(tensor[place]) for name, place in INERTIA_ENTRIES.items()}
-        element(inertial, "inertia", **entries)
+        inertia = mjcf.body(repair.link).inertia
+        assert inertia is not None
+        links[repair.link].set_inertia(inertia)
     return replace(urdf, text=to_text(root), root=root)
 
 
@@ -171,82 +157,53 @@ def nearest_moments(moments: Array, mass: float) -> Array:
     return np.maximum(result, 10 * _LEAST)
 
 
-def _moved(body: etree._Element) -> Diagnostic | None:
+def _moved(body: XmlBody, inertia: pin.Inertia) -> Diagnostic | None:
     """Gives what a body cannot have to one that it is fixed to; says which, or None."""
-    inertia, name = inertia_of(body.find("inertial")), str(body.get("name"))
-    mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
-    group = list(_fixed_together(body))
+    moved, mass, moments = ("link", body.name), Quantity(inertia.mass, "kg"), _moments(inertia)
+    group = list(body.fixed_group())
     for other, placement in group[1:]:
-        there = other.find("inertial")
-        total = placement.act(inertia)
-        if there is not None and is_possible(inertia_of(there) + total):
-            add_to(other, total)
-            body.remove(body.find("inertial"))
-            carrier = str(other.get("name"))
+        there, total = other.inertia, placement.act(inertia)
+        if there is not None and is_possible(there + total):
+            other.set_inertia(there + total)
+            body.set_inertia(None)
             return diagnose(
-                "inertia-moved", subject=("link", name), mass=mass, moments=moments, to=carrier
+                "inertia-moved", subject=moved, mass=mass, moments=moments, to=other.name
             )
-    heavy = [(other, placement) for other, placement in group if other.find("inertial") is not None]
+    heavy = [(other, own, place) for other, place in group if (own := other.inertia) is not None]
     total = pin.Inertia.Zero()
-    for other, placement in heavy:
-        total += placement.inverse().act(inertia_of(other.find("inertial")))
+    for _, own, placement in heavy:
+        total += placement.inverse().act(own)
     if len(heavy) < 2 or not is_possible(total):
         return None
-    for other, _ in heavy:
-        other.remove(other.find("inertial"))
-    put_inertia(body, total)
-    names = [str(other.get("name")) for other, _ in heavy[1:]]
-    return diagnose(
-        "inertias-joined", subject=("link", name), mass=mass, moments=moments, links=names
-    )
+    for other, _, _ in heavy:
+        other.set_inertia(None)
+    body.set_inertia(total)
+    names = [other.name for other, _, _ in heavy[1:]]
+    return diagnose("inertias-joined", subject=moved, mass=mass, moments=moments, links=names)
 
 
-def _fixed_together(body: etree._Element) -> Iterator[tuple[etree._Element, pin.SE3]]:
-    """Yields a body and all that are fixed to it, the nearest first."""
-    known = {body}
-    waiting = [(body, pin.SE3.Identity())]
-    while waiting:
-        here, placement = waiting.pop(0)
-        yield here, placement
-        near = [(child, placement_of(child).inverse()) for child in here.findall("body")]
-        near = [(child, there) for child, there in near if not _moves(child)]
-        parent = here.getparent()
-        if parent.tag == "body" and not _moves(here):
-            near.insert(0, (parent, placement_of(here)))
-        for other, there in near:
-            if other not in known:
-                known.add(other)
-                waiting.append((other, there * placement))
-
-
-def _moves(body: etree._Element) -> bool:
-    return body.find("joint") is not None or body.find("freejoint") is not None
-
-
-def _weighs(body: etree._Element) -> bool:
+def _weighs(body: XmlBody) -> bool:
     """Says whether a body, or one that is fixed to it, has a mass."""
-    inertials = (other.find("inertial") for other, _ in _fixed_together(body))
-    return any(inertial is not None and inertia_of(inertial).mass > 0 for inertial in inertials)
+    inertias = (other.inertia for other, _ in body.fixed_group())
+    return any(inertia is not None and inertia.mass > 0 for inertia in inertias)
 
 
-def _repaired(body: etree._Element) -> Repair:
+def _repaired(body: XmlBody) -> Repair:
     """Gives a body the nearest inertia that it can have."""
-    inertial = body.find("inertial")
-    old = pin.Inertia.Zero() if inertial is None else inertia_of(inertial)
+    stated = body.inertia
+    old = pin.Inertia.Zero() if stated is None else stated
     moments, axes = np.linalg.eigh(np.array(old.inertia))
     new = pin.Inertia.Zero()
     new.mass, new.lever = (old.mass if old.mass > 0 else LIGHT), old.lever
     wanted = nearest_moments(moments, new.mass)
     new.inertia = axes @ np.diag(wanted) @ axes.T
-    put_inertia(body, new)
-    mover = body
-    while not _moves(mover) and mover.getparent().tag == "body":
-        mover = mover.getparent()
-    joint = mover.find("joint")
-    name = str((mover if joint is None else joint).get("name"))
+    body.set_inertia(new)
+    moved = body
+    while not moved.moves and moved.parent is not None:
+        moved = moved.parent
     return Repair(
-        link=str(body.get("name")),
-        body=name,
+        link=body.name,
+        body=moved.mover or moved.name,
         mass=float(old.mass),
         moments=_three(moments),
         new_mass=float(new.mass),
@@ -254,17 +211,15 @@ def _repaired(body: etree._Element) -> Repair:
     )
 
 
-def _refusal(urdf: UrdfFile, body: etree._Element) -> ModelError:
-    name, inertia = str(body.get("name")), inertia_of(body.find("inertial"))
+def _refusal(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
     mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
     problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
     return refusal(urdf.place("link", name, "inertial/inertia"), problem)
 
 
-def _weightless(urdf: UrdfFile, body: etree._Element, joint: etree._Element) -> ModelError:
-    link, mover = "link", joint.get("name") if joint.tag == "joint" else None
-    problem = diagnose("link-without-mass", subject=(link, str(body.get("name"))), joint=mover)
-    return refusal(urdf.place(link, str(body.get("name"))), problem)
+def _weightless(urdf: UrdfFile, body: XmlBody) -> ModelError:
+    problem = diagnose("link-without-mass", subject=("link", body.name), joint=body.mover)
+    return refusal(urdf.place("link", body.name), problem)
 
 
 def _moments(inertia: pin.Inertia) -> tuple[float, float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.convert import equip
@@ -21,13 +19,14 @@ from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
 from pupper_analysis.convert.repair import mend_inertials, repaired_urdf
-from pupper_analysis.convert.tidy import put_defaults, to_text
-from pupper_analysis.convert.xml_text import element, words
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml_layout import put_defaults, to_text
+from pupper_analysis.models.xml_text import element, words
 from pupper_analysis.prepare.drives import span
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.prepare.servo_tuning import held_gains, stand_gains
@@ -109,42 +108,42 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     meshes = Meshes(urdf, output, copied=options.copy_meshes)
     bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
     free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
-    root = _skeleton(str(urdf.root.get("name")))
-    worldbody = root.find("worldbody")
-    bodies.add(worldbody, free=free)
-    moved, repairs = mend_inertials(urdf, worldbody, repair=options.repair_inertia)
-    mended = repaired_urdf(urdf, worldbody, repairs)
+    mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
+    bodies.add(mjcf, free=free)
+    moved, repairs = mend_inertials(urdf, mjcf, repair=options.repair_inertia)
+    mended = repaired_urdf(urdf, mjcf, repairs)
     notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
     left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
     if options.merge_fixed:
-        merged = merge_fixed(worldbody)
+        merged = merge_fixed(mjcf)
         if merged:
             notes.append(diagnose("fixed-links-are-sites", links=merged))
-    carried = carry_shapes(worldbody)
+    carried = carry_shapes(mjcf)
     if carried:
         notes.append(diagnose("shapes-carried", links=carried))
-    asset = root.find("asset")
+    asset = mjcf.section("asset")
     for name, rgba in bodies.materials.items():
         element(asset, "material", name=name, rgba=rgba)
     if free:
-        equip.add_scene(root)
+        mjcf.add_floor()
         notes += [diagnose("floor-and-free-joint-added"), diagnose("contacts-made-to-hold")]
-    equip.add_mimics(root, bodies)
+    for follower, mimic in bodies.mimics.items():
+        mjcf.add_coupling(follower, *mimic)
     failure = None
     if free:
-        found, failure = _put_stand(root, mended, meshes, bodies, options)
-        notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(root, bodies)]
+        found, failure = _put_stand(mjcf, mended, meshes, bodies, options)
+        notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(mjcf, bodies)]
     else:
         notes.append(diagnose("base-fixed-in-the-world"))
-        notes += _put_held(root, _trial(root, urdf, meshes), bodies, options)
+        notes += _put_held(mjcf, _trial(mjcf, urdf, meshes), bodies, options)
     elsewhere = meshes.elsewhere
-    notes += [*_unstated(root), *([elsewhere] if elsewhere else [])]
+    notes += [*_unstated(mjcf), *([elsewhere] if elsewhere else [])]
     meshes.write(asset)
-    _leave_out_empty(root)
-    put_defaults(root)
+    mjcf.remove_empty_sections()
+    put_defaults(mjcf.root)
     header = f"Converted from {urdf.path.name} by pupper-analysis."
     return Draft(
-        text=to_text(root, header),
+        text=to_text(mjcf.root, header),
         meshes=meshes.made,
         notes=tuple(notes),
         left=tuple(left),
@@ -154,20 +153,6 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         failure=failure,
         lost=tuple(meshes.lost),
     )
-
-
-def _skeleton(name: str) -> etree._Element:
-    root = etree.Element("mujoco", {"model": name})
-    # The angles are the URDF's, about fixed axes; what has no <inertial> weighs nothing.
-    element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
-    default = element(root, "default")
-    visual = element(default, "default", class_="visual")
-    element(visual, "geom", contype="0", conaffinity="0", group="2")
-    collision = element(default, "default", class_="collision")
-    element(collision, "geom", group="3")
-    element(root, "asset")
-    element(root, "worldbody")
-    return root
 
 
 def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
@@ -202,7 +187,7 @@ def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
 
 
 def _put_stand(
-    root: etree._Element,
+    mjcf: MjcfXml,
     urdf: UrdfFile,
     meshes: Meshes,
     bodies: UrdfBodies,
@@ -214,29 +199,29 @@ def _put_stand(
         Its notes, and why the robot does not stand, if so.
     """
     # Without shapes nothing can stand, which is no sign of a hand.
-    sure = not any(geom.get("class") == "collision" for geom in root.iter("geom"))
+    sure = not mjcf.touches
     sure |= bodies.floats or options.feet is not None or options.fixed_base is False
     try:
-        robot = _loaded(root, urdf, meshes, options.feet)
+        robot = _loaded(mjcf, urdf, meshes, options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
         problem = error.cause
-        model = _trial(root, urdf, meshes)
+        model = _trial(mjcf, urdf, meshes)
         if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
             raise _LeglessError(problem) from error
-        _put_held(root, model, bodies, options)
-        equip.lift_base(root, bodies, model)
+        _put_held(mjcf, model, bodies, options)
+        equip.lift_base(mjcf, bodies, model)
         return [], diagnose("does-not-stand", missing=meshes.missing, problem=problem)
     if len(robot.feet) < _LIMBS and not sure:
         raise _LeglessError(diagnose("lowest-limbs", limbs=robot.feet))
     told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     failure = None
     try:
-        equip.add_contacts(root, robot)
+        equip.add_contacts(mjcf, robot)
         stand = sunk_stand(robot)
         kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
-        equip.add_home(root, bodies, robot, stand, kp)
+        equip.add_home(mjcf, bodies, robot, stand, kp)
         if options.sag is not None or options.damping_ratio is not None:
             told = [note for note in told if note.code != "servos-added"]
             told.append(_servos(kp, kd))
@@ -246,10 +231,11 @@ def _put_stand(
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
         kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
-    equip.lift_base(root, bodies, robot.mj_model)
-    _put_option(root, timestep=words(robot.mj_model.opt.timestep))
+    equip.lift_base(mjcf, bodies, robot.mj_model)
+    mjcf.set_options(timestep=words(robot.mj_model.opt.timestep))
+    mjcf.use_implicit_damping()
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
-    equip.add_servos(root, bodies, dict(zip(robot.joint_names, gains, strict=True)))
+    equip.add_servos(mjcf, bodies, dict(zip(robot.joint_names, gains, strict=True)))
     return told, failure
 
 
@@ -285,33 +271,23 @@ def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
 
 
 def _put_held(
-    root: etree._Element, model: mujoco.MjModel, bodies: UrdfBodies, options: MjcfOptions
+    mjcf: MjcfXml, model: mujoco.MjModel, bodies: UrdfBodies, options: MjcfOptions
 ) -> list[Diagnostic]:
     """Adds the servos of a robot that is held; returns what was added."""
-    _put_option(root)
+    mjcf.use_implicit_damping()
     moving = np.flatnonzero(model.jnt_type != JointKind.FREE)
     if not len(moving):
         return [diagnose("nothing-moves")]
     kp, kd = held_gains(model, options.sag, options.damping_ratio)
     names = [str(model.joint(int(index)).name) for index in moving]
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
-    equip.add_servos(root, bodies, dict(zip(names, gains, strict=True)))
+    equip.add_servos(mjcf, bodies, dict(zip(names, gains, strict=True)))
     return [_servos(kp, kd)]
 
 
-def _put_option(root: etree._Element, **attributes: str) -> None:
-    """Says how MuJoCo steps: the integrator that takes servos' damping as implicit."""
-    option = root.find("option")
-    if option is None:
-        option = etree.Element("option")
-        root.insert(1, option)
-    option.attrib.update({**attributes, "integrator": "implicitfast", **option.attrib})
-
-
-def _unstated(root: etree._Element) -> list[Diagnostic]:
+def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
     """Tells which joints have neither armature nor damping: a URDF states no armature."""
-    joints = list(root.iter("joint"))
-    joints = [joint for joint in joints if joint.get("name") and joint.getparent().tag == "body"]
+    joints = mjcf.joints
     still, undamped = (sum(j.get(word) is None for j in joints) for word in ("armature", "damping"))
     told = [diagnose("armature-unstated", count=still, joints=len(joints))] if still else []
     if undamped:
@@ -323,43 +299,34 @@ def _servos(kp: Array, kd: Array) -> Diagnostic:
     return diagnose("servos-made", kp=span(kp, "N m/rad"), kd=span(kd, "N m s/rad"))
 
 
-def _loaded(root: etree._Element, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
+def _loaded(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
     """Loads the robot from the MJCF as far as it is made."""
-    with _draft(root, urdf, meshes) as path:
+    with _draft(mjcf, urdf, meshes) as path:
         return robot_of(urdf, read_mjcf(path), feet=feet)
 
 
-def _trial(root: etree._Element, urdf: UrdfFile, meshes: Meshes) -> mujoco.MjModel:
+def _trial(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes) -> mujoco.MjModel:
     """Compiles the MJCF as far as it is made."""
-    with _draft(root, urdf, meshes) as path:
+    with _draft(mjcf, urdf, meshes) as path:
         return read_mjcf(path).compile()
 
 
 @contextmanager
-def _draft(root: etree._Element, urdf: UrdfFile, meshes: Meshes) -> Iterator[Path]:
+def _draft(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes) -> Iterator[Path]:
     """Writes the MJCF as far as it is made, without what only looks are for.
 
     Raises:
         ModelError: What is raised about the draft, which nobody knows, as about the URDF.
     """
-    draft = copy.deepcopy(root)
-    for geom in list(draft.iter("geom")):
-        if geom.get("class") == "visual":
-            geom.getparent().remove(geom)
-    used = {str(geom.get("mesh")) for geom in draft.iter("geom")}
+    draft = mjcf.copy()
+    draft.remove_visuals()
     with tempfile.TemporaryDirectory() as folder:
-        meshes.write(draft.find("asset"), used=used, trial=Path(folder))
+        meshes.write(draft.section("asset"), used=draft.used_meshes, trial=Path(folder))
         path = Path(folder) / "draft.xml"
-        path.write_text(etree.tostring(draft, encoding="unicode"))
+        path.write_text(draft.text)
         try:
             yield path
         except ModelError as error:
             if str(path) in error.source:
                 raise ModelError(urdf.path, error.cause) from error
             raise
-
-
-def _leave_out_empty(root: etree._Element) -> None:
-    for node in list(root):
-        if node.tag != "worldbody" and not len(node) and not node.attrib:
-            root.remove(node)

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, rotation_from_quaternion
 from pupper_analysis.convert.conversion import Draft
-from pupper_analysis.convert.tidy import to_text
 from pupper_analysis.convert.unsaid import others, surroundings
 from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
-from pupper_analysis.convert.xml_text import element, free_name, words
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.attributes import PASSIVE
@@ -29,6 +27,8 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml_layout import to_text
+from pupper_analysis.models.xml_text import element, free_name, words
 
 Array = NDArray[np.float64]
 

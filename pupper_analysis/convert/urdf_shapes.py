@@ -12,9 +12,9 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.convert.xml_text import ANGLE_DIGITS, element, free_name, is_zero, words
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.xml_text import ANGLE_DIGITS, element, free_name, is_zero, words
 
 Array = NDArray[np.float64]
 Geometry = tuple[str, dict[str, str], pin.SE3]

@@ -23,6 +23,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
@@ -206,12 +207,7 @@ def mujoco_from_urdf(
         spec.body(root_link).pos = data.body(base).xpos
         spec.body(root_link).quat = data.body(base).xquat
     if imu is not None:
-        spec.body(imu).add_site(name=imu)
-        for name, kind in (
-            ("gyro", mujoco.mjtSensor.mjSENS_GYRO),
-            ("accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER),
-        ):
-            spec.add_sensor(name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=imu)
+        SpecTree(spec).add_imu(imu, imu)
     model = copy.copy(mjcf.compile_spec(spec, source))
     armature = joint_armature(like)
     for index in range(model.njnt):

@@ -8,6 +8,7 @@ from typing import Final
 import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.ground_plane import add_plane
 
 _RETIRED: Final = (
     ("flag", "sensornoise"),  # noise on sensors' readings
@@ -64,9 +65,5 @@ def put_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
     gone = sorted(name for name in named - known if name)
     if len(gone) != 1 or not _GROUND.search(gone[0]):
         return []
-    plain = mujoco.MjSpec().default.geom  # the MJCF's own defaults are meant for the robot
-    floor = spec.worldbody.add_geom(name=gone[0])
-    for word in ("contype", "conaffinity", "condim", "friction", "solref", "solimp", "margin"):
-        setattr(floor, word, getattr(plain, word))
-    floor.type, floor.size = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05)
+    add_plane(spec, gone[0])
     return [diagnose("ground-of-pairs-added", subject=("geom", gone[0]))]

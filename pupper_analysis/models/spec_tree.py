@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.free_base import delete_joint
+from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM, add_plane
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SENSORS, Number
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
 class SpecTree:
-    """The bodies and joints of an MJCF: a `ModelTree`.
+    """The bodies and joints of an MJCF: a `ModelTree` with the verbs of `MjcfEdits`.
 
     Attributes:
         spec: MuJoCo's editable model.
@@ -149,3 +151,117 @@ class SpecTree:
         for word in attribute.mjcf:
             value = getattr(element, word)
             setattr(element, word, np.array(value) * factor if np.ndim(value) else value * factor)
+
+    def use_implicit_damping(self) -> None:
+        """Steps so that a servo's damping does not shake light joints."""
+        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+    def add_floor(self) -> mujoco.MjsGeom:
+        """Adds a plane at z = 0 with MuJoCo's own contact, that all which touches anything touches.
+
+        Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
+        touch ground, too: scenes of such robots have a floor with those bits.
+        """
+        bits, name, taken = 1, FLOOR, {geom.name for geom in self.spec.geoms}
+        for geom in self.spec.geoms:
+            bits |= int(geom.contype)
+        while name in taken:
+            name += "_"
+        return add_plane(self.spec, name, bits)
+
+    def add_imu(self, body: str, site: str) -> None:
+        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
+        if self.spec.site(site) is None:
+            self.spec.body(body).add_site(name=site)
+        for kind in IMU_SENSORS:
+            sensor = getattr(mujoco.mjtSensor, f"mjSENS_{kind.upper()}")
+            at = mujoco.mjtObj.mjOBJ_SITE
+            self.spec.add_sensor(name=kind, type=sensor, objtype=at, objname=site)
+
+    def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
+        """Makes a joint follow another: q = offset + multiplier q of the leader."""
+        # MuJoCo's polynomial is of the coordinates less those of its zero pose.
+        here, there = (float(self.spec.joint(name).ref) for name in (follower, leader))
+        rest = float(offset) - here + float(multiplier) * there
+        equality = self.spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_JOINT, name1=follower, name2=leader
+        )
+        equality.data[:5] = (rest, float(multiplier), 0.0, 0.0, 0.0)
+        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
+        step = float(self.spec.option.timestep)
+        equality.solref = (max(COUPLING_TIME, 2 * step), 1.0)
+
+    def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
+        """Returns the last motor at a joint; None if there is none."""
+        at = mujoco.mjtTrn.mjTRN_JOINT
+        found = [m for m in self.spec.actuators if m.trntype == at and m.target == joint]
+        return found[-1] if found else None
+
+    def add_motor(self, joint: str) -> mujoco.MjsActuator:
+        """Adds a motor at a joint; it has no limits, and does what it is told."""
+        motor = self.spec.add_actuator(
+            name=f"{joint} (servo)", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
+        # The MJCF's defaults are meant for its own: a limit of theirs has no range here.
+        motor.ctrllimited = motor.forcelimited = motor.actlimited = (
+            mujoco.mjtLimited.mjLIMITED_FALSE
+        )
+        motor.set_to_motor()
+        return motor
+
+    def add_position_servo(
+        self,
+        joint: str,
+        kp: float,
+        kd: float,
+        limits: tuple[Number, Number] | None = None,
+    ) -> None:
+        """Makes a joint's motor a position servo; where it has none, one is added."""
+        motor = self.motor_at(joint)
+        if motor is None:
+            motor = self.spec.add_actuator(
+                name=f"{joint} (servo)", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
+            )
+        gear = float(motor.gear[0]) or 1.0
+        motor.set_to_position(kp=float(kp) / gear**2, kv=float(kd) / gear**2, inheritrange=0.0)
+        motor.ctrllimited = motor.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        motor.actrange, motor.delay, motor.nsample = (0.0, 0.0), 0.0, 0
+        if limits is not None:
+            motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            motor.forcerange = sorted(float(limit) / gear for limit in limits)
+
+    def exclude_contact(self, one: str, two: str) -> None:
+        """Lets two bodies not touch each other."""
+        self.spec.add_exclude(bodyname1=one, bodyname2=two)
+
+    def turn_off_contact(self, geoms: Sequence[str]) -> None:
+        """Lets geoms touch nothing."""
+        for geom in self.spec.geoms:
+            if geom.name in geoms:
+                geom.contype = geom.conaffinity = 0
+
+    def add_ball(
+        self,
+        name: str,
+        body: str,
+        radius: float,
+        place: ArrayLike,
+        like: mujoco.MjsGeom | None = None,
+    ) -> mujoco.MjsGeom:
+        """Adds a sphere that weighs nothing; it touches, and is shown, as another geom."""
+        ball = self.spec.body(body).add_geom(
+            name=name,
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=(radius, 0.0, 0.0),
+            pos=place,
+            mass=0.0,
+        )
+        for word in () if like is None else ("rgba", *CONTACT_OF_GEOM):
+            setattr(ball, word, getattr(like, word))
+        return ball
+
+    def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
+        """Makes a pose the only keyframe."""
+        for key in list(self.spec.keys):
+            self.spec.delete(key)
+        self.spec.add_key(name=HOME, qpos=qpos, **({"ctrl": ctrl} if len(ctrl) else {}))

@@ -68,6 +68,10 @@ class UrdfElement:
         """Its name."""
         return str(self.element.get("name"))
 
+    def has(self, tag: str) -> bool:
+        """Tells whether it has a child of a tag."""
+        return self.element.find(tag) is not None
+
     def remove(self, *tags: str) -> None:
         """Takes its children of some tags out of it."""
         for tag in tags:
@@ -82,6 +86,23 @@ class UrdfLink(UrdfElement):
     def inertial(self) -> etree._Element | None:
         """Its ``<inertial>``; None if it states none."""
         return self.element.find("inertial")
+
+    def set_inertia(self, inertia: pin.Inertia) -> None:
+        """States an inertia, in its own frame, in the place of what it states."""
+        self.remove("inertial")
+        stated = etree.SubElement(self.element, "inertial")
+        etree.SubElement(stated, "origin", xyz=_words(inertia.lever))
+        etree.SubElement(stated, "mass", value=repr(float(inertia.mass)))
+        tensor = np.array(inertia.inertia)
+        entries = {word: repr(float(tensor[at])) for word, at in INERTIA_ENTRIES.items()}
+        etree.SubElement(stated, "inertia", **entries)
+
+    @property
+    def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
+        """Its visuals, then its collision shapes: tag, element, and the element of its form."""
+        for tag in ("visual", "collision"):
+            for shape in self.element.iterfind(tag):
+                yield tag, shape, next(iter(shape.find("geometry")), None)
 
     @property
     def geometries(self) -> list[etree._Element]:
@@ -322,14 +343,9 @@ class UrdfTree:
             place: (3,) of its frame in the parent's (m).
             inertia: What it weighs, in its own frame; None: nothing is stated.
         """
-        link = etree.SubElement(self.root, "link", name=name)
+        link = UrdfLink(etree.SubElement(self.root, "link", name=name))
         if inertia is not None:
-            stated = etree.SubElement(link, "inertial")
-            etree.SubElement(stated, "origin", xyz=_words(inertia.lever))
-            etree.SubElement(stated, "mass", value=repr(float(inertia.mass)))
-            tensor = np.array(inertia.inertia)
-            entries = {word: repr(float(tensor[at])) for word, at in INERTIA_ENTRIES.items()}
-            etree.SubElement(stated, "inertia", **entries)
+            link.set_inertia(inertia)
         held = etree.SubElement(self.root, "joint", name=joint, type="fixed")
         etree.SubElement(held, "parent", link=parent)
         etree.SubElement(held, "child", link=name)

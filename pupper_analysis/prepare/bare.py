@@ -17,8 +17,8 @@ from pupper_analysis.models.joint_drives import Drive, drive_of
 from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.models.mjcf import compile_spec, quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
-from pupper_analysis.robot.floor import add_floor
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
         spec = mjcf.spec.copy()
         name_all(spec, set())
         if _ground(model) is None and not len(_fixed_geoms(model)):
-            add_floor(spec)
+            SpecTree(spec).add_floor()
         model = compile_spec(spec, mjcf.path)
     return model if _has(model, robot) else None
 

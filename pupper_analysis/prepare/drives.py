@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare.servo_tuning import suggested_gains
 from pupper_analysis.prepare.visuals import take_visuals_of
 from pupper_analysis.robot.build import rebuilt
@@ -61,14 +62,7 @@ def with_motors(robot: Robot) -> Robot:
         return robot
     spec = robot.description.mjcf.copy()
     for joint in sorted(lacking):
-        name = robot.joint_names[joint]
-        motor = spec.add_actuator(name=f"{name} (servo)", target=name)
-        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        # The MJCF's defaults are meant for its own: a limit of theirs has no range here.
-        motor.ctrllimited = motor.forcelimited = motor.actlimited = (
-            mujoco.mjtLimited.mjLIMITED_FALSE
-        )
-        motor.set_to_motor()
+        SpecTree(spec).add_motor(robot.joint_names[joint])
     return rebuilt(robot, mjcf=spec)
 
 
@@ -226,30 +220,15 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     not shake light joints.
     """
     spec, own = spec.copy(), own_servos(robot)
+    tree = SpecTree(spec)
     idle = {robot.joint_names[joint] for joint in following(robot)}
-    by_joint = {
-        actuator.target: actuator
-        for actuator in spec.actuators
-        if actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
-    }
     for name, stiffness, damping, limit in zip(
         robot.joint_names, kp, kd, robot.efforts, strict=True
     ):
         if name in own or name in idle:
             continue
-        actuator = by_joint.get(name)
-        if actuator is None:
-            actuator = spec.add_actuator(
-                name=f"{name} (servo)", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-            )
-        gear = float(actuator.gear[0]) or 1.0
-        actuator.set_to_position(
-            kp=float(stiffness) / gear**2, kv=float(damping) / gear**2, inheritrange=0.0
-        )
-        actuator.ctrllimited = actuator.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
-        actuator.actrange, actuator.delay, actuator.nsample = (0.0, 0.0), 0.0, 0
-        if math.isfinite(limit.lower) and math.isfinite(limit.upper):
-            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            actuator.forcerange = sorted((limit.lower / gear, limit.upper / gear))
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        bounded = math.isfinite(limit.lower) and math.isfinite(limit.upper)
+        limits = (limit.lower, limit.upper) if bounded else None
+        tree.add_position_servo(name, stiffness, damping, limits)
+    tree.use_implicit_damping()
     return spec

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -14,13 +14,13 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.feet import limb_ends
-from pupper_analysis.robot.floor import CONTACT_OF_GEOM
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -249,7 +249,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             world = _in_urdf(robot, still, data, foot.body, world)
             tree.add_link(frame, link, f"to {frame}", placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
-            geoms[name] = (_touching(spec, compiled, bodies, point, name), point.radius)
+            geoms[name] = (_touching(spec, compiled, point, name), point.radius)
             points.append(name)
         if len(points) > 1:
             soles[foot.name] = tuple(points)
@@ -281,7 +281,6 @@ def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
 def _touching(
     spec: mujoco.MjSpec,
     model: mujoco.MjModel,
-    bodies: Mapping[str, mujoco.MjsBody],
     point: ContactPoint,
     called: str,
 ) -> str:
@@ -293,16 +292,8 @@ def _touching(
     if not is_ball(model, point):
         return name
     mesh = next(geom for geom in spec.geoms if geom.name == name)
-    body = bodies[model.body(int(model.geom_bodyid[point.geom])).name]
-    ball = body.add_geom(
-        name=f"{called} (ball)",
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=(point.radius, 0.0, 0.0),
-        pos=point.center,
-        mass=0.0,
-        rgba=mesh.rgba,
-        **{what: getattr(mesh, what) for what in CONTACT_OF_GEOM},
-    )
+    body = str(model.body(int(model.geom_bodyid[point.geom])).name)
+    ball = SpecTree(spec).add_ball(f"{called} (ball)", body, point.radius, point.center, like=mesh)
     return str(ball.name)
 
 

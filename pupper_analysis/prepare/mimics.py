@@ -9,9 +9,7 @@ import mujoco
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.match import Match
 from pupper_analysis.models.description import Description
-
-_TIME = 5e-3
-"""Time constant of the couplings (s): MuJoCo's own, 20 ms, lets fingers of grammes open far."""
+from pupper_analysis.models.spec_tree import SpecTree
 
 
 def coupled(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
@@ -37,7 +35,7 @@ def coupled(matched: Match, description: Description) -> tuple[Description, list
         if equality.type == mujoco.mjtEq.mjEQ_JOINT
         for name in (equality.name1, equality.name2)
     }
-    joints = {joint.name: joint for joint in spec.joints}
+    joints = {joint.name for joint in spec.joints}
     added, free = [], []
     for name, (leader, multiplier, offset) in matched.mimics.items():
         if name in bound:
@@ -45,13 +43,7 @@ def coupled(matched: Match, description: Description) -> tuple[Description, list
         if name in stated or name in driven or leader not in joints or name not in joints:
             free.append(name)
             continue
-        # MuJoCo's polynomial is of the coordinates less those of its zero pose.
-        rest = offset - joints[name].ref + multiplier * joints[leader].ref
-        equality = spec.add_equality(type=mujoco.mjtEq.mjEQ_JOINT, name1=name, name2=leader)
-        equality.data[:5] = (rest, multiplier, 0.0, 0.0, 0.0)
-        equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
-        step = float(spec.option.timestep)
-        equality.solref = (max(_TIME, 2 * step), 1.0)
+        SpecTree(spec).add_coupling(name, leader, multiplier, offset)
         added.append(name)
     notes = [diagnose("mimics-coupled", joints=added)] if added else []
     notes += [diagnose("mimics-taken-as-free", joints=free)] if free else []

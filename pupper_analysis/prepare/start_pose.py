@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare import start, touching
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -65,13 +66,11 @@ def _at(robot: Robot, joints: Array) -> Robot:
 def _kept(whole: Robot, posed: Robot) -> Robot:
     """Returns a robot with the start pose of one that is posed, also in its description."""
     spec = whole.description.mjcf.copy()
-    for key in list(spec.keys):
-        spec.delete(key)
     data = mujoco.MjData(whole.mj_model)
     home = posed.home.copy()
     home[:7] = (0.0, 0.0, posed.stand_height, 1.0, 0.0, 0.0, 0.0)
     whole.mj_convention.set_state(data, home)
-    spec.add_key(name="home", qpos=data.qpos)
+    SpecTree(spec).set_home(data.qpos)
     nominal = dict(zip(posed.joint_names, posed.nominal.tolist(), strict=True))
     return replace(
         whole,

@@ -9,6 +9,7 @@ import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.visuals import geoms_by_id
 from pupper_analysis.robot.build import rebuilt
@@ -74,7 +75,7 @@ def apart(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         return robot, []
     spec = robot.description.mjcf.copy()
     for one, two in deep:
-        spec.add_exclude(bodyname1=one, bodyname2=two)
+        SpecTree(spec).exclude_contact(one, two)
     pairs = [
         diagnose("bodies-overlap", one=one, two=two, depth=Quantity(by, "m"))
         for (one, two), by in deep.items()

@@ -23,13 +23,14 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.multibody import joint_placements
 from pupper_analysis.models.places import one_line
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
-from pupper_analysis.robot.floor import add_floor, floor_of
+from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.options import option_notes
 from pupper_analysis.robot.robot import Robot
 
@@ -217,7 +218,7 @@ def _mujoco_model(
         for element in (*free, *spec.keys):
             spec.delete(element)
     elif free and not floor_of(spec):
-        add_floor(spec)
+        SpecTree(spec).add_floor()
         added.append(diagnose("ground-added"))
     model = mjcf_description.compile_spec(spec, description.mjcf_source)
     return model, keyframe if len(keyframe) else np.array(model.qpos0), added

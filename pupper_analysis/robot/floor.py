@@ -7,43 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
 from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]
 
 _LEVEL = 1e-9
 """A floor that is no further from z = 0 (m), nor tilted by more (1 - cosine), is there already."""
 
-CONTACT_OF_GEOM = (
-    *("contype", "conaffinity", "condim", "priority", "friction", "solmix", "solref", "solimp"),
-    *("margin", "gap", "group"),
-)
-"""What a geom of an MJCF has that makes its contacts, and in which group it is shown."""
-
 
 def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
     """Returns the plane that is fixed to the world."""
     plane = mujoco.mjtGeom.mjGEOM_PLANE
     return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
-
-
-def add_floor(spec: mujoco.MjSpec) -> mujoco.MjsGeom:
-    """Adds a plane at z = 0 with MuJoCo's default contact, that all which touches anything touches.
-
-    Shapes whose bits only let them touch each other (left legs and right ones, say) are seen to
-    touch ground, too: scenes of such robots have a floor with those bits.
-    """
-    bits, name, taken = 1, "floor", {geom.name for geom in spec.geoms}
-    for geom in spec.geoms:
-        bits |= int(geom.contype)
-    while name in taken:
-        name += "_"
-    floor = spec.worldbody.add_geom(name=name)
-    plain = mujoco.MjSpec().default.geom  # the MJCF's own defaults are meant for the robot
-    for word in CONTACT_OF_GEOM:
-        setattr(floor, word, getattr(plain, word))
-    floor.type, floor.size, floor.conaffinity = mujoco.mjtGeom.mjGEOM_PLANE, (0, 0, 0.05), bits
-    return floor
 
 
 def turn_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
@@ -76,7 +53,7 @@ def level_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
         floor, done = _laid(spec, floors)
     else:
         known = floor_of(spec)
-        floor = known or add_floor(spec)
+        floor = known or SpecTree(spec).add_floor()
         done = [] if known else [diagnose("ground-added")]
     done += _take_pairs(spec, floor)
     scenery = [*others, *(geom for geom in floors[1:] if not _is_at_home(geom))]

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
+from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuilt
-from pupper_analysis.robot.floor import CONTACT_OF_GEOM, add_floor, floor_of, turn_floor
+from pupper_analysis.robot.floor import floor_of, turn_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 
@@ -41,7 +43,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     if ground.level:
         return robot
     spec = robot.description.mjcf.copy()
-    floor = floor_of(spec) or add_floor(spec)
+    floor = floor_of(spec) or SpecTree(spec).add_floor()
     quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
     turn_floor(floor, quat)
     steps = ground.steps(places)

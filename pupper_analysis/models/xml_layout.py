@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from lxml import etree
 
-from pupper_analysis.convert.xml_text import free_name
+from pupper_analysis.models.xml_text import free_name
 
 _SHARED = {
     "joint": ("type", "axis", "range", "damping", "frictionloss", "armature"),

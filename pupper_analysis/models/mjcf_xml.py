@@ -1,0 +1,364 @@
+"""The XML of an MJCF that is being written: its bodies, and the edits that `SpecTree` has, too."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import ArrayLike
+
+from pupper_analysis.arrays import inertia_entries, inertia_tensor
+from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SENSORS, Number
+from pupper_analysis.models.xml_text import element, words
+
+_MOVERS: Final = ("joint", "freejoint")
+
+VISUAL: Final = "visual"
+"""The class of geoms that are only seen."""
+
+COLLISION: Final = "collision"
+"""The class of geoms that touch."""
+
+GRIP: Final = {"cone": "elliptic", "impratio": "100"}
+"""How contacts hold: friction a hundred times as stiff as the ground, on a cone that is round. With
+MuJoCo's defaults (a pyramid, 1) feet creep: Go2 by 58 mm/s on a slope of 17 degrees, so by 0.35; a
+pyramid with an impratio of 10 shakes. The models of MuJoCo Menagerie have the same."""
+
+
+@dataclass(frozen=True)
+class XmlBody:
+    """A body.
+
+    Attributes:
+        element: Its XML.
+    """
+
+    element: etree._Element
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.element.get("name"))
+
+    @property
+    def parent(self) -> XmlBody | None:
+        """The body that carries it; None for a child of the world."""
+        above = self.element.getparent()
+        return XmlBody(above) if above is not None and above.tag == "body" else None
+
+    @property
+    def children(self) -> list[XmlBody]:
+        """The bodies that it carries."""
+        return [XmlBody(child) for child in self.element if child.tag == "body"]
+
+    @property
+    def joints(self) -> list[etree._Element]:
+        """Its joints."""
+        return [child for child in self.element if child.tag in _MOVERS]
+
+    @property
+    def moves(self) -> bool:
+        """Whether it can move against what carries it."""
+        return bool(self.joints)
+
+    @property
+    def mover(self) -> str | None:
+        """The name of its first joint that is no free one; None if there is none."""
+        named = (str(joint.get("name")) for joint in self.joints if joint.tag == "joint")
+        return next(named, None)
+
+    @property
+    def touching(self) -> list[etree._Element]:
+        """Its geoms that touch."""
+        own = (child for child in self.element if child.tag == "geom")
+        return [geom for geom in own if geom.get("class") == COLLISION]
+
+    @property
+    def inertia(self) -> pin.Inertia | None:
+        """What its ``<inertial>`` states, in its own frame; None if it has none."""
+        stated = self.element.find("inertial")
+        if stated is None:
+            return None
+        lever = np.array((stated.get("pos") or "0 0 0").split(), dtype=float)
+        texts = (stated.get("fullinertia") or f"{stated.get('diaginertia')} 0 0 0").split()
+        result = pin.Inertia.Zero()
+        result.mass, result.lever = float(str(stated.get("mass"))), lever
+        result.inertia = inertia_tensor(map(float, texts))
+        return result
+
+    def set_inertia(self, inertia: pin.Inertia | None) -> None:
+        """States an inertia, in its own frame, in the place of what it states; None: nothing."""
+        own = self.element.find("inertial")
+        if own is not None:
+            self.element.remove(own)
+        if inertia is None:
+            return
+        texts = {
+            "pos": words(inertia.lever),
+            "mass": words(inertia.mass),
+            "fullinertia": words(inertia_entries(np.array(inertia.inertia))),
+        }
+        self.element.insert(len(self.joints), etree.Element("inertial", texts))
+
+    def add_inertia(self, inertia: pin.Inertia) -> None:
+        """Adds an inertia, in its own frame, to what it states."""
+        own = self.inertia
+        self.set_inertia(inertia if own is None else own + inertia)
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Where it is in what carries it."""
+        return placement_of(self.element)
+
+    def fixed_group(self) -> Iterator[tuple[XmlBody, pin.SE3]]:
+        """Yields it and all that are fixed to it, above and below, the nearest first.
+
+        Each with the placement of this body's frame in its own.
+        """
+        known, waiting = {self}, [(self, pin.SE3.Identity())]
+        while waiting:
+            here, placement = waiting.pop(0)
+            yield here, placement
+            near = [(child, child.placement.inverse()) for child in here.children]
+            near = [(child, there) for child, there in near if not child.moves]
+            if here.parent is not None and not here.moves:
+                near.insert(0, (here.parent, here.placement))
+            for other, there in near:
+                if other not in known:
+                    known.add(other)
+                    waiting.append((other, there * placement))
+
+    def merge(self) -> None:
+        """Makes it part of the body that carries it; a site of its name stays."""
+        parent, placement, inertia = self.parent, self.placement, self.inertia
+        assert parent is not None
+        if inertia is not None:
+            parent.add_inertia(placement.act(inertia))
+        _place(element(parent.element, "site", name=self.name), placement)
+        at = parent.element.index(self.element)
+        for child in list(self.element):
+            if child.tag in ("geom", "body", "site"):
+                _place(child, placement * placement_of(child))
+                parent.element.insert(at, child)
+                at += 1
+        parent.element.remove(self.element)
+
+    def give_shapes(self) -> None:
+        """Gives the geoms that touch to the body that carries it."""
+        parent, placement = self.parent, self.placement
+        assert parent is not None
+        for geom in self.touching:
+            _place(geom, placement * placement_of(geom))
+            parent.element.insert(parent.element.index(self.element), geom)
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfXml:
+    """An MJCF: what it can be given is that of `model_tree.MjcfEdits`.
+
+    Attributes:
+        root: Its ``<mujoco>``.
+    """
+
+    root: etree._Element
+
+    @staticmethod
+    def of_urdf(name: str) -> MjcfXml:
+        """Begins an MJCF whose angles are a URDF's, about fixed axes.
+
+        What has no ``<inertial>`` weighs nothing in it.
+        """
+        root = etree.Element("mujoco", {"model": name})
+        element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
+        default = element(root, "default")
+        seen = element(default, "default", class_=VISUAL)
+        element(seen, "geom", contype="0", conaffinity="0", group="2")
+        element(element(default, "default", class_=COLLISION), "geom", group="3")
+        element(root, "asset")
+        element(root, "worldbody")
+        return MjcfXml(root)
+
+    def copy(self) -> MjcfXml:
+        """Returns an MJCF with XML of its own."""
+        return MjcfXml(copy.deepcopy(self.root))
+
+    @property
+    def text(self) -> str:
+        """Its XML, as it is so far."""
+        return str(etree.tostring(self.root, encoding="unicode"))
+
+    def section(self, tag: str) -> etree._Element:
+        """Returns a section of the file, which is added where there is none."""
+        found = self.root.find(tag)
+        return element(self.root, tag) if found is None else found
+
+    @property
+    def bodies(self) -> list[XmlBody]:
+        """All bodies, parents first."""
+        return [XmlBody(body) for body in self.section("worldbody").iter("body")]
+
+    def body(self, name: str) -> XmlBody:
+        """Returns a body by its name."""
+        return next(body for body in self.bodies if body.name == name)
+
+    @property
+    def joints(self) -> list[etree._Element]:
+        """All hinges and slides."""
+        return [joint for body in self.bodies for joint in body.joints if joint.tag == "joint"]
+
+    @property
+    def geoms(self) -> list[etree._Element]:
+        """All geoms, those of the world and of classes included."""
+        return list(self.root.iter("geom"))
+
+    @property
+    def touches(self) -> bool:
+        """Whether it has shapes of its robot that touch."""
+        return any(geom.get("class") == COLLISION for geom in self.geoms)
+
+    @property
+    def used_meshes(self) -> set[str]:
+        """The meshes of its geoms."""
+        return {str(geom.get("mesh")) for geom in self.geoms}
+
+    def remove_visuals(self) -> None:
+        """Takes out what is only seen."""
+        for geom in self.geoms:
+            if geom.get("class") == VISUAL:
+                geom.getparent().remove(geom)
+
+    def remove_empty_sections(self) -> None:
+        """Takes out sections that state nothing."""
+        for node in list(self.root):
+            if node.tag != "worldbody" and not len(node) and not node.attrib:
+                self.root.remove(node)
+
+    def set_options(self, **texts: str) -> None:
+        """States options, but for those that are stated."""
+        option = self.root.find("option")
+        if option is None:
+            option = etree.Element("option")
+            self.root.insert(1, option)
+        option.attrib.update({**texts, **option.attrib})
+
+    def use_implicit_damping(self) -> None:
+        """Steps so that a servo's damping does not shake light joints."""
+        self.set_options(integrator="implicitfast")
+
+    def add_floor(self) -> None:
+        """Adds light, a floor and its look, and contacts that hold."""
+        self.root.insert(1, etree.Element("option", GRIP))
+        asset, world = self.section("asset"), self.section("worldbody")
+        element(
+            asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
+            rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
+        )  # fmt: skip
+        element(asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true")
+        light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
+        floor = {"name": FLOOR, "type": "plane", "size": "0 0 0.05", "material": FLOOR}
+        world.insert(0, light)
+        world.insert(1, etree.Element("geom", floor))
+
+    def add_imu(self, body: str, site: str) -> None:
+        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
+        if all(node.get("name") != site for node in self.root.iter("site")):
+            element(self.body(body).element, "site", name=site)
+        sensors = self.section("sensor")
+        for kind in IMU_SENSORS:
+            element(sensors, kind, name=kind, site=site)
+        element(sensors, "framequat", name="orientation", objtype="site", objname=site)
+
+    def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
+        """Makes a joint follow another: q = offset + multiplier q of the leader."""
+        element(
+            self.section("equality"),
+            "joint",
+            joint1=follower,
+            joint2=leader,
+            polycoef=f"{_text(offset)} {_text(multiplier)} 0 0 0",
+            solref=words([COUPLING_TIME, 1.0]),
+        )
+
+    def add_position_servo(
+        self,
+        joint: str,
+        kp: float,
+        kd: float,
+        limits: tuple[Number, Number] | None = None,
+    ) -> None:
+        """Adds a position servo at a joint, of its name."""
+        element(
+            self.section("actuator"),
+            "position",
+            name=joint,
+            joint=joint,
+            kp=words(kp),
+            kv=words(kd),
+            forcerange=None if limits is None else " ".join(map(_text, limits)),
+        )
+
+    def exclude_contact(self, one: str, two: str) -> None:
+        """Lets two bodies not touch each other."""
+        element(self.section("contact"), "exclude", body1=one, body2=two)
+
+    def turn_off_contact(self, geoms: Sequence[str]) -> None:
+        """Lets geoms touch nothing."""
+        for geom in self.geoms:
+            if geom.get("name") in geoms:
+                geom.set("contype", "0")
+                geom.set("conaffinity", "0")
+
+    def add_ball(self, name: str, body: str, radius: float, place: ArrayLike) -> None:
+        """Adds a sphere that touches and weighs nothing."""
+        element(
+            self.body(body).element,
+            "geom",
+            name=name,
+            class_=COLLISION,
+            type="sphere",
+            size=words(radius),
+            pos=words(place),
+        )
+
+    @property
+    def home(self) -> list[float] | None:
+        """The positions of its keyframe; None if it has none."""
+        key = self.root.find("keyframe/key")
+        return None if key is None else [float(word) for word in str(key.get("qpos")).split()]
+
+    def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
+        """Adds the keyframe to start from."""
+        key = element(self.section("keyframe"), "key", name=HOME, qpos=words(qpos))
+        if len(ctrl):
+            key.set("ctrl", words(ctrl))
+
+
+def placement_of(node: etree._Element) -> pin.SE3:
+    """Returns where an element of an MJCF is in its parent; angles are a URDF's ``rpy``."""
+    position = np.array((node.get("pos") or "0 0 0").split(), dtype=float)
+    if node.get("quat"):
+        w, x, y, z = (float(word) for word in str(node.get("quat")).split())
+        return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), position)
+    angles = np.array((node.get("euler") or "0 0 0").split(), dtype=float)
+    return pin.SE3(pin.rpy.rpyToMatrix(angles), position)
+
+
+def _place(node: etree._Element, placement: pin.SE3) -> None:
+    """Writes a placement."""
+    for name in ("pos", "euler", "quat"):
+        node.attrib.pop(name, None)
+    position = np.array(placement.translation)
+    if position.any():
+        node.set("pos", words(position))
+    x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
+    if not np.allclose([x, y, z], 0.0, atol=1e-15):
+        node.set("quat", words([w, x, y, z]))
+
+
+def _text(number: Number) -> str:
+    return number if isinstance(number, str) else words(number)

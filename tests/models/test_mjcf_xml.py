@@ -1,0 +1,101 @@
+"""What an MJCF is given: the same by the verbs of MuJoCo's editable model and of new XML."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from pupper_analysis.models.mjcf_xml import MjcfXml
+from pupper_analysis.models.model_tree import MjcfEdits
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.xml_text import element
+
+ARRAYS = (
+    *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
+    *("actuator_ctrllimited", "actuator_trnid", "eq_data", "eq_obj1id", "eq_obj2id", "eq_solref"),
+    *("exclude_signature", "geom_bodyid", "geom_contype", "geom_conaffinity", "geom_pos"),
+    *("geom_size", "geom_type", "body_mass", "key_qpos", "key_ctrl", "sensor_type", "site_bodyid"),
+)
+
+
+def robot() -> MjcfXml:
+    """Three hinges in a row on a free base, each body with a sphere."""
+    mjcf = MjcfXml.of_urdf("chain")
+    body = element(mjcf.section("worldbody"), "body", name="base", pos="0 0 0.4")
+    element(body, "freejoint", name="root")
+    for name in ("base", "one", "two", "three"):
+        if name != "base":
+            body = element(body, "body", name=name, pos="0 0 -0.1")
+            element(body, "joint", name=f"{name}_joint", axis="0 1 0")
+        element(body, "inertial", pos="0 0 0.01", mass="0.2", diaginertia="1e-3 2e-3 2e-3")
+        element(body, "geom", name=f"{name}_geom", class_="collision", size="0.02")
+    return mjcf
+
+
+def edit(mjcf: MjcfEdits) -> None:
+    mjcf.use_implicit_damping()
+    mjcf.add_imu("two", "imu")
+    mjcf.add_coupling("three_joint", "two_joint", "-0.5", "0.25")
+    mjcf.add_position_servo("one_joint", 40.0, 1.5, ("-3", "+7"))
+    mjcf.add_position_servo("two_joint", 20.0, 0.5)
+    mjcf.exclude_contact("base", "two")
+    mjcf.turn_off_contact(["one_geom"])
+    mjcf.add_ball("ball", "three", 0.03, [0.0, 0.01, -0.02])
+    mjcf.set_home([0, 0, 0.4, 1, 0, 0, 0, 0.1, 0.2, 0.15], [0.1, 0.2])
+
+
+def test_both_mjcf_editors_make_the_same_model() -> None:
+    written = robot()
+    edited = SpecTree(mujoco.MjSpec.from_string(written.text))
+    edit(written)
+    edit(edited)
+    made = mujoco.MjModel.from_xml_string(written.text)
+    kept = edited.spec.compile()
+    assert made.opt.integrator == kept.opt.integrator
+    for name in ARRAYS:
+        ours, theirs = getattr(made, name), getattr(kept, name)
+        if name == "sensor_type":  # a file is given the orientation, too
+            ours = ours[: len(theirs)]
+        np.testing.assert_allclose(ours, theirs, atol=1e-15, err_msg=name)
+    np.testing.assert_allclose(made.actuator_forcerange, [[-3, 7], [0, 0]])
+    assert made.nexclude == made.neq == made.nkey == 1
+
+
+def test_a_coupling_holds_its_line_in_a_simulation() -> None:
+    mjcf = robot()
+    edit(mjcf)
+    model = mujoco.MjModel.from_xml_string(mjcf.text)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    two, three = (data.joint(name).qpos[0] for name in ("two_joint", "three_joint"))
+    assert three == pytest.approx(0.25 - 0.5 * two, abs=1e-3)
+
+
+def test_bodies_fixed_to_each_other_keep_their_mass_when_merged() -> None:
+    mjcf = robot()
+    two = mjcf.body("two")
+    assert [body.name for body, _ in two.fixed_group()] == ["two"]
+    for joint in two.joints:
+        two.element.remove(joint)
+    two.element.set("euler", "0.3 0 0.2")
+    before = mujoco.MjModel.from_xml_string(mjcf.text)
+    assert [body.name for body, _ in two.fixed_group()] == ["two", "one"]
+    placement = two.placement
+    assert two.inertia is not None
+    total = placement.act(two.inertia) + mjcf.body("one").inertia
+    two.merge()
+    after = mujoco.MjModel.from_xml_string(mjcf.text)
+    assert after.body_mass.sum() == pytest.approx(before.body_mass.sum())
+    assert pin.Inertia.isApprox(mjcf.body("one").inertia, total, 1e-9)
+    for model in (before, after):
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    data = [mujoco.MjData(model) for model in (before, after)]
+    for model, state in zip((before, after), data, strict=True):
+        mujoco.mj_kinematics(model, state)
+    np.testing.assert_allclose(
+        data[0].geom("three_geom").xpos, data[1].geom("three_geom").xpos, atol=1e-11
+    )
