@@ -214,7 +214,7 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
             raise ArithmeticError("PlaCo finds no forces")
         return np.array(result.tau)
 
-    def ours() -> pa.GravityCompensation:
+    def ours() -> pa.statics.GravityCompensation:
         return pa.gravity_compensation(config, distribution=kind)
 
     def accuracy() -> Accuracy:
@@ -231,17 +231,17 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
 def _statics_of_many(robot: pa.Robot) -> Job:
     states = np.array([one.qpos for one in pa.solve_stands(robot, wave(robot, 1000))])
 
-    def singly() -> list[pa.GravityCompensation]:
+    def singly() -> list[pa.statics.GravityCompensation]:
         return [pa.gravity_compensation(pa.Configuration(robot, state)) for state in states]
 
     def accuracy() -> Accuracy:
-        many = pa.gravity_compensations(robot, states).joint_torques
+        many = pa.statics.gravity_compensations(robot, states).joint_torques
         away = np.abs(many - [one.joint_torques for one in singly()]).max()
         return Accuracy(float(away), SAME, "N m off the single calls'")
 
     return Job(
         "gravity_compensations, 1,000 states",
-        lambda: pa.gravity_compensations(robot, states),
+        lambda: pa.statics.gravity_compensations(robot, states),
         accuracy,
         Rival("1,000 single calls", singly),
         0.7,
@@ -274,7 +274,7 @@ def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
 def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
     drives = [servos(robot, kp, kd, "implicitfast") for kp in KP for kd in KD]
     models = [drive.model for drive in drives]
-    torques = pa.stand_statics(robot, stand).joint_torques
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
     starts = np.array([place_on_ground(robot, drive, stand, torques) for drive in drives])
     steps = round(SWEPT / models[0].opt.timestep)
     command = drives[0].command(robot, stand.joint_positions(robot))
@@ -288,13 +288,15 @@ def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
             pool.rollout(models, datas, starts, control, control_spec=FORCED)
 
     def accuracy() -> Accuracy:
-        one, other = (pa.sweep_gains(robot, stand, kp=KP, kd=KD).height_deviation for _ in range(2))
+        one, other = (
+            pa.simulation.sweep_gains(robot, stand, kp=KP, kd=KD).height_deviation for _ in range(2)
+        )
         away = np.abs(np.nan_to_num(one, posinf=1.0) - np.nan_to_num(other, posinf=1.0)).max()
         return Accuracy(float(away), 0.0, "m between two runs")
 
     return Job(
         f"sweep_gains, {len(models)} cells of {SWEPT:g} s",
-        lambda: pa.sweep_gains(robot, stand, kp=KP, kd=KD),
+        lambda: pa.simulation.sweep_gains(robot, stand, kp=KP, kd=KD),
         accuracy,
         Rival("mujoco.rollout", bare),
         1 / 0.95,

@@ -88,7 +88,7 @@ def judged(urdf: Path, mjcf: Path) -> str:
         robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
         if not robot.floating:
             return found
-        run = pa.verify_stand(robot, pa.sunk_stand(robot), duration=12.0)
+        run = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot), duration=12.0)
         return f"{found}, {'stands' if run.passed else 'does not stand'}"
     except pa.PupperAnalysisError:
         return f"{found}, does not stand"

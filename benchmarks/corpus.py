@@ -130,7 +130,7 @@ def stood(urdf: Path, mjcf: Path) -> Row:
         feet = f"{len(robot.soles)}" + (
             f" ({len(robot.feet)} points)" if len(robot.feet) > len(robot.soles) else ""
         )
-        run = pa.verify_stand(robot, pa.sunk_stand(robot))
+        run = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
         torque = run.torque_error
         stand = "holds" if run.passed else run.failures[-1]
         if run.passed and robot.published is not None and robot.published.differs:

@@ -46,7 +46,10 @@ class Run:
 
 
 def simulate(
-    robot: pa.Robot, stand: pa.Stand, distribution: pa.ForceDistribution, options: dict[str, float]
+    robot: pa.Robot,
+    stand: pa.Stand,
+    distribution: pa.statics.ForceDistribution,
+    options: dict[str, float],
 ) -> Run:
     torques = stand_statics(robot, stand, distribution=distribution).joint_torques
     drive = servos(robot)
@@ -74,7 +77,7 @@ def random_stands(robot: pa.Robot, count: int, seed: int) -> list[pa.Stand]:
         if not task.ground.level:
             continue
         try:
-            stand = pa.sunk_stand(robot, task, explain=False)
+            stand = pa.stance.solve_stand_on_soft_ground(robot, task, explain=False)
             stand_statics(robot, stand)
         except pa.PupperAnalysisError:
             continue
@@ -90,12 +93,14 @@ def main(count: int, seed: int) -> None:
     out = Console(width=120)
     robots = [pa.load_variant(name) for name in ("v3", "original")]
     stands = [(robot, stand) for robot in robots for stand in random_stands(robot, count, seed)]
-    table = Table("contact", *pa.ForceDistribution, title="hold for 12 s (1e-3 rad, 1 % of torque)")
-    worst = Table("contact", *pa.ForceDistribution, title="median error of the torques (%)")
+    table = Table(
+        "contact", *pa.statics.ForceDistribution, title="hold for 12 s (1e-3 rad, 1 % of torque)"
+    )
+    worst = Table("contact", *pa.statics.ForceDistribution, title="median error of the torques (%)")
     for label, options in CONTACTS.items():
         runs = {
             distribution: [simulate(robot, stand, distribution, options) for robot, stand in stands]
-            for distribution in pa.ForceDistribution
+            for distribution in pa.statics.ForceDistribution
         }
         table.add_row(label, *(f"{sum(r.holds for r in rs)} of {len(rs)}" for rs in runs.values()))
         worst.add_row(
@@ -104,7 +109,7 @@ def main(count: int, seed: int) -> None:
     peaks = [
         [
             stand_statics(robot, stand, distribution=distribution).motor_utilisation.max()
-            for distribution in pa.ForceDistribution
+            for distribution in pa.statics.ForceDistribution
         ]
         for robot, stand in stands
     ]
@@ -117,7 +122,9 @@ def main(count: int, seed: int) -> None:
     mean = np.mean(peaks, axis=0)
     out.print(
         "mean peak utilisation: "
-        + ", ".join(f"{s} {100 * m:.1f} %" for s, m in zip(pa.ForceDistribution, mean, strict=True))
+        + ", ".join(
+            f"{s} {100 * m:.1f} %" for s, m in zip(pa.statics.ForceDistribution, mean, strict=True)
+        )
     )
 
 

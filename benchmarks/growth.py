@@ -32,7 +32,7 @@ def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int,
         "load_variant, each a new one": (
             50,
             lambda count: [
-                pa.load_variant(pa.VariantSpec("v3", leg_scale=1 + 1e-5 * next(new)))
+                pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=1 + 1e-5 * next(new)))
                 for _ in range(count)
             ],
         ),
@@ -43,11 +43,11 @@ def growth(variant: str, most: int, seconds: float) -> dict[str, list[tuple[int,
         "solve_stands, by stands": (1000, lambda count: pa.solve_stands(robot, tasks[:count])),
         "gravity_compensations, by states": (
             1000,
-            lambda count: pa.gravity_compensations(robot, states[:count]),
+            lambda count: pa.statics.gravity_compensations(robot, states[:count]),
         ),
         "sweep_gains, by cells of 2 s": (
             20,
-            lambda count: pa.sweep_gains(
+            lambda count: pa.simulation.sweep_gains(
                 robot, stand, kp=np.linspace(5, 50, count), kd=[0.5], duration=2.0
             ),
         ),

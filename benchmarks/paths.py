@@ -51,9 +51,9 @@ def tasks_of(robot: pa.Robot, name: str, demo: str) -> list[pa.StandTask]:
 
 def row(name: str, robot: pa.Robot, demo: str, reserve: float) -> str:
     tasks = tasks_of(robot, name, demo)
-    found = pa.fastest_path(robot, tasks, reserve=reserve)
+    found = pa.stance.fastest_path(robot, tasks, reserve=reserve)
     binding = found.binding
-    tracking = pa.track_path(robot, found.path)
+    tracking = pa.simulation.track_path(robot, found.path)
     cells = [
         name,
         demo,

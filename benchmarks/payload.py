@@ -30,22 +30,24 @@ def happened(trial: PayloadTrial) -> str:
 
 @click.command()
 @click.argument("names", nargs=-1)
-@click.option("--command", type=click.Choice([c.value for c in pa.Command]), default="loaded")
+@click.option(
+    "--command", type=click.Choice([c.value for c in pa.stance.PayloadCommand]), default="loaded"
+)
 @click.option("--dry-friction", is_flag=True, help="Simulate with the models' dry friction.")
 def main(names: tuple[str, ...], command: str, dry_friction: bool) -> None:
     """Find what variants carry, and simulate it."""
     table = Table("variant", "stance", "motors", "servos", "contacts", "then", "at 0.95", "at 1.05")
     for name in names or pa.VARIANTS:
         robot = pa.load_variant(name)
-        best = pa.best_stance(robot, pa.Objective.PAYLOAD)
+        best = pa.best_stance(robot, pa.stance.Objective.PAYLOAD)
         for kind, stand in (("nominal", best.nominal), ("best", best.stand)):
-            limit = pa.payload_limit(robot, stand, command=pa.Command(command))
+            limit = pa.payload_limit(robot, stand, command=pa.stance.PayloadCommand(command))
             trials = [
-                pa.payload_trial(
+                pa.simulation.simulate_payload(
                     robot,
                     stand,
                     share * limit.mass,
-                    command=pa.Command(command),
+                    command=pa.stance.PayloadCommand(command),
                     dry_friction=dry_friction,
                 )
                 for share in SHARES

@@ -73,7 +73,7 @@ class Case:
     lift: float
     kp: float
     pose: SteadyState | None
-    run: pa.StandVerification
+    run: pa.simulation.StandVerification
 
     @property
     def problems(self) -> list[str]:
@@ -263,7 +263,7 @@ def limits() -> None:
     """Let v3 go just above the minimum stiffness, and heavy on motors a little too weak."""
     robot = pa.load_variant("v3")
     stand, table = pa.solve_stand(robot), Table("impratio", "kp / minimum", "lost (mm)", "knees")
-    least = pa.minimum_stiffness(robot, stand)
+    least = pa.stance.minimum_stiffness(robot, stand)
     for impratio in (1.0, 100.0, 1e4):
 
         def grip(model: mujoco.MjModel, impratio: float = impratio) -> None:

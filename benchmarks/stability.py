@@ -82,7 +82,7 @@ def variants(count: int, seed: int = 0) -> Iterator[Case]:
         name = str(random.choice(names))
         robot = pa.load_variant(name)
         mass = float(random.choice([0.0, 0.0, random.uniform(0, 3)]))
-        loaded = pa.with_payload(robot, mass, [0.0, 0.0, 0.05]) if mass else robot
+        loaded = pa.robot.with_payload(robot, mass, [0.0, 0.0, 0.05]) if mass else robot
         swing = {str(random.choice(robot.feet)): 0.02} if random.random() < 0.2 else {}
         try:
             task = pa.StandTask(
@@ -93,14 +93,14 @@ def variants(count: int, seed: int = 0) -> Iterator[Case]:
                 com="inside" if swing else None,
                 com_margin=0.01 if swing else 0.0,
             )
-            stand = pa.sunk_stand(loaded, task)
+            stand = pa.stance.solve_stand_on_soft_ground(loaded, task)
         except pa.PupperAnalysisError:
             continue
         own = servos(loaded)
         kp = own.kp * float(np.exp(random.uniform(np.log(0.2), np.log(30))))
         kd = own.kd * float(np.exp(random.uniform(np.log(0.3), np.log(30))))
         ground = on_ground(loaded, stand.task.ground, stand.foot_targets)
-        torques = pa.stand_statics(ground, stand).joint_torques
+        torques = pa.stance.stand_statics(ground, stand).joint_torques
         drive = servos(ground, kp, kd)
         ctrl = drive.command(ground, stand.joint_positions(ground), torques)
         what = f"{name} kp {kp[0]:.3g} kd {kd[0]:.3g} {mass:.2g} kg {'3 legs' if swing else ''}"

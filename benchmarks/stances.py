@@ -340,7 +340,7 @@ def check_reached(demand: Demand, stand: pa.Stand) -> tuple[float, list[str]]:
     return error, wrong
 
 
-def check_forces(demand: Demand, statics: pa.GravityCompensation) -> list[str]:
+def check_forces(demand: Demand, statics: pa.statics.GravityCompensation) -> list[str]:
     """What is wrong with the forces of a stand that is said to hold."""
     robot, com, weight = demand.robot, demand.com(), statics.contact_forces
     force, moment = demand.robot.mj_model.body_mass.sum() * robot.gravity, np.zeros(3)
@@ -555,7 +555,9 @@ def main(
         for stand in stands:
             sags.append(sag(robot, stand))
             try:
-                run = pa.verify_stand(robot, pa.sunk_stand(robot, stand.task, explain=False))
+                run = pa.verify_stand(
+                    robot, pa.stance.solve_stand_on_soft_ground(robot, stand.task, explain=False)
+                )
             except pa.StanceUnreachableError:
                 failed["out of reach when sunk"] += 1
                 continue

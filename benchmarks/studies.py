@@ -45,10 +45,10 @@ from pupper_analysis.study.design import Maker
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
 AXES = {  # 10 000 designs of v3
-    "leg_scale": pa.linspace(0.8, 1.7, 10),
-    "torso_mass_scale": pa.linspace(1.0, 2.8, 10),
-    "payload": pa.linspace(0.0, 1.0, 5),
-    "slope": pa.linspace(0.0, 0.15, 4),
+    "leg_scale": pa.study.linspace(0.8, 1.7, 10),
+    "torso_mass_scale": pa.study.linspace(1.0, 2.8, 10),
+    "payload": pa.study.linspace(0.0, 1.0, 5),
+    "slope": pa.study.linspace(0.0, 0.15, 4),
     "kp": [5.0, 8.0, 12.0, 20.0, 40.0],
 }
 
@@ -189,7 +189,7 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
 
 def batched(count: int) -> None:
     """Whether designs of one robot, which differ in height and kp, gain from one call for many."""
-    vary = {"height": pa.uniform(0.12, 0.14), "kp": pa.uniform(5.0, 20.0)}
+    vary = {"height": pa.study.uniform(0.12, 0.14), "kp": pa.study.uniform(5.0, 20.0)}
     study = pa.Study("v3", vary, ["simulated_height"], samples=count)
     maker = Maker(study.source, study.task, study.point)
     jobs: list[tuple[mujoco.MjModel, np.ndarray, np.ndarray]] = []
@@ -236,7 +236,7 @@ def batched(count: int) -> None:
 
 
 def simulated(count: int, workers: int) -> None:
-    vary = {"leg_scale": [1.0, 1.2], "payload": [0.0, 0.3], "kp": pa.uniform(5.0, 20.0)}
+    vary = {"leg_scale": [1.0, 1.2], "payload": [0.0, 0.3], "kp": pa.study.uniform(5.0, 20.0)}
     study = pa.Study("v3", vary, ["simulated_height", "base_height"], samples=count)
     with tempfile.TemporaryDirectory() as folder:
         before = cpu()
@@ -253,7 +253,7 @@ def simulated(count: int, workers: int) -> None:
 
 def efficiency() -> None:
     """Of n workers: n x 1 worker's rate, without the start of the processes."""
-    vary = {"kp": pa.linspace(5.0, 20.0, 200)}
+    vary = {"kp": pa.study.linspace(5.0, 20.0, 200)}
 
     def rate(**how: object) -> float:
         marks: list[tuple[int, float]] = []
@@ -283,7 +283,7 @@ def overhead() -> None:
             "import time, sys, tempfile; sys.path.insert(0, sys.argv[2])\n"
             "import studies, pupper_analysis as pa\n"
             "if __name__ == '__main__':\n"
-            "    study = pa.Study('v3', {'kp': pa.linspace(5.0, 20.0, int(sys.argv[1]))},\n"
+            "    study = pa.Study('v3', {'kp': pa.study.linspace(5.0, 20.0, int(sys.argv[1]))},\n"
             "                     ['com_margin'])\n"
             "    folder = tempfile.mkdtemp()\n"
             "    begun = time.process_time(); study.work(); study.digest\n"
@@ -304,7 +304,10 @@ def finding() -> None:
     """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
     from pupper_analysis.report.figures.study import pareto_figure
 
-    vary = {"leg_scale": pa.linspace(0.8, 1.6, 9), "torso_mass_scale": pa.linspace(1.0, 6.0, 21)}
+    vary = {
+        "leg_scale": pa.study.linspace(0.8, 1.6, 9),
+        "torso_mass_scale": pa.study.linspace(1.0, 6.0, 21),
+    }
     measures = ["peak_utilisation", "rest_utilisation", "sag", "stands", "total_mass"]
     with tempfile.TemporaryDirectory() as folder:
         table = pa.Study("v3", {**vary, "kp": [5.0, 10.0]}, measures).run(folder, workers=2)
@@ -340,7 +343,9 @@ if __name__ == "__main__":
 
 
 def to_kill() -> pa.Study:
-    return pa.Study("v3", {"payload": pa.linspace(0.0, 1.0, 60)}, ["servo_sag", "peak_utilisation"])
+    return pa.Study(
+        "v3", {"payload": pa.study.linspace(0.0, 1.0, 60)}, ["servo_sag", "peak_utilisation"]
+    )
 
 
 def rows_of(folder: Path) -> int:

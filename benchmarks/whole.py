@@ -94,7 +94,7 @@ def _cross_check(robot: pa.Robot) -> Job:
 
 
 def _push(robot: pa.Robot, stand: pa.Stand) -> Job:
-    def run() -> pa.PushRecovery:
+    def run() -> pa.simulation.PushRecovery:
         return pa.push_recovery(robot, stand, directions=4)
 
     def accuracy() -> Accuracy:
@@ -142,7 +142,7 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
     pairs = list(zip(robots, stands, strict=True))
     stage("loading", lambda: [pa.load_variant(name) for name in names])
     stage("stands", lambda: [pa.solve_stand(robot) for robot in robots])
-    stage("statics", lambda: [pa.stand_statics(*pair) for pair in pairs])
+    stage("statics", lambda: [pa.stance.stand_statics(*pair) for pair in pairs])
     stage(
         "verification, fed forward and not",
         lambda: [
@@ -151,7 +151,7 @@ def default_run(names: Iterable[str]) -> dict[str, float]:
             for told in (True, False)
         ],
     )
-    stage("gain sweeps", lambda: [pa.sweep_gains(*pair) for pair in pairs])
+    stage("gain sweeps", lambda: [pa.simulation.sweep_gains(*pair) for pair in pairs])
     stage("cross-checks", lambda: [pa.cross_check(robot) for robot in robots])
     analyses = [analyze_variant(robot) for robot in robots]
     quiet = Console(file=io.StringIO(), width=100)

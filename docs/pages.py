@@ -11,9 +11,7 @@ from __future__ import annotations
 import csv
 import re
 import tomllib
-from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -170,48 +168,35 @@ def _command(name: str, command: click.Command) -> str:
 
 
 def api_pages() -> dict[str, str]:
-    """Returns the pages of the public interface: the package's own names, and its modules."""
-    homes: dict[str, list[str]] = defaultdict(list)
-    modules: list[ModuleType] = []
-    for name in pa.__all__:
-        value = getattr(pa, name)
-        if isinstance(value, ModuleType):
-            modules.append(value)
-        else:
-            homes[_room(value, name)].append(name)
-    pages = {f"api/{room}.md": _api(room, names) for room, names in homes.items()}
+    """Returns the pages of the public interface: the package's own names, and each module's."""
+    own = [name for name in pa.__all__ if not isinstance(getattr(pa, name), ModuleType)]
+    modules = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), ModuleType)]
+    pages = {"api/pupper_analysis.md": _api(pa, own)}
     for module in modules:
         short = module.__name__.removeprefix(f"{pa.__name__}.")
-        pages[f"api/{short}.md"] = _module(module, short)
+        pages[f"api/{short}.md"] = _api(module, _public(module))
     first = f"# {WORDS['en']['api']}\n\n{WORDS['en']['api-about']}\n\n"
-    names = sorted(name.removesuffix(".md") for name in pages)
-    return pages | {"api.md": first + _toctree(names, 2)}
+    return pages | {"api.md": first + _toctree([page.removesuffix(".md") for page in pages], 2)}
 
 
-def _room(value: object, name: str) -> str:
-    """Returns the room in which a public name is at home."""
-    home = getattr(value, "__module__", "") or ""
-    if not home.startswith(pa.__name__):
-        home = f"{pa.__name__}.{pa._HOME[name]}" if hasattr(pa, "_HOME") else pa.__name__
-    parts = home.split(".")
-    return parts[1] if len(parts) > 1 else "errors"
+def _public(module: ModuleType) -> list[str]:
+    """Returns what a module offers: its list, or what is defined in it."""
+    names = getattr(module, "__all__", None)
+    if names is not None:
+        return list(names)
+    return [
+        name
+        for name, value in vars(module).items()
+        if not name.startswith("_") and getattr(value, "__module__", None) == module.__name__
+    ]
 
 
-def _api(room: str, names: Sequence[str]) -> str:
-    module = import_module(f"{pa.__name__}.{room}")
+def _api(module: ModuleType, names: Sequence[str]) -> str:
     about = (module.__doc__ or "").strip().split("\n\n")[0]
-    lines = [f"# {room}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
-    lines += [f".. currentmodule:: {pa.__name__}", ""]
+    title = module.__name__.replace(pa.__name__, "pa", 1)
+    lines = [f"# {title}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
+    lines += [f".. currentmodule:: {module.__name__}", ""]
     for name in sorted(names, key=lambda one: (one[0].isupper(), one)):
-        lines += _directive(pa.__name__, name, getattr(pa, name))
-    return "\n".join([*lines, "```", ""])
-
-
-def _module(module: ModuleType, short: str) -> str:
-    names = getattr(module, "__all__", [name for name in vars(module) if not name.startswith("_")])
-    about = (module.__doc__ or "").strip().split("\n\n")[0]
-    lines = [f"# pa.{short}", "", _plain(" ".join(about.split())), "", "```{eval-rst}"]
-    for name in names:
         lines += _directive(module.__name__, name, getattr(module, name))
     return "\n".join([*lines, "```", ""])
 

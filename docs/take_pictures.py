@@ -53,7 +53,7 @@ def report(browser: Browser, path: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "report.html"
         robot = pa.load_variant("v3")
-        pa.write_report(study_stance(robot, pa.StandTask()), file, robots=[robot])
+        pa.report.write_report(study_stance(robot, pa.StandTask()), file, robots=[robot])
         page = browser.new_page(viewport={"width": 1100, "height": 900})
         page.set_default_timeout(PATIENCE)
         page.goto(file.as_uri())

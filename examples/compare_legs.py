@@ -13,8 +13,8 @@ def main() -> None:
     """Prints height, peak torque and motor utilisation of each length."""
     print("leg scale   height (m)   peak torque (N m)   utilisation")
     for scale in SCALES:
-        robot = pa.load_variant(pa.VariantSpec(base="v3", leg_scale=scale))
-        held = pa.stand_statics(robot, pa.held_stand(robot))
+        robot = pa.load_variant(pa.pupper.VariantSpec(base="v3", leg_scale=scale))
+        held = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
         peak, used = abs(held.joint_torques).max(), held.motor_utilisation.max()
         print(f"{scale:9.1f}   {robot.stand_height:10.3f}   {peak:17.3f}   {used:11.1%}")
 

@@ -22,10 +22,12 @@ FEET = {
 def main() -> None:
     """Loads the robot, lets it stand, and prints what its motors hold."""
     with tempfile.TemporaryDirectory() as folder:
-        urdf, mjcf = pa.write_variant(pa.VariantSpec(base="v3", leg_scale=1.1), Path(folder))
+        urdf, mjcf = pa.pupper.write_variant(
+            pa.pupper.VariantSpec(base="v3", leg_scale=1.1), Path(folder)
+        )
         robot = pa.load_robot(urdf=urdf, mjcf=mjcf, feet=FEET)
     stand = pa.solve_stand(robot)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     print(f"{robot.name}: {robot.total_mass:.3f} kg")
     for joint, torque in zip(held.joint_names, held.joint_torques, strict=True):
         print(f"{joint:15} {torque:+.3f} N m")

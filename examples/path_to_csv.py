@@ -15,7 +15,7 @@ def main() -> None:
     robot = pa.load_variant("v3")
     high = pa.StandTask()
     low = pa.StandTask(height=0.8 * robot.stand_height)
-    path = pa.stance_path(robot, [high, low, high], SECONDS, rate=20.0)
+    path = pa.stance.stance_path(robot, [high, low, high], SECONDS, rate=20.0)
     path.to_csv("squat.csv")
     print(f"{len(path.time)} samples in {path.time[-1]:.1f} s to squat.csv")
     print(f"motors: {path.peak_utilisation:.1%} of {path.peak_joint} at {path.peak_time:.2f} s")

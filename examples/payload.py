@@ -19,8 +19,8 @@ def main() -> None:
         print(f"{name:9} {bound.mass:6.2f} kg: {bound.failure.value}")
     print(f"limit     {limit.mass:6.2f} kg, by the {limit.binding}")
 
-    loaded = pa.with_payload(robot, limit.mass / 2, BACK)
-    held = pa.stand_statics(loaded, pa.held_stand(loaded))
+    loaded = pa.robot.with_payload(robot, limit.mass / 2, BACK)
+    held = pa.stance.stand_statics(loaded, pa.stance.solve_stand_as_simulated(loaded))
     print(f"half of it takes {held.motor_utilisation.max():.0%} of the motors")
 
 

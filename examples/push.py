@@ -13,7 +13,7 @@ def main() -> None:
     """Prints the largest push from which the stand recovers, in four directions."""
     robot = pa.load_variant("v3")
     pushed = pa.push_recovery(
-        robot, pa.held_stand(robot), directions=4, duration=3.0, resolution=0.1
+        robot, pa.stance.solve_stand_as_simulated(robot), directions=4, duration=3.0, resolution=0.1
     )
     rows = zip(
         pushed.directions, pushed.impulses, pushed.tipping_estimate, pushed.failures, strict=True

@@ -16,7 +16,7 @@ def main() -> None:
         ground=pa.Ground(slope=math.radians(5)), swing={"FL": 0.02}, com="inside", com_margin=0.01
     )
     stand = pa.solve_stand(robot, task)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     for foot in stand.stance_feet:
         force, used = held.contact_forces[foot], held.friction_utilisation[foot]
         print(f"{foot} carries {force[2]:6.2f} N and uses {used:.0%} of its friction")

@@ -10,7 +10,7 @@ import pupper_analysis as pa
 def main() -> None:
     """Predicts the steady state under the servos, simulates it, and softens the servos."""
     robot = pa.load_variant("v3")
-    stand = pa.held_stand(robot)
+    stand = pa.stance.solve_stand_as_simulated(robot)
     print(f"commanded {1e3 * robot.stand_height:.2f} mm")
     sag = pa.steady_state(robot, stand, seconds=5.0)
     print(f"predicted {1e3 * sag.base_height:.2f} mm")
@@ -18,7 +18,7 @@ def main() -> None:
     print(f"  lost in the ground {1e3 * sag.contact_sag:.2f} mm")
     simulated = pa.verify_stand(robot, stand, feedforward=False)
     print(f"simulated {1e3 * simulated.base_height:.2f} mm")
-    print(f"minimum stiffness {pa.minimum_stiffness(robot, stand):.2f} N m/rad")
+    print(f"minimum stiffness {pa.stance.minimum_stiffness(robot, stand):.2f} N m/rad")
 
 
 if __name__ == "__main__":

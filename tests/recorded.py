@@ -92,7 +92,7 @@ def tilted(robot: pa.Robot) -> pa.StandTask:
 
 def gain_sweep(robot: pa.Robot, stand: pa.Stand) -> dict[str, object]:
     """What is simulated; of modes that hardly grow a doubling time has few digits."""
-    found = pa.sweep_gains(robot, stand, kp=(5, 20), kd=(0.2, 0.5), duration=2.0)
+    found = pa.simulation.sweep_gains(robot, stand, kp=(5, 20), kd=(0.2, 0.5), duration=2.0)
     modes = ("lasts", "doubling_time", "damping_ratio")
     return {name: value for name, value in vars(found).items() if name not in modes}
 
@@ -132,7 +132,7 @@ def statics(distribution: str) -> Callable[[pa.Robot, pa.Stand], object]:
 
     def compute(robot: pa.Robot, stand: pa.Stand) -> object:
         stands = (stand, *(pa.solve_stand(robot, task(robot)) for task in (tilted, three_legged)))
-        return [pa.stand_statics(robot, one, distribution=distribution) for one in stands]
+        return [pa.stance.stand_statics(robot, one, distribution=distribution) for one in stands]
 
     return compute
 
@@ -141,12 +141,12 @@ def moving(robot: pa.Robot, stand: pa.Stand) -> object:
     """The forces of a slow motion out of the nominal stand."""
     pace = np.arange(robot.nv)
     config = pa.Configuration(robot, stand.qpos, 0.05 * np.sin(pace))
-    return pa.inverse_dynamics(config, 0.3 * np.cos(pace))
+    return pa.statics.inverse_dynamics(config, 0.3 * np.cos(pace))
 
 
 def band(robot: pa.Robot, stand: pa.Stand) -> object:
     """Between which heights the base may come to rest."""
-    found = pa.steady_state_band(robot, stand)
+    found = pa.stance.steady_state_band(robot, stand)
     ends = found.highest, found.frictionless, found.lowest
     return {
         "friction": found.friction,
@@ -174,7 +174,7 @@ def verification(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
     return {name: value for name, value in found.items() if name != "stability"}
 
 
-def payload(robot: pa.Robot, stand: pa.Stand) -> pa.PayloadLimit:
+def payload(robot: pa.Robot, stand: pa.Stand) -> pa.stance.PayloadLimit:
     """What a stand carries; which legs relieve which is a vertex that symmetry leaves open."""
     return replace(pa.payload_limit(robot, stand, (0.01, 0.0, 0.05)), shared=None)
 
@@ -187,15 +187,15 @@ JOBS = {
     "stand off centre": Job(
         lambda robot, _: pa.solve_stand(robot, pa.StandTask(offset=(0.004, -0.003)))
     ),
-    "sunk stand": Job(lambda robot, _: pa.sunk_stand(robot)),
+    "sunk stand": Job(lambda robot, _: pa.stance.solve_stand_on_soft_ground(robot)),
     "minimum tangential": Job(statics("minimum tangential"), CONES),
     "minimum torque": Job(statics("minimum torque"), CONES),
     "minimum peak": Job(statics("minimum peak"), CONES),
-    "nominal statics": Job(lambda robot, stand: pa.stand_statics(robot, stand)),
+    "nominal statics": Job(lambda robot, stand: pa.stance.stand_statics(robot, stand)),
     "inverse dynamics": Job(moving, CONES),
     "steady state": Job(lambda robot, stand: pa.steady_state(robot, stand), EIGENVALUE),
     "steady state band": Job(band, BAND),
-    "path": Job(lambda robot, _: pa.stance_path(robot, squat(robot), 2.0, rate=8.0), CONES),
+    "path": Job(lambda robot, _: pa.stance.stance_path(robot, squat(robot), 2.0, rate=8.0), CONES),
     "cross-check": Job(checked),
     "payload": Job(payload, CONES),
     "verification": Job(
@@ -205,16 +205,16 @@ JOBS = {
         why=SIMULATED,
     ),
     "minimum stiffness": Job(
-        lambda robot, stand: pa.minimum_stiffness(robot, stand),
+        lambda robot, stand: pa.stance.minimum_stiffness(robot, stand),
         slow=True,
         same_engines=True,
         why=SEARCHED,
     ),
     "workspace": Job(
-        lambda robot, _: pa.base_workspace(robot), slow=True, same_engines=True, why=SEARCHED
+        lambda robot, _: pa.stance.base_workspace(robot), slow=True, same_engines=True, why=SEARCHED
     ),
     "fastest path": Job(
-        lambda robot, _: pa.fastest_path(robot, squat(robot)),
+        lambda robot, _: pa.stance.fastest_path(robot, squat(robot)),
         CONES,
         slow=True,
         same_engines=True,

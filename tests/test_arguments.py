@@ -15,6 +15,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.arguments import check_type, checked, finite, length
+from tests.support.names import public, public_modules
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
 
@@ -30,15 +31,19 @@ APART = {  # below, each with an argument that is wrong
     "write_randomisation",
     "write_report",
 }
-FUNCTIONS = [
-    name for name in pa.__all__ if inspect.isfunction(getattr(pa, name)) and name not in APART
-]
+OFFERED = {
+    name: value
+    for module in (pa, *public_modules())
+    for name, value in public(module).items()
+    if inspect.isfunction(value)
+}
+FUNCTIONS = sorted(OFFERED.keys() - APART)
 JUNK = ("v3", b"v3", -1, 0, 1e308, math.nan, None, object(), [], {}, [None], {"x": None}, ())
 SLOW = {
     "push_recovery",
     "best_stance",
-    "payload_trial",
-    "push_trial",
+    "simulate_payload",
+    "simulate_push",
     "fastest_path",
     "sweep_gains",
 }
@@ -87,10 +92,10 @@ def test_wrong_arguments_are_the_packages_errors(
     name: str, usual: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    function = getattr(pa, name)
+    function = OFFERED[name]
     parameters = inspect.signature(function).parameters
     if name == "track_path":
-        usual["path"] = pa.stance_path(usual["robot"], usual["stances"], 0.5)
+        usual["path"] = pa.stance.stance_path(usual["robot"], usual["stances"], 0.5)
     right = {key: usual[key] for key in parameters if key in usual}
     wrong = 0
     for key, parameter in parameters.items():
@@ -132,7 +137,7 @@ def test_a_wrong_task_is_refused(field: str, junk: Any) -> None:
         pa.solve_stand(load("v3"), pa.StandTask(**{field: junk}))
 
 
-@pytest.mark.parametrize("kind", [pa.Ground, pa.Tolerances, pa.VariantSpec])
+@pytest.mark.parametrize("kind", [pa.Ground, pa.matching.Tolerances, pa.pupper.VariantSpec])
 @pytest.mark.parametrize("junk", [object(), b"x", [None], {5: 1}])
 def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
     for field in kind.__dataclass_fields__:  # type: ignore[attr-defined]
@@ -150,8 +155,8 @@ def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
         ),
         (lambda: pa.solve_stand(load("v3"), 0.12), "task: 0.12 is not a StandTask or None"),
         (lambda: pa.solve_stand(load("v3"), explain="x"), "explain: 'x' is not True or False"),
-        (lambda: pa.stance_path(load("v3"), pa.StandTask(), 1.0), "stances:"),
-        (lambda: pa.stance_path(load("v3"), ["x"], 1.0), "each a StandTask"),
+        (lambda: pa.stance.stance_path(load("v3"), pa.StandTask(), 1.0), "stances:"),
+        (lambda: pa.stance.stance_path(load("v3"), ["x"], 1.0), "each a StandTask"),
         (lambda: pa.gravity_compensation(load("v3")), "is not a Configuration"),
         (lambda: pa.Configuration("v3", []), "is not a Robot"),
         (lambda: pa.load_variant(5), "name 5 is not valid; known variants"),
@@ -163,10 +168,13 @@ def test_wrong_values_are_refused(kind: type, junk: Any) -> None:
         (lambda: pa.StandTask(height=1e6), "height: 1e+06 m is beyond 1000 m"),
         (lambda: pa.StandTask(offset=(1e308, 0.0)), "offset: 1e+308 m is beyond"),
         (lambda: pa.StandTask(self_clearance=1e15), "self_clearance: 1e+15 m is beyond"),
-        (lambda: pa.load_variant(pa.VariantSpec(leg_scale=1e-6)), "try scales nearer to 1"),
-        (lambda: pa.load_variant(pa.VariantSpec("v3", 1e-9)), "try scales nearer to 1"),
-        (lambda: pa.load_variant(pa.VariantSpec("v3", 1e300)), "it must be at most 1000"),
-        (lambda: pa.load_variant(pa.VariantSpec("v3", 1.0, 1e-300)), "try scales nearer to 1"),
+        (lambda: pa.load_variant(pa.pupper.VariantSpec(leg_scale=1e-6)), "try scales nearer to 1"),
+        (lambda: pa.load_variant(pa.pupper.VariantSpec("v3", 1e-9)), "try scales nearer to 1"),
+        (lambda: pa.load_variant(pa.pupper.VariantSpec("v3", 1e300)), "it must be at most 1000"),
+        (
+            lambda: pa.load_variant(pa.pupper.VariantSpec("v3", 1.0, 1e-300)),
+            "try scales nearer to 1",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(call: Callable[[], object], message: str) -> None:
@@ -235,14 +243,14 @@ def test_a_message_stays_short() -> None:
 @pytest.mark.parametrize("junk", [object(), 1.0, b"x", [None]])
 def test_what_studies_and_reports_are_given_wrong(junk: Any, tmp_path: Path) -> None:
     calls: dict[str, Callable[[], object]] = {
-        "table": lambda: pa.certainty(junk),
-        "table:": lambda: pa.pareto_front(junk, {"mass": "min"}),
-        "study": lambda: pa.sobol_indices(junk, tmp_path / "x", ["mass"]),
-        "study:": lambda: pa.linear_shares(junk, ["mass"]),
-        "study: ": lambda: pa.tightest_tolerance(junk, tmp_path / "x"),
-        "study:  ": lambda: pa.study_outcome(junk, tmp_path / "x"),
-        "spreads": lambda: pa.write_randomisation(junk, tmp_path / "x.yaml"),
-        "results": lambda: pa.write_report(junk, tmp_path / "x.html"),
+        "table": lambda: pa.study.certainty(junk),
+        "table:": lambda: pa.study.pareto_front(junk, {"mass": "min"}),
+        "study": lambda: pa.study.sobol_indices(junk, tmp_path / "x", ["mass"]),
+        "study:": lambda: pa.study.linear_shares(junk, ["mass"]),
+        "study: ": lambda: pa.study.tightest_tolerance(junk, tmp_path / "x"),
+        "study:  ": lambda: pa.study.study_outcome(junk, tmp_path / "x"),
+        "spreads": lambda: pa.study.write_randomisation(junk, tmp_path / "x.yaml"),
+        "results": lambda: pa.report.write_report(junk, tmp_path / "x.html"),
     }
     for field, call in calls.items():
         with pytest.raises(pa.ConfigurationError, match=field.strip(": ")):
@@ -285,10 +293,10 @@ def test_whole_numbers_and_fractions_are_real() -> None:
 def test_numbers_beyond_measure_are_refused() -> None:
     robot, stand = load("v3"), stand_of("v3")
     with pytest.raises(pa.VariantError, match="must be a finite number") as caught:
-        pa.VariantSpec("v3", leg_scale=10**400)
+        pa.pupper.VariantSpec("v3", leg_scale=10**400)
     assert len(str(caught.value)) < 200
     with pytest.raises(pa.ConfigurationError, match="no robot moves"):
-        pa.inverse_dynamics(pa.Configuration(robot, stand.qpos), np.full(robot.nv, 1e308))
+        pa.statics.inverse_dynamics(pa.Configuration(robot, stand.qpos), np.full(robot.nv, 1e308))
     with pytest.raises(pa.ConfigurationError, match="more than 1e\\+09") as refused:
         pa.payload_limit(robot, stand, kp=np.full(robot.nu, 1e308))
     assert "\n" not in str(refused.value)

@@ -42,7 +42,7 @@ def test_one_family(error: type[Exception]) -> None:
         ),
         (
             pa.StaticsInfeasibleError(
-                pa.Infeasibility.FRICTION,
+                pa.errors.Infeasibility.FRICTION,
                 "0.1, and 0.3 is needed",
                 margin=0.02,
                 friction_needed=0.3,
@@ -62,7 +62,7 @@ def test_message_says_it_all(error: Exception, words: list[str]) -> None:
 
 def test_errors_survive_pickling_and_say_where() -> None:
     error = pa.StaticsInfeasibleError(
-        pa.Infeasibility.FRICTION, "0.1", margin=0.02, friction_needed=0.3, feet=["FR"]
+        pa.errors.Infeasibility.FRICTION, "0.1", margin=0.02, friction_needed=0.3, feet=["FR"]
     )
     moved = error.at("at 0.50 s")
     assert type(moved) is type(error)
@@ -86,13 +86,15 @@ def test_errors_carry_their_data() -> None:
     )
     stance = pa.StanceUnreachableError("task", {"FR": 0.1}, {"knee": 1.0})
     assert (stance.shortfall, stance.at_limit) == ({"FR": 0.1}, {"knee": 1.0})
-    statics = pa.StaticsInfeasibleError(pa.Infeasibility.PULL, "x", margin=-0.1, feet=iter(["FR"]))
+    statics = pa.StaticsInfeasibleError(
+        pa.errors.Infeasibility.PULL, "x", margin=-0.1, feet=iter(["FR"])
+    )
     assert (statics.margin, statics.friction_needed, statics.feet) == (-0.1, None, ("FR",))
     assert statics.reason == "a foot would have to pull"
 
 
 def test_no_reason_is_unreachable_text() -> None:
-    assert {reason.value for reason in pa.Infeasibility} >= {
+    assert {reason.value for reason in pa.errors.Infeasibility} >= {
         "com outside the support polygon",
         "friction too low",
         "a foot would have to pull",

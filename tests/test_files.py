@@ -236,7 +236,7 @@ def test_dash_can_be_asked_for_once(tmp_path: Path) -> None:
 )
 def test_a_variants_name_is_that_of_a_file(name: str) -> None:
     with pytest.raises(VariantError, match="name"):
-        pa.VariantSpec(name=name)
+        pa.pupper.VariantSpec(name=name)
 
 
 def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:

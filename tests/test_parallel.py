@@ -147,7 +147,8 @@ def test_it_stands_the_same(variant: str) -> None:
     one, two = pa.solve_stand(robot, task), pa.solve_stand(back, task)
     np.testing.assert_array_equal(one.qpos, two.qpos)
     np.testing.assert_array_equal(
-        pa.stand_statics(robot, one).joint_torques, pa.stand_statics(back, two).joint_torques
+        pa.stance.stand_statics(robot, one).joint_torques,
+        pa.stance.stand_statics(back, two).joint_torques,
     )
     # A stand of one is one of the other; steps are built into the spec, which was written.
     for first, second in ((robot, back), (back, robot)):
@@ -157,7 +158,7 @@ def test_it_stands_the_same(variant: str) -> None:
 
 
 def test_a_changed_robot_comes_back_changed(tiny: pa.Robot) -> None:
-    heavy = pa.with_payload(tiny, 0.123456789, (0.0123456789, 0.0, 0.1))
+    heavy = pa.robot.with_payload(tiny, 0.123456789, (0.0123456789, 0.0, 0.1))
     back = pickled(heavy)
     assert back.total_mass == heavy.total_mass
     assert_same_model(heavy.mj_model, back.mj_model)
@@ -219,7 +220,7 @@ def test_a_robot_needs_no_files_any_more(tiny_files: Files, tmp_path: Path) -> N
 
 
 def test_meshes_come_along(tmp_path: Path) -> None:
-    pa.write_variant("v3", tmp_path)
+    pa.pupper.write_variant("v3", tmp_path)
     spec = mujoco.MjSpec.from_file(str(tmp_path / "mjcf" / "v3.xml"))
     model, state = spec.copy().compile(), state_of(spec)
     for mesh in (tmp_path / "mjcf" / "meshes").iterdir():
@@ -241,15 +242,15 @@ def test_results_come_back_the_same(copied: Callable[[Any], Any]) -> None:
         pa.verify_stand(robot, stand, duration=2.0),
         pa.steady_state(robot, stand),
         pa.payload_limit(robot, stand),
-        pa.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.02)], 0.5),
-        pa.base_workspace(robot),
+        pa.stance.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.02)], 0.5),
+        pa.stance.base_workspace(robot),
         pa.cross_check(robot, configurations=3),
-        pa.Tolerances(),
+        pa.matching.Tolerances(),
         pa.VARIANTS["v3"],
     ):
         back = copied(result)
         assert type(back) is type(result)
-        assert pa.to_json(back) == pa.to_json(result)
+        assert pa.results.to_json(back) == pa.results.to_json(result)
     config = copied(pa.Configuration(robot, stand.qpos))
     np.testing.assert_array_equal(
         config.mass_matrix(), pa.Configuration(robot, stand.qpos).mass_matrix()

@@ -53,7 +53,7 @@ def test_arrays_become_lists() -> None:
     ],
 )
 def test_any_array(array: np.ndarray) -> None:
-    assert json.loads(pa.to_json({"x": array}))["x"] == array.tolist()
+    assert json.loads(pa.results.to_json({"x": array}))["x"] == array.tolist()
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_any_array(array: np.ndarray) -> None:
         (np.int64(3), 3),
         (np.bool_(True), True),
         (np.float32(0.5), 0.5),
-        (pa.Infeasibility.PULL, "a foot would have to pull"),
+        (pa.errors.Infeasibility.PULL, "a foot would have to pull"),
         (MappingProxyType({"a": 1}), {"a": 1}),
         ((1, 2), [1, 2]),
         ({1: "a"}, {"1": "a"}),
@@ -71,7 +71,7 @@ def test_any_array(array: np.ndarray) -> None:
     ],
 )
 def test_other_values(value: object, expected: object) -> None:
-    assert json.loads(pa.to_json(value)) == expected
+    assert json.loads(pa.results.to_json(value)) == expected
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, np.float64(math.nan)])
@@ -81,11 +81,11 @@ def test_what_is_not_finite_becomes_null(value: float) -> None:
         {"x": [value]},
         Sample(np.array([value]), value, {"a": np.array(value)}),
     ):
-        text = pa.to_json(whole)
+        text = pa.results.to_json(whole)
         assert "null" in text
         json.loads(text, **strict)
     strided = np.array([value, 0.0, value, 0.0])[::2]
-    json.loads(pa.to_json(strided), **strict)
+    json.loads(pa.results.to_json(strided), **strict)
 
 
 def test_what_cannot_become_json_is_refused() -> None:
@@ -94,7 +94,7 @@ def test_what_cannot_become_json_is_refused() -> None:
 
     for value in (object(), {"x": {1, 2}.__iter__()}, Plain.A, b"1", [1 + 2j], "\ud800"):
         with pytest.raises(pa.ConfigurationError, match="cannot become JSON"):
-            pa.to_json(value)
+            pa.results.to_json(value)
 
 
 def test_nothing_of_a_result_or_a_task_can_be_written_to() -> None:
@@ -134,8 +134,8 @@ def test_tasks_can_be_hashed() -> None:
 
 @given(value=st.floats(allow_nan=False, allow_infinity=False))
 def test_no_digit_is_lost(value: float) -> None:
-    assert json.loads(pa.to_json(np.array([value]))) == [value]
-    assert json.loads(pa.to_json(value)) == value
+    assert json.loads(pa.results.to_json(np.array([value]))) == [value]
+    assert json.loads(pa.results.to_json(value)) == value
 
 
 def results_of(name: str) -> list[object]:
@@ -146,7 +146,7 @@ def results_of(name: str) -> list[object]:
         pa.gravity_compensation(pa.Configuration(robot, stand.qpos), []),
         pa.verify_stand(robot, stand, duration=2.0),
         pa.verify_stand(robot, stand, feedforward=False, duration=2.0),
-        pa.sweep_gains(robot, stand, kp=[20.0], kd=[1.0], duration=2.0),
+        pa.simulation.sweep_gains(robot, stand, kp=[20.0], kd=[1.0], duration=2.0),
     ]
 
 
@@ -164,7 +164,7 @@ def test_every_result_is_whole_and_strict_json(name: str) -> None:
                 )
                 np.testing.assert_array_equal(np.array(parsed[field.name], told.dtype), told)
         assert parsed == result.to_dict()  # type: ignore[attr-defined]
-        assert parsed == json.loads(pa.to_json(result), **strict)
+        assert parsed == json.loads(pa.results.to_json(result), **strict)
 
 
 def test_a_repr_is_short_and_says_what_matters() -> None:
@@ -202,11 +202,13 @@ def test_tables_become_dataframes() -> None:
     assert tuple(frame["joint"]) == robot.joint_names
     np.testing.assert_array_equal(frame["torque"], held.joint_torques)
     np.testing.assert_allclose(frame["utilisation"], np.abs(frame["torque"]) / robot.effort_limits)
-    sweep = pa.sweep_gains(robot, stand, kp=[5.0, 20.0], kd=[0.1, 0.3, 1.0], duration=2.0)
+    sweep = pa.simulation.sweep_gains(
+        robot, stand, kp=[5.0, 20.0], kd=[0.1, 0.3, 1.0], duration=2.0
+    )
     frame = sweep.to_dataframe()
     row = frame[(frame.kp == 20.0) & (frame.kd == 0.3)]
     assert float(row.height_deviation.iloc[0]) == sweep.height_deviation[1, 1]
-    path = pa.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.05)], 1.0)
+    path = pa.stance.stance_path(robot, [pa.StandTask(), pa.StandTask(pitch=0.05)], 1.0)
     frame = path.to_dataframe()
     knee = robot.joint_names[2]
     np.testing.assert_array_equal(frame[f"q {knee}"], path.joint_positions()[:, 2])

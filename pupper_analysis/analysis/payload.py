@@ -16,7 +16,7 @@ from pupper_analysis.simulation.payload import (
     Buckling,
     PayloadTrial,
     payload_buckling,
-    payload_trial,
+    simulate_payload,
 )
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.stance.payload.servo_limit import Failure
@@ -111,7 +111,7 @@ def try_payload(
         point = payload.point.tolist()
 
         def tried(mass: float) -> PayloadTrial:
-            return payload_trial(robot, stand, TRIED * mass, point, kp=kp, kd=kd)
+            return simulate_payload(robot, stand, TRIED * mass, point, kp=kp, kd=kd)
 
         trial = tried(mass)
         if not trial.held:

@@ -15,8 +15,8 @@ from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.push import PushRecovery, push_recovery
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 
 
@@ -72,7 +72,7 @@ def study_pushes(
     stands = [solve_stand(robot, task) for robot in robots]
     found = {}
     for robot, stand in zip(robots, stands, strict=True):
-        held = held_stand(robot, stand)
+        held = solve_stand_as_simulated(robot, stand)
         fed = verify_stand(robot, held, kp=kp, kd=kd, duration=LASTING)
         recovery = push_recovery(
             robot,

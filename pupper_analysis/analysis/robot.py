@@ -25,8 +25,8 @@ from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
@@ -178,7 +178,7 @@ def analyze_variant(
         ConfigurationError: If the base is fixed.
         ModelError: If a motor is no position servo, or MuJoCo cannot import the URDF.
     """
-    stand = held_stand(robot, solve_stand(robot, task))
+    stand = solve_stand_as_simulated(robot, solve_stand(robot, task))
     config = Configuration(robot, stand.qpos)
     rest = Configuration(robot, robot.neutral())
     # All at once: MuJoCo's steps leave Python to others, who import and check meanwhile.

@@ -27,8 +27,8 @@ from pupper_analysis.stance.sag.steady_state import (
     minimum_stiffness,
     steady_state,
 )
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -112,7 +112,7 @@ def study_stance(
     """
     stand = stance if isinstance(stance, Stand) else solve_stand(robot, stance)
     settled, unsettled, least = None, None, None
-    held = held_stand(robot, stand)
+    held = solve_stand_as_simulated(robot, stand)
     try:
         settled = steady_state(robot, held, kp=kp)
     except NoEquilibriumError as error:

@@ -24,7 +24,7 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.sync.models import FINE
 from pupper_analysis.together import Writing, write_together
 
@@ -167,7 +167,7 @@ def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterato
 
 def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
     robot = robot_of(urdf, read_mjcf(mjcf), feet=feet)
-    return verify_stand(robot, sunk_stand(robot))
+    return verify_stand(robot, solve_stand_on_soft_ground(robot))
 
 
 def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:

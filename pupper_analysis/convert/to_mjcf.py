@@ -32,7 +32,7 @@ from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.prepare.servo_tuning import held_gains, stand_gains
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 Array = NDArray[np.float64]
 
@@ -219,7 +219,7 @@ def _put_stand(
     failure = None
     try:
         equip.add_contacts(mjcf, robot)
-        stand = sunk_stand(robot)
+        stand = solve_stand_on_soft_ground(robot)
         kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
         equip.add_home(mjcf, bodies, robot, stand, kp)
         if options.sag is not None or options.damping_ratio is not None:

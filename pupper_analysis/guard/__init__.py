@@ -1,1 +1,5 @@
 """Keeps the models of a repository right: what is checked, and what is known already."""
+
+from pupper_analysis.exports import exports_of
+
+__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

@@ -22,8 +22,8 @@ import pupper_analysis as pa
 
 robot = {robot}
 task = pa.StandTask({task})
-stand = pa.held_stand(robot, task)  # on MuJoCo's ground, which is soft
-statics = pa.stand_statics(robot, stand)
+stand = pa.stance.solve_stand_as_simulated(robot, task)  # on MuJoCo's ground, which is soft
+statics = pa.stance.stand_statics(robot, stand)
 for joint, torque in zip(robot.joint_names, statics.joint_torques):
     print(f"{{joint:24}} {{torque:+.4f}} N m")
 print(f"com margin {{1e3 * stand.com_margin:.1f}} mm")
@@ -42,7 +42,7 @@ def python(source: Source, state: State) -> str:
     """Returns a script that makes the same stand."""
     robot = source.python(state.scales())
     if state.payload:
-        robot = f"pa.with_payload({robot}, {state.payload!r}, {state.payload_point()!r})"
+        robot = f"pa.robot.with_payload({robot}, {state.payload!r}, {state.payload_point()!r})"
     kp = "" if state.kp is None else f", kp={state.kp!r}"
     kd = "" if state.kd is None else f", kd={state.kd!r}"
     text = _SCRIPT.format(robot=robot, task=_task(state), kp=kp, gains=kp + kd)

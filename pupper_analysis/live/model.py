@@ -23,12 +23,12 @@ from pupper_analysis.live.state import State
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.simulation.push_trial import PushTrial, push_trial
+from pupper_analysis.simulation.push_trial import PushTrial, simulate_push
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Verdict, expect
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import held_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -47,8 +47,8 @@ class Answer:
         state: What was asked.
         robot: The robot, with its payload; None if there is none.
         task: The stand task; None if it is none.
-        stand: ``held_stand``'s: on MuJoCo's soft ground, if that is in reach; None if it is out of
-            reach.
+        stand: ``solve_stand_as_simulated``'s: on MuJoCo's soft ground, if that is in reach; None if
+            it is out of reach.
         statics: ``stand_statics``'s of it; None if it cannot be held.
         refusal: Why one of these is None; a ``StanceUnreachableError`` here is not yet explained.
     """
@@ -129,7 +129,7 @@ class Model:
             robot = self.robot(state)
             task = state.task()
             stand = solve_stand(robot, task, explain=False)
-            stand = held_stand(robot, stand)
+            stand = solve_stand_as_simulated(robot, stand)
             statics = stand_statics(robot, stand)
         except PupperAnalysisError as error:
             return Answer(state, robot, task, stand, None, error)
@@ -209,7 +209,7 @@ def pushed(answer: Answer, impulse: float, direction: float, *, feedforward: boo
     """
     assert answer.robot is not None
     assert answer.stand is not None
-    return push_trial(
+    return simulate_push(
         answer.robot,
         answer.stand,
         impulse,

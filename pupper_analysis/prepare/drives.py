@@ -27,8 +27,8 @@ from pupper_analysis.simulation.verify import (
     StandVerification,
     verify_stand,
 )
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.stance.sunk import sunk_stand
 
 Array = NDArray[np.float64]
 
@@ -194,7 +194,7 @@ def _as_predicted(robot: Robot, stand: Stand, kp: Array, kd: Array) -> bool:
     after as long as any stand is given.
     """
     with contextlib.suppress(PupperAnalysisError):
-        stand = sunk_stand(robot, stand, explain=False)
+        stand = solve_stand_on_soft_ground(robot, stand, explain=False)
     brief = verify_stand(robot, stand, kp=kp, kd=kd, duration=_BRIEF, nudged=0.0)
     if brief.passed or _another(robot, brief):
         return True

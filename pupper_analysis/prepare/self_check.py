@@ -45,8 +45,8 @@ from pupper_analysis.robot.fall import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.sag.steady_state import steady_state
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
-from pupper_analysis.stance.sunk import sunk_stand
 
 Array = NDArray[np.float64]
 
@@ -243,7 +243,7 @@ class Predicted:
 def predictions(robot: Robot, stand: Stand) -> list[Predicted]:
     """Returns what is predicted of a stand, with feed-forward and on position commands alone."""
     try:
-        held = sunk_stand(robot, stand, explain=False)
+        held = solve_stand_on_soft_ground(robot, stand, explain=False)
     except PupperAnalysisError:
         return []  # where it comes to rest is not predicted
     torques = stand_statics(robot, held).joint_torques

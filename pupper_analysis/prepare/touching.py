@@ -14,7 +14,7 @@ from pupper_analysis.prepare import start
 from pupper_analysis.prepare.visuals import geoms_by_id
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 _BESIDE = 5e-3
 """Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
@@ -36,7 +36,7 @@ def with_bare_feet(robot: Robot) -> Robot:
 def on_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
     try:
-        stand = sunk_stand(with_bare_feet(robot), explain=False)
+        stand = solve_stand_on_soft_ground(with_bare_feet(robot), explain=False)
     except PupperAnalysisError:
         return robot, []
     model, own = robot.mj_model, start.feet_bodies(robot)

@@ -27,8 +27,8 @@ class Variants(Scaled):
         if spec.name in VARIANTS:
             return f"pa.load_variant({spec.name!r})"
         return (
-            f"pa.load_variant(pa.VariantSpec(base={spec.base!r}, leg_scale={spec.leg_scale!r}, "
-            f"torso_mass_scale={spec.torso_mass_scale!r}))"
+            f"pa.load_variant(pa.pupper.VariantSpec(base={spec.base!r}, "
+            f"leg_scale={spec.leg_scale!r}, torso_mass_scale={spec.torso_mass_scale!r}))"
         )
 
     def arguments(self, scales: Mapping[str, float]) -> list[str]:

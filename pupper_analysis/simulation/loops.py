@@ -7,8 +7,8 @@ import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.soft_ground import loops_give
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.stance.sunk import loops_give
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 _OPEN = 1e-5  # m or rad: what gives way by less is not why something is off

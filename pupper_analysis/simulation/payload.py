@@ -31,9 +31,9 @@ from pupper_analysis.stance.payload.nudge import nudges
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
     Bound,
-    Command,
     Failure,
     LoadedPose,
+    PayloadCommand,
     first_failing,
     loaded_pose,
 )
@@ -111,14 +111,14 @@ def payload_buckling(
     mass: float,
     point: Sequence[float] = (0.0, 0.0, 0.0),
     *,
-    command: Command = Command.LOADED,
+    command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Buckling:
     """Tells how fast a stand buckles with a mass on the robot.
 
     Args:
-        robot: As for ``payload_trial``, which begins in the same state, like all that follow.
+        robot: As for ``simulate_payload``, which begins in the same state, like all that follow.
         stand: Likewise.
         mass: Likewise.
         point: Likewise.
@@ -127,7 +127,7 @@ def payload_buckling(
         kd: Likewise.
 
     Raises:
-        ConfigurationError: As ``payload_trial``, like the next two.
+        ConfigurationError: As ``simulate_payload``, like the next two.
         ModelError: Likewise.
         NoEquilibriumError: Likewise.
     """
@@ -146,13 +146,13 @@ def payload_buckling(
 
 
 @checked
-def payload_trial(
+def simulate_payload(
     robot: Robot,
     stand: Stand,
     mass: float,
     point: Sequence[float] = (0.0, 0.0, 0.0),
     *,
-    command: Command = Command.LOADED,
+    command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     duration: float = LASTING,
@@ -234,7 +234,7 @@ def _laid(
     stand: Stand,
     mass: float,
     point: Array,
-    command: Command,
+    command: PayloadCommand,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
 ) -> _Laid:
@@ -247,7 +247,12 @@ def _laid(
 
 
 def _start(
-    robot: Robot, stand: Stand, mass: float, point: Array, command: Command, kp: ArrayLike | None
+    robot: Robot,
+    stand: Stand,
+    mass: float,
+    point: Array,
+    command: PayloadCommand,
+    kp: ArrayLike | None,
 ) -> LoadedPose:
     """Returns where the simulation begins, and with what command.
 
@@ -261,7 +266,7 @@ def _start(
 
     def none(tried: LoadedPose | Bound) -> bool:
         missing = isinstance(tried, LoadedPose) and tried.pose is None
-        return isinstance(tried, Bound) or (missing and command is Command.UNLOADED)
+        return isinstance(tried, Bound) or (missing and command is PayloadCommand.UNLOADED)
 
     found = pose(mass)
     if none(found):

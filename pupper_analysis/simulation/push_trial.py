@@ -48,7 +48,7 @@ class PushTrial(Pushed):
 
 
 @checked
-def push_trial(
+def simulate_push(
     robot: Robot,
     stand: Stand,
     impulse: float,

@@ -151,7 +151,7 @@ def verify_stand(
     The prediction is ``gravity_compensation`` with minimum tangential forces: the equilibrium that
     lasts in a simulator whose friction creeps. MuJoCo's ground is soft: where the feet bear unequal
     loads a stand for rigid ground tilts by milliradians, and the loads change by percents;
-    ``sunk_stand`` is the stand that does hold as predicted.
+    ``solve_stand_on_soft_ground`` is the stand that does hold as predicted.
 
     What it settles at is measured first. Then everything is nudged (``NUDGE``), and must come to
     rest again; and no mode of the step's spectrum may grow within ``LASTING`` (12 s), nor shake at

@@ -45,7 +45,7 @@ def solve_stand(
         robot: A robot with a floating base.
         task: How to stand; the nominal stand by default.
         depths: {foot that carries: how deep it sinks into the ground (m)}; 0 where not given. The
-            base stays where the task has it. ``sunk_stand`` finds MuJoCo's.
+            base stays where the task has it. ``solve_stand_on_soft_ground`` finds MuJoCo's.
         explain: Where the stance is out of reach, find out how near the feet can come, which
             demands are in the way, as few as possible, and how far they would have to give (a
             second, or some where the com may be anywhere inside).

@@ -166,7 +166,7 @@ def equilibrium(
 ) -> GravityCompensation:
     """Balances any generalised force, as ``gravity_compensation`` balances gravity.
 
-    With M qacc + h for g it is inverse dynamics (``pupper_analysis.statics.inverse_dynamics``).
+    With M qacc + h for g it is inverse dynamics (``pupper_analysis.statics.dynamics``).
 
     Args:
         config: Where the robot is.

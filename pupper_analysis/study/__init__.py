@@ -1,1 +1,5 @@
 """Many designs: which numbers vary, what is measured, and the engine that loses nothing."""
+
+from pupper_analysis.exports import exports_of
+
+__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

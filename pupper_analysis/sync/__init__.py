@@ -1,1 +1,5 @@
 """How is what disagrees mended? The numbers of one file are written into the other, in place."""
+
+from pupper_analysis.exports import exports_of
+
+__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

@@ -592,7 +592,7 @@ def test_our_own_models_are_sound(path: Path) -> None:
 
 
 def test_derived_variants_are_sound(variant: str, tmp_path: Path) -> None:
-    for path in pa.write_variant(variant, tmp_path):
+    for path in pa.pupper.write_variant(variant, tmp_path):
         result = audit_model(path)
         assert result.counts["error"] == result.counts["warning"] == 0, list(
             map(str, result.findings)

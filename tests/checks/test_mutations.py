@@ -731,7 +731,7 @@ def sources(name: str) -> tuple[str, str]:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        urdf, mjcf = pa.write_variant(name, folder)
+        urdf, mjcf = pa.pupper.write_variant(name, folder)
         root = ElementTree.parse(mjcf).getroot()
         for parent in root.iter():
             for child in list(parent):

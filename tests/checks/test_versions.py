@@ -50,11 +50,11 @@ def written(folder: Path, old: str, new: str, kind: str) -> tuple[Path, Path]:
     return files
 
 
-def diff_of(folder: Path, old: Parts, new: Parts, kind: str, **options: Any) -> pa.ModelDiff:
+def diff_of(folder: Path, old: Parts, new: Parts, kind: str, **options: Any) -> pa.checks.ModelDiff:
     return pa.diff_models(*written(folder, TEXT[kind](old), TEXT[kind](new), kind), **options)
 
 
-def kinds(diff: pa.ModelDiff) -> list[tuple[str, str]]:
+def kinds(diff: pa.checks.ModelDiff) -> list[tuple[str, str]]:
     return [(change.kind, change.element) for change in diff.changes]
 
 
@@ -167,7 +167,7 @@ def test_moved_lines_and_other_digits_are_no_change(tmp_path: Path) -> None:
 def test_tolerances(tmp_path: Path) -> None:
     new = changed(ROBOT, "base", mass=6.0006)
     assert not diff_of(tmp_path, ROBOT, new, "urdf").same
-    assert diff_of(tmp_path, ROBOT, new, "urdf", tolerances=pa.Tolerances(mass=1e-3)).same
+    assert diff_of(tmp_path, ROBOT, new, "urdf", tolerances=pa.matching.Tolerances(mass=1e-3)).same
 
 
 def test_a_moved_base_frame_is_one_change(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     lines = page.stdout.splitlines()
     assert len(lines) < 40
     robot = pa.load_variant("v3")
-    held = pa.stand_statics(robot, pa.held_stand(robot))
+    held = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
     peak = f"{held.motor_utilisation.max():.1%} of its limit"
     assert lines[0].startswith("VERIFIED v3: 3.170 kg; peak torque ")
     assert lines[0].endswith(peak)

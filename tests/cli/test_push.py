@@ -38,7 +38,7 @@ def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     results, deepest = {}, 0.0
     for name, stance in content.items():
         robot = load(name)
-        stand = pa.sunk_stand(robot)
+        stand = pa.stance.solve_stand_on_soft_ground(robot)
         results[name] = pa.push_recovery(robot, stand, directions=4, resolution=0.3)
         assert stance["recovery"] == json.loads(results[name].to_json())
         assert stance["stand"] == json.loads(stand.to_json())
@@ -63,7 +63,7 @@ def test_a_stand_that_does_not_last_is_exit_status_1(
 
 
 def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    urdf, mjcf = pa.write_variant("heavy", tmp_path / "robot")
+    urdf, mjcf = pa.pupper.write_variant("heavy", tmp_path / "robot")
     own = ("--urdf", str(urdf), "--mjcf", str(mjcf))
     feet = [part for foot in ("FL", "FR", "RL", "RR") for part in ("--foot", f"{foot}_foot")]
     stance = (
@@ -86,7 +86,12 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
     robot = load("heavy")
     task = pa.StandTask(height=0.15, swing={"FL": 0.01}, com="inside", com_margin=0.01)
     alike = pa.push_recovery(
-        robot, pa.sunk_stand(robot, task), directions=4, resolution=0.3, kp=60.0, kd=1.0
+        robot,
+        pa.stance.solve_stand_on_soft_ground(robot, task),
+        directions=4,
+        resolution=0.3,
+        kp=60.0,
+        kd=1.0,
     )
     np.testing.assert_allclose(found["recovery"]["impulses"], alike.impulses, atol=1e-9)
     assert "FL_foot lifted 10 mm" in out

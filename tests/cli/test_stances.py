@@ -11,24 +11,19 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from pupper_analysis import (
-    Ground,
-    Objective,
-    StandTask,
-    base_workspace,
-    best_stance,
-    cli,
-    fastest_path,
-    payload_limit,
-    solve_stand,
-    stand_statics,
-    sunk_stand,
-)
+from pupper_analysis import Ground, StandTask, best_stance, cli, payload_limit, solve_stand
 from pupper_analysis.analysis.path import way_to
 from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.cli.stance_options import RobotAndTask, derived_variant
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.workspace import workspace_figure
+from pupper_analysis.stance import (
+    Objective,
+    base_workspace,
+    fastest_path,
+    solve_stand_on_soft_ground,
+    stand_statics,
+)
 from tests.support.commands import check_refusal, run_command
 from tests.support.variants import load
 
@@ -97,7 +92,7 @@ def test_best_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert "HOLDS in MuJoCo" in out
     robot = load("original")
     found = best_stance(robot, Objective.MARGIN, task=StandTask(self_clearance=0.002)).stand
-    held = stand_statics(robot, sunk_stand(robot, found.task))
+    held = stand_statics(robot, solve_stand_on_soft_ground(robot, found.task))
     pose_figure(robot, found, held, tmp_path / "alike.png")
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 

@@ -9,19 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from pupper_analysis import (
-    StandTask,
-    VariantSpec,
-    load_variant,
-    minimum_stiffness,
-    solve_stand,
-    stand_statics,
-    sunk_stand,
-    write_variant,
-)
+from pupper_analysis import StandTask, load_variant, solve_stand
 from pupper_analysis.analysis.path import study_path
 from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.pupper import VariantSpec, write_variant
 from pupper_analysis.report.figures.pose import pose_figure
+from pupper_analysis.stance import minimum_stiffness, solve_stand_on_soft_ground, stand_statics
 from tests.support.commands import check_refusal, run_command
 from tests.support.printing import printed
 
@@ -38,7 +31,10 @@ def test_three_legs_hold(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> N
     assert "HOLDS with gravity feed-forward in MuJoCo" in out
     assert "on position commands alone: FL touches the ground" in out
     robot, task = load_variant("v3"), StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
-    alike, held = tmp_path / "alike.png", stand_statics(robot, sunk_stand(robot, task))
+    alike, held = (
+        tmp_path / "alike.png",
+        stand_statics(robot, solve_stand_on_soft_ground(robot, task)),
+    )
     pose_figure(robot, solve_stand(robot, task), held, alike)
     np.testing.assert_array_equal(imread(figure), imread(alike))
     content = json.loads(path.read_text())

@@ -88,7 +88,7 @@ def same_dynamics(urdf: Path, mjcf: Path) -> float:
     return worst
 
 
-def converted(source: Path, name: str, **options: object) -> tuple[Path, pa.Conversion]:
+def converted(source: Path, name: str, **options: object) -> tuple[Path, pa.convert.Conversion]:
     output = source.parent / name
     return output, pa.convert_model(source, output, **options)  # type: ignore[arg-type]
 

@@ -18,8 +18,17 @@ from pupper_analysis.diagnostics import LANGUAGES, meaning
 from pupper_analysis.diagnostics.catalogue import lines
 from pupper_analysis.results import Result
 from tests.diagnostics.test_diagnostic import CATALOGUE, HAN
+from tests.support.names import public, public_modules
 
-OWN_PAGES = (pa.Analysis, Stance, PushedStance, PathThere, pa.Comparison, pa.Audit, pa.StudyOutcome)
+OWN_PAGES = (
+    pa.analysis.Analysis,
+    Stance,
+    PushedStance,
+    PathThere,
+    pa.checks.Comparison,
+    pa.checks.Audit,
+    pa.study.StudyOutcome,
+)
 """Results that have pages of their own: their fields are not listed with what they mean."""
 
 
@@ -76,7 +85,9 @@ def test_meanings_are_in_both_languages_with_the_same_units() -> None:
 
 def test_every_field_of_a_public_result_says_what_it_means() -> None:
     """What it shares with other results, too."""
-    public = [value for name in pa.__all__ if isinstance(value := getattr(pa, name), type)]
-    for kind in (one for one in public if issubclass(one, Result)):
+    values = [value for module in (pa, *public_modules()) for value in public(module).values()]
+    kinds = [value for value in values if isinstance(value, type) and issubclass(value, Result)]
+    assert len(kinds) > 20
+    for kind in kinds:
         known = {name for one in kind.__mro__ for name in documented(one)}
         assert {field.name for field in fields(kind)} - known == set(), kind  # type: ignore[arg-type]

@@ -97,7 +97,7 @@ def test_a_known_difference_that_grows_or_shrinks_has_changed(folder: Path) -> N
     for mass in ("0.25", "0.21"):
         shutil.copy(SAMPLE / "hopper.xml", folder)
         change(folder / "hopper.xml", 'mass="0.22"', f'mass="{mass}"')
-        check = pa.check_repository(folder / "pupper-analysis.toml")
+        check = pa.guard.check_repository(folder / "pupper-analysis.toml")
         assert not check.passed
         (remark,) = check.remarks
         assert remark.state is RemarkState.CHANGED
@@ -150,7 +150,7 @@ def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -
     with (folder / "pupper-analysis.toml").open("a") as file:
         file.write(more)
     line = change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
-    check = pa.check_repository(folder / "pupper-analysis.toml", update_baseline=True)
+    check = pa.guard.check_repository(folder / "pupper-analysis.toml", update_baseline=True)
     assert next((r.check, r.pair, r.kind, r.state, r.fails) for r in check.remarks) == (
         "audit",
         "hopper",
@@ -164,16 +164,16 @@ def test_a_file_that_cannot_be_read_fails_and_hides_nothing_else(folder: Path) -
     assert {("crosscheck", "hopper"), ("crosscheck", "other")} <= kept
     assert "refused" not in (folder / BASELINE).read_text()
     shutil.copy(SAMPLE / "hopper.urdf", folder)
-    assert pa.check_repository(folder / "pupper-analysis.toml").passed
+    assert pa.guard.check_repository(folder / "pupper-analysis.toml").passed
 
 
 def test_nobody_can_write_into_the_baseline_that_a_file_is_not_read(folder: Path) -> None:
     change(folder / "hopper.urdf", '<mass value="0.4"/>', '<mass value="heavy"/>')
     config = folder / "pupper-analysis.toml"
-    (remark,) = (r for r in pa.check_repository(config).remarks if r.kind == "refused")
+    (remark,) = (r for r in pa.guard.check_repository(config).remarks if r.kind == "refused")
     entries = [*read_baseline(folder / BASELINE), BaselineEntry(remark.identity, remark.values)]
     write_baseline(folder / BASELINE, entries)
-    check = pa.check_repository(config)
+    check = pa.guard.check_repository(config)
     assert not check.passed
     assert [r.state for r in check.remarks if r.kind == "refused"] == [RemarkState.NEW]
 
@@ -203,7 +203,7 @@ def test_a_joint_in_one_file_only(folder: Path) -> None:
             'kv="1"/>\n  </act', "-->\n  </act"
         )
     )
-    check = pa.check_repository(folder / "pupper-analysis.toml")
+    check = pa.guard.check_repository(folder / "pupper-analysis.toml")
     assert ("joint", "knee") in [(r.kind, r.element) for r in check.remarks if r.fails]
 
 
@@ -227,7 +227,7 @@ def test_severities_that_fail(folder: Path) -> None:
 def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
     with (folder / "pupper-analysis.toml").open("a") as file:
         file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
-    check = pa.check_repository(folder / "pupper-analysis.toml")
+    check = pa.guard.check_repository(folder / "pupper-analysis.toml")
     audited = [remark for remark in check.remarks if remark.check == "audit"]
     assert [(r.pair, r.kind, r.file) for r in audited] == [
         ("", "start-outside-limits", "hopper.urdf")
@@ -244,7 +244,7 @@ def test_each_model_has_its_verdict(folder: Path) -> None:
     assert ["hopper", "FAILED", "1", "0", "they", "differ", "hopper.urdf,", "hopper.xml"] in rows
     assert ["alone", "OK", "0", "0", "hopper.urdf"] in rows
     assert "not compared" not in shown
-    check = pa.check_repository(folder / "pupper-analysis.toml")
+    check = pa.guard.check_repository(folder / "pupper-analysis.toml")
     assert [(pair.failures, pair.known) for pair in check.pairs] == [(1, 0), (0, 0)]
 
 
@@ -273,17 +273,17 @@ def test_patterns_name_many_models(folder: Path) -> None:
     (folder / "urdf" / "three.urdf").write_text((folder / "hopper.urdf").read_text())
     config = folder / "pupper-analysis.toml"
     config.write_text('[[pair]]\nname = "all"\nurdf = "urdf/*.urdf"\nmjcf = "mjcf/*.xml"\n')
-    check = pa.check_repository(config)
+    check = pa.guard.check_repository(config)
     assert {(pair.name, pair.agree) for pair in check.pairs} == {
         ("all/one", False), ("all/two", False), ("all/three", None)
     }  # fmt: skip
     config.write_text('[[pair]]\nname = "all"\nurdf = "**/*.urdf"\n')
-    names = [pair.name for pair in pa.check_repository(config).pairs]
+    names = [pair.name for pair in pa.guard.check_repository(config).pairs]
     assert names == ["all/hopper.urdf", *(f"all/urdf/{n}.urdf" for n in ("one", "three", "two"))]
     for wrong in ('urdf = "no/*.urdf"', 'urdf = "urdf/*.urdf"\nmjcf = "mjcf/?.xml"', 'urdf = "/*"'):
         config.write_text(f'[[pair]]\nname = "all"\n{wrong}\n')
         with pytest.raises(pa.ModelError, match=r"pupper-analysis\.toml:3"):
-            pa.check_repository(config)
+            pa.guard.check_repository(config)
 
 
 def test_init_names_all_models_and_does_not_write_over_one(folder: Path) -> None:
@@ -365,7 +365,7 @@ def test_a_baseline_of_an_older_version_is_read(folder: Path) -> None:
     """Version 1 kept findings as sentences; the file is as it wrote it."""
     config = with_findings(folder)
     shutil.copy(ROOT / "tests" / "data" / "baseline_1.toml", folder / BASELINE)
-    check = pa.check_repository(config)
+    check = pa.guard.check_repository(config)
     assert check.passed
     assert check.stale == ()
     assert {remark.state for remark in check.remarks} == {RemarkState.KNOWN}
@@ -374,28 +374,28 @@ def test_a_baseline_of_an_older_version_is_read(folder: Path) -> None:
     assert "3 entries of the baseline are sentences" in run(folder).stdout
     assert "--update-baseline renews it" in run(folder, "--format", "github").stdout
     change(folder / BASELINE, "its mass is -0.4 kg", "it weighs -0.4 kg")
-    (other,) = (one for one in pa.check_repository(config).remarks if one.fails)
+    (other,) = (one for one in pa.guard.check_repository(config).remarks if one.fails)
     assert (other.kind, other.state) == ("mass-not-positive", RemarkState.CHANGED)
-    assert pa.check_repository(config, update_baseline=True).outdated == 0
-    assert pa.check_repository(config).passed
+    assert pa.guard.check_repository(config, update_baseline=True).outdated == 0
+    assert pa.guard.check_repository(config).passed
     assert not any(one.outdated for one in read_baseline(folder / BASELINE))
 
 
 def test_other_words_are_nothing_new(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A baseline knows findings by code and values, whatever is said of them."""
     config = with_findings(folder)
-    pa.check_repository(config, update_baseline=True)
-    said = {one.message for one in pa.check_repository(config).remarks}
+    pa.guard.check_repository(config, update_baseline=True)
+    said = {one.message for one in pa.guard.check_repository(config).remarks}
     words = {"en": "put otherwise", "zh": "换了说法"}
     monkeypatch.setattr(
         diagnostic, "entry", lambda code: replace(catalogue.entry(code), templates=words)
     )
-    check = pa.check_repository(config)
+    check = pa.guard.check_repository(config)
     assert said & {one.message for one in check.remarks} == set()
     assert {one.state for one in check.remarks} == {RemarkState.KNOWN}
     change(folder / "hopper.urdf", '<mass value="-0.4"/>', '<mass value="-0.5"/>')
     (found,) = (
-        one for one in pa.check_repository(config).remarks if one.kind == "mass-not-positive"
+        one for one in pa.guard.check_repository(config).remarks if one.kind == "mass-not-positive"
     )
     assert found.state is RemarkState.CHANGED
     assert (found.before or {})["values"]["mass"] == -0.4

@@ -133,7 +133,7 @@ class Opened:
 
     def takes(self, stand: pa.Stand, robot: pa.Robot | None = None) -> None:
         """Waits until the page's torques are those of a stand, by the Python interface."""
-        expected = pa.stand_statics(robot or load("v3"), stand).joint_torques
+        expected = pa.stance.stand_statics(robot or load("v3"), stand).joint_torques
 
         def same() -> bool:
             shown = self.torques()
@@ -151,7 +151,7 @@ def begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def opened(browser: Any, served: Page) -> Iterator[Opened]:  # noqa: F811
     one = Opened(browser, served.address)
-    one.takes(pa.sunk_stand(load("v3")))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
     yield one
     one.close()
     wait_for(lambda: not served.sessions, "a session is left")
@@ -167,19 +167,21 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
     assert yellow.mean() > 0.005
-    settled = pa.steady_state(load("v3"), pa.sunk_stand(load("v3")))
+    settled = pa.steady_state(load("v3"), pa.stance.solve_stand_on_soft_ground(load("v3")))
     opened.says(f"{1e3 * settled.height_loss:.3f}\tmm")
 
     opened.set("roll (°)", 8)
-    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(8.0))))
+    opened.takes(
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(8.0)))
+    )
     wait_for(lambda: differs(opened.pixels(), before) > 0.005, "the robot does not move")
 
     opened.set("height (mm)", 120)
     task = pa.StandTask(roll=np.radians(8.0), height=0.12)
-    opened.takes(pa.sunk_stand(load("v3"), task))
+    opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), task))
     assert "120.0\tmm" in opened.words()
     opened.button("Reset all")
-    opened.takes(pa.sunk_stand(load("v3")))
+    opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
 
 
 @pytest.mark.slow
@@ -203,7 +205,7 @@ def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     state = asked()
     assert state is not None
     assert 8.0 < state.pitch < 12.0
-    opened.takes(pa.sunk_stand(load("v3"), state.task()))
+    opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), state.task()))
 
 
 @pytest.mark.slow
@@ -211,7 +213,7 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     solid = opened.pixels()
     opened.set("roll (°)", 35)
     with pytest.raises(pa.StanceUnreachableError) as refused:
-        pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(35.0)))
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(35.0)))
     limit = np.degrees(refused.value.limits["roll"]["roll"])
     opened.says("In the way: roll")
     assert f"roll (°): {limit:.1f}" in opened.words()  # in the unit of the slider
@@ -228,7 +230,7 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     grey = np.abs(empty - np.array([200, 208, 218])).max(axis=-1) < 45
     assert grey.mean() > 0.01
     opened.button("Go to the nearest stance")
-    opened.takes(pa.held_stand(load("v3"), refused.value.nearest.task))
+    opened.takes(pa.stance.solve_stand_as_simulated(load("v3"), refused.value.nearest.task))
 
 
 @pytest.mark.slow
@@ -260,7 +262,9 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     opened.says("touches the ground")
     opened.tab("Stance")
     opened.set("roll (°)", 3)
-    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
+    opened.takes(
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(3.0)))
+    )
     # It was about another stance.
     wait_for(lambda: "Pushed" not in " ".join(opened.all_words()), "an old result is left")
     wait_for(lambda: not twin(), "the robot of another stance is left")
@@ -273,18 +277,26 @@ def test_two_browsers_play_on_their_own(
     served: Page,
 ) -> None:
     other = Opened(browser, served.address)
-    other.takes(pa.sunk_stand(load("v3")))
+    other.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
     assert len(served.sessions) == 2
     assert len(threads()) == 4
     other.set("pitch (°)", 6)
     opened.set("roll (°)", 4)
-    other.takes(pa.sunk_stand(load("v3"), pa.StandTask(pitch=np.radians(6.0))))
-    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
+    other.takes(
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(pitch=np.radians(6.0)))
+    )
+    opened.takes(
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
+    )
     other.tab("Body")
     other.set("leg length", 1.3)
-    long = pa.load_variant(pa.VariantSpec("v3", 1.3))
-    other.takes(pa.sunk_stand(long, pa.StandTask(pitch=np.radians(6.0))), long)
-    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0))))
+    long = pa.load_variant(pa.pupper.VariantSpec("v3", 1.3))
+    other.takes(
+        pa.stance.solve_stand_on_soft_ground(long, pa.StandTask(pitch=np.radians(6.0))), long
+    )
+    opened.takes(
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
+    )
     # Closed in the midst of a simulation: nothing is left, and the other one plays on.
     other.tab("MuJoCo")
     other.button("Simulate")
@@ -292,7 +304,9 @@ def test_two_browsers_play_on_their_own(
     wait_for(lambda: len(served.sessions) == 1, "a session is left")
     wait_for(lambda: len(threads()) == 2, f"threads are left: {threads()}")
     opened.set("roll (°)", 5)
-    opened.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(5.0))))
+    opened.takes(
+        pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(5.0)))
+    )
     assert other.complaints == []
 
 
@@ -301,8 +315,8 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, state))
-    robot = pa.with_payload(load("v3"), 0.4)
-    stand = pa.sunk_stand(robot, state.task())
+    robot = pa.robot.with_payload(load("v3"), 0.4)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, state.task())
     one.takes(stand, robot)
     one.tab("Share")
     wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
@@ -310,12 +324,12 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     with one.page.expect_download() as caught:
         one.button("Save the torques as CSV")
     rows = Path(caught.value.path()).read_text().splitlines()[1:]
-    expected = pa.stand_statics(robot, stand).joint_torques
+    expected = pa.stance.stand_statics(robot, stand).joint_torques
     assert [float(row.split(",")[2]) for row in rows] == pytest.approx(expected, abs=1e-9)
     box = one.row("state").locator("input").first
     box.fill("roll:3")
     box.press("Enter")
-    one.takes(pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(3.0))))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(3.0))))
     one.close()
     assert one.complaints == []
 
@@ -332,7 +346,7 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
         return [session.asked[0] for session in served.sessions.values()]
 
     one = Opened(browser, served.address)
-    one.takes(pa.sunk_stand(load("v3")))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
     one.tab("Body")
     one.set("payload (kg)", 12)  # beyond its slider's end
     wait_for(lambda: asked() == [State(payload=12.0)], "the payload is not asked for")
@@ -349,22 +363,22 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
 def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, link(address, State(roll=4.0), "zh"))
-    stand = pa.sunk_stand(load("v3"), pa.StandTask(roll=np.radians(4.0)))
+    stand = pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
     one.takes(stand)
     assert "受力平衡，未超出电机上限" in one.words()
     one.set("俯仰 (°)", 3)
     both = pa.StandTask(roll=np.radians(4.0), pitch=np.radians(3.0))
-    one.takes(pa.sunk_stand(load("v3"), both))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), both))
     one.tab("分享")
     one.button("English")
     one.page.get_by_text("as Python").first.wait_for()  # the tab stays
     one.tab("Stance")
     one.page.get_by_text("pitch (°)").first.wait_for()
-    one.takes(pa.sunk_stand(load("v3"), both))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), both))
     assert "in balance, within" in one.words()
     assert not re.search("[\u4e00-\u9fff]", one.words())
     one.set("roll (°)", 0)
-    one.takes(pa.sunk_stand(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(pitch=np.radians(3.0))))
     one.close()
     assert one.complaints == []
 
@@ -401,7 +415,7 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
     address = served.address.removeprefix("http://")
     one = Opened(browser, f"{served.address}?websocket=ws://{address}?state={state}")
     one.page.get_by_text("This state cannot be shown").wait_for(state="attached")
-    one.takes(pa.sunk_stand(load("v3")))
+    one.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
     one.close()
     assert one.complaints == []
 

@@ -132,7 +132,9 @@ def test_lengths_are_those_that_are_typed(length: float) -> None:
 
 def test_an_answer_is_the_python_interfaces() -> None:
     found = model_of().answer(RICH)
-    robot = pa.with_payload(pa.load_variant(pa.VariantSpec("v3", 1.2, 1.1)), 0.3, (0.01, 0.0, 0.05))
+    robot = pa.robot.with_payload(
+        pa.load_variant(pa.pupper.VariantSpec("v3", 1.2, 1.1)), 0.3, (0.01, 0.0, 0.05)
+    )
     task = pa.StandTask(
         height=0.1255,
         roll=np.radians(3.3),
@@ -154,8 +156,8 @@ def test_an_answer_is_the_python_interfaces() -> None:
     assert found.robot is not None
     assert found.stand is not None
     assert found.statics is not None
-    stand = pa.sunk_stand(robot, task)
-    statics = pa.stand_statics(robot, stand)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, task)
+    statics = pa.stance.stand_statics(robot, stand)
     assert found.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
     assert found.statics.joint_torques == pytest.approx(statics.joint_torques, abs=1e-9)
     settled = sag(found).settled
@@ -175,7 +177,7 @@ def test_simulations_are_the_python_interfaces() -> None:
     found = model_of("original").answer(State(pitch=3.0, kp=40.0, kd=0.6))
     robot = load("original")
     assert found.robot is not None
-    held = pa.sunk_stand(robot, pa.StandTask(pitch=np.radians(3.0)))
+    held = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(pitch=np.radians(3.0)))
     assert found.stand is not None
     assert found.stand.qpos == pytest.approx(held.qpos, abs=1e-12)
     report = simulated(found).verification
@@ -184,7 +186,7 @@ def test_simulations_are_the_python_interfaces() -> None:
     assert report.base_height == pytest.approx(again.base_height, abs=1e-9)
     assert report.kp == pytest.approx(40.0)
     trial = pushed(found, 0.5, 1.0, feedforward=True)
-    same = pa.push_trial(robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
+    same = pa.simulation.simulate_push(robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 
 
@@ -258,7 +260,7 @@ def run_python(script: str, folder: Path) -> str:
 
 
 def own_pair(folder: Path) -> Pair:
-    urdf, mjcf = pa.write_variant("v3-heavy", folder)
+    urdf, mjcf = pa.pupper.write_variant("v3-heavy", folder)
     feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
             {"FR": "front_r", "FL": "front_l", "RR": "back_r", "RL": "back_l"}.items()}  # fmt: skip
     return Pair.of({"urdf": urdf, "mjcf": mjcf, "feet": feet, "joints": {}, "keyframe": None})
@@ -329,8 +331,10 @@ def test_commands_take_a_payload(tmp_path: Path) -> None:
         folder=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    robot = pa.with_payload(load("v3"), 1.0, (0.0, 0.0, 0.08))
-    expected = pa.stand_statics(robot, pa.sunk_stand(robot, pa.StandTask()))
+    robot = pa.robot.with_payload(load("v3"), 1.0, (0.0, 0.0, 0.08))
+    expected = pa.stance.stand_statics(
+        robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask())
+    )
     saved = json.loads((tmp_path / "s.json").read_text())["statics"]["joint_torques"]
     assert saved == pytest.approx(expected.joint_torques, abs=1e-9)
     for wrong in (["--payload", "-1"], ["--payload-at", "1,2"], ["--payload", "nan"]):

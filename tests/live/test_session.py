@@ -103,10 +103,10 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
         page.ask(State(roll=float(angle)))
     last = State(roll=6.0)
     wait_for(lambda: page.shows(last) and page.settled(), "the last one is not shown")
-    stand = pa.sunk_stand(load("v3"), last.task())
+    stand = pa.stance.solve_stand_on_soft_ground(load("v3"), last.task())
     settled = pa.steady_state(load("v3"), stand)
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
-    for torque in pa.stand_statics(load("v3"), stand).joint_torques:
+    for torque in pa.stance.stand_statics(load("v3"), stand).joint_torques:
         assert f">{torque:+.4f}<" in page.numbers
     assert page.session._panels._state.value == str(last)
 
@@ -129,7 +129,9 @@ def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPat
     wait_for(lambda: page.shows(State(pitch=5.0)), "it waits for the sag")
     go_on.set()
     wait_for(page.settled, "no sag")
-    settled = real(load("v3"), pa.sunk_stand(load("v3"), State(pitch=5.0).task()))
+    settled = real(
+        load("v3"), pa.stance.solve_stand_on_soft_ground(load("v3"), State(pitch=5.0).task())
+    )
     assert f">{1e3 * settled.height_loss:.3f}</td><td>mm<" in page.numbers
 
 
@@ -160,7 +162,7 @@ def test_legs_that_grow_during_a_simulation_end_it(page: Open) -> None:
     assert "Not simulated yet" in page.result
     assert "1.3" in page.session._panels._command.value
     # What nobody has set is that of the robot that is shown.
-    long = pa.load_variant(pa.VariantSpec("v3", 1.3))
+    long = pa.load_variant(pa.pupper.VariantSpec("v3", 1.3))
     assert page.controls.sliders["height"].value == round(1e3 * long.stand_height, 2)
 
 
@@ -179,7 +181,7 @@ def test_a_simulation_is_beside_the_prediction_for_what_it_commands(page: Open) 
     page.session.simulate()
     wait_for(lambda: "base height" in page.result, "it is not simulated")
     robot, task = load("v3"), State(roll=5.0).task()
-    held = pa.sunk_stand(robot, task)
+    held = pa.stance.solve_stand_on_soft_ground(robot, task)
     heights = [float(text) for text in re.findall(r">(-?[\d.]+)</td><td>m<", page.result)]
     assert heights[0] == pytest.approx(pa.steady_state(robot, held).base_height, abs=6e-6)
     report = pa.verify_stand(robot, held, feedforward=False, duration=12.0)
@@ -199,8 +201,12 @@ def test_a_slider_goes_through_what_was_simulated(page: Open, monkeypatch: Any) 
     assert motion is not None
     np.testing.assert_allclose(drawn[-1], motion.at(0.5))
     robot = load("v3")
-    trial = pa.push_trial(
-        robot, pa.sunk_stand(robot), *panels.push_asked, duration=4.0, feedforward=False
+    trial = pa.simulation.simulate_push(
+        robot,
+        pa.stance.solve_stand_on_soft_ground(robot),
+        *panels.push_asked,
+        duration=4.0,
+        feedforward=False,
     )
     nearest = int(np.argmin(np.abs(trial.motion_time - trial.motion_time[0] - 0.5)))
     assert np.abs(drawn[-1] - trial.motion[nearest]).max() < 0.02
@@ -238,8 +244,8 @@ def test_between_two_moves_of_a_hand_it_is_solved_once_more(
     assert rolls[0] == 0.25  # from 0 to 0.5
     assert rolls[1:] == [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5]
     for answer in shown[1:3]:
-        stand = pa.sunk_stand(load("v3"), answer.state.task())
-        expected = pa.stand_statics(load("v3"), stand).joint_torques
+        stand = pa.stance.solve_stand_on_soft_ground(load("v3"), answer.state.task())
+        expected = pa.stance.stand_statics(load("v3"), stand).joint_torques
         assert answer.statics.joint_torques == pytest.approx(expected, abs=1e-9)
     # What is out of reach is not shown in passing: the last one is.
     page.ask(State(roll=60.0))
@@ -309,8 +315,8 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
     by_hand(controls.lifted, False)
     assert controls.state == State(swing={"RR": 30.0}, heights={"FR": 15.0})
     wait_for(lambda: "in balance" in page.numbers and page.settled(), "not shown")
-    stand = pa.sunk_stand(load("v3"), controls.state.task())
-    for torque in pa.stand_statics(load("v3"), stand).joint_torques:
+    stand = pa.stance.solve_stand_on_soft_ground(load("v3"), controls.state.task())
+    for torque in pa.stance.stand_statics(load("v3"), stand).joint_torques:
         assert f">{torque:+.4f}<" in page.numbers
 
 

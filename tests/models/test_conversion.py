@@ -82,7 +82,7 @@ def test_effort_limits_count_the_gear() -> None:
 
 def test_pinocchios_own_parser_agrees_where_it_can(tmp_path: Path) -> None:
     """With explicit inertials, Pinocchio's MJCF parser builds the same bodies as ours."""
-    _, path = pa.write_variant("v3", tmp_path)  # in one file: it does not know <include>
+    _, path = pa.pupper.write_variant("v3", tmp_path)  # in one file: it does not know <include>
     model = mujoco.MjModel.from_xml_path(str(path))
     ours = pinocchio_from_mujoco(model)
     theirs = pin.buildModelFromMJCF(str(path))

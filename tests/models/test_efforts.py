@@ -62,7 +62,7 @@ def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: st
     assert bare_height(weak) < 0.6 * stand.qpos[2] < 0.9 * stand.qpos[2] < bare_height(strong)
     np.testing.assert_allclose(weak.effort_limits, 0.3, rtol=1e-15)
     assert {limit.origin.attribute for limit in weak.efforts if limit.origin} == {way}
-    held = pa.stand_statics(weak, stand)
+    held = pa.stance.stand_statics(weak, stand)
     assert held.motor_utilisation.max() == pytest.approx(
         np.abs(held.joint_torques).max() / 0.3, rel=1e-12
     )
@@ -194,7 +194,7 @@ def test_a_command_that_ctrlrange_cuts_off_is_predicted(feedforward: bool) -> No
     """Knees that must be commanded further hold v3 higher; feed-forward cut off lets it sag."""
     stand, plain = stand_of("v3"), load("v3")
     knees = [index for index, name in enumerate(plain.joint_names) if name.endswith("_3")]
-    lead = np.sign(pa.stand_statics(plain, stand).joint_torques[knees])
+    lead = np.sign(pa.stance.stand_statics(plain, stand).joint_torques[knees])
     shares = (-1.0, 0.04) if feedforward else (0.04, 1.0)  # rad, beyond the stand's angles
 
     def change(model: mujoco.MjModel) -> None:

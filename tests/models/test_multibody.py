@@ -182,7 +182,7 @@ def test_turned_frames_of_slides_and_continuous_joints(tmp_path: Path, seed: int
 
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_turned_frames_of_a_real_robot(tmp_path: Path, name: str) -> None:
-    urdf, _ = pa.write_variant(name, tmp_path)
+    urdf, _ = pa.pupper.write_variant(name, tmp_path)
     text = turned_frames(pa.load_variant(name).mj_model, seed=3)
     (tmp_path / "turned.xml").write_text(text)
     comparison = compare_models(urdf, tmp_path / "turned.xml", configurations=2)

@@ -98,7 +98,7 @@ def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     np.testing.assert_array_equal(robot.velocity_limits, np.inf)
     assert any(note.code == "effort-unstated" for note in robot.notes)
     stand = pa.solve_stand(robot)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     np.testing.assert_allclose(held.motor_utilisation, np.abs(held.joint_torques) / 30, rtol=1e-12)
     edited(pair.mjcf, (' ctrlrange="-30 30"', ""))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)

@@ -33,11 +33,11 @@ from pupper_analysis.simulation.push import tipping_impulses
 from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
-from pupper_analysis.stance.payload.servo_limit import Command, Failure
+from pupper_analysis.stance.payload.servo_limit import Failure, PayloadCommand
 from pupper_analysis.statics.cone_program import ForceBounds
 from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.dynamics import rolling_levers
 from pupper_analysis.statics.equilibrium import equilibrium
-from pupper_analysis.statics.inverse_dynamics import rolling_levers
 from pupper_analysis.study.estimate import Estimate
 from tests.support.engines import changed, mujoco_at, with_efforts
 from tests.support.legged import quadruped
@@ -126,7 +126,7 @@ def test_a_sphere_beside_a_foots_site_is_not_the_foot(tmp_path: Path) -> None:
 def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
     """A bar at 45 degrees to the thigh is moved and turned: what lies along it is stretched."""
     spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / f"{BASES['original']}.xml"))
-    variant = pa.VariantSpec(base="skeleton", leg_scale=1.5)
+    variant = pa.pupper.VariantSpec(base="skeleton", leg_scale=1.5)
     robot = load("original")
     thigh = spec.site(robot.description.feet[robot.feet[0]][1]).parent.parent
     calf = next(iter(thigh.bodies))
@@ -190,7 +190,7 @@ def test_feet_that_cannot_press_as_wanted_are_named() -> None:
     bounds = ForceBounds(least, np.full(4, np.inf), np.full(robot.nu, np.inf))
     with pytest.raises(pa.StaticsInfeasibleError) as refused:
         equilibrium(config, config.load(), config.center_of_mass(), carrying, bounds=bounds)
-    assert refused.value.reason is pa.Infeasibility.PULL
+    assert refused.value.reason is pa.errors.Infeasibility.PULL
     assert list(refused.value.feet) == ["RL"]
 
 
@@ -306,11 +306,13 @@ def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
 def test_a_load_beyond_the_motors_begins_with_its_own_command() -> None:
     """Its servos are told to hold that load, not the greatest one that they can hold."""
     robot, stand, mass = load("v3"), stand_of("v3"), 2.0
-    held = pa.stand_statics(
-        pa.with_payload(robot, mass), stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+    held = pa.stance.stand_statics(
+        pa.robot.with_payload(robot, mass),
+        stand,
+        distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
     ).joint_torques
     weak = with_efforts(robot, 0.8 * float(np.abs(held).max()))
-    found = _start(weak, stand, mass, np.zeros(3), Command.LOADED, None)
+    found = _start(weak, stand, mass, np.zeros(3), PayloadCommand.LOADED, None)
     assert found.pose is None
     assert found.failure is Failure.MOTOR
     asked = servos(found.robot).kp * (found.target - found.start[7:])
@@ -319,9 +321,9 @@ def test_a_load_beyond_the_motors_begins_with_its_own_command() -> None:
 
 def test_a_tolerance_needs_samples_enough_to_tell_its_probability(tmp_path: Path) -> None:
     """Of 64 designs none may fail if 99 % shall hold: that cannot be told from 98 %."""
-    study = pa.Study("v3", {"kp": pa.normal(5, 0.1)}, ["stands", "utilisation"], samples=64)
+    study = pa.Study("v3", {"kp": pa.study.normal(5, 0.1)}, ["stands", "utilisation"], samples=64)
     with pytest.raises(pa.ConfigurationError) as refused:
-        pa.tightest_tolerance(study, tmp_path, wanted=0.99)
+        pa.study.tightest_tolerance(study, tmp_path, wanted=0.99)
     assert refused.value.field == "samples"
 
 

@@ -33,9 +33,9 @@ def told(folder: Path, *arguments: str) -> dict[str, Any]:
 @pytest.mark.longest
 def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -> None:
     robot = load("v3")
-    stand = pa.held_stand(robot, TASK)
-    held, rest = pa.stand_statics(robot, stand), pa.steady_state(robot, stand)
-    rigid = pa.stand_statics(robot, pa.solve_stand(robot, TASK))
+    stand = pa.stance.solve_stand_as_simulated(robot, TASK)
+    held, rest = pa.stance.stand_statics(robot, stand), pa.steady_state(robot, stand)
+    rigid = pa.stance.stand_statics(robot, pa.solve_stand(robot, TASK))
     assert np.abs(rigid.joint_torques - held.joint_torques).max() > 0.01  # it matters which
 
     one = told(tmp_path, "stand", "v3", "--roll", f"{ROLL}deg")
@@ -71,7 +71,7 @@ def test_what_is_pushed_or_studied_is_the_stand_that_is_told(
     task: pa.StandTask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot = load("v3")
-    stand = pa.held_stand(robot, task)
+    stand = pa.stance.solve_stand_as_simulated(robot, task)
     assert any(stand.depths.values())
 
     def no_push(_: pa.Robot, given: pa.Stand, **__: object) -> pa.Stand:
@@ -108,8 +108,10 @@ class Stop:
 def test_out_of_reach_on_soft_ground_it_is_the_stand_on_rigid_ground() -> None:
     """Legs that are straight on rigid ground do not reach down by what feet sink."""
     robot = load("v3")
-    highest = pa.reachable_heights(robot).high
-    stand = pa.held_stand(robot, pa.StandTask(height=highest - 1e-5))
+    highest = pa.stance.reachable_heights(robot).high
+    stand = pa.stance.solve_stand_as_simulated(robot, pa.StandTask(height=highest - 1e-5))
     assert not any(stand.depths.values())
     with pytest.raises(pa.StanceUnreachableError):
-        pa.sunk_stand(robot, pa.StandTask(height=highest - 1e-5), explain=False)
+        pa.stance.solve_stand_on_soft_ground(
+            robot, pa.StandTask(height=highest - 1e-5), explain=False
+        )

@@ -29,7 +29,7 @@ def test_no_verdict_is_wrong(name: str) -> None:
     for outcome in held:
         assert outcome.error < 1e-9
         try:
-            sunk = pa.sunk_stand(robot, outcome.stand.task, explain=False)
+            sunk = pa.stance.solve_stand_on_soft_ground(robot, outcome.stand.task, explain=False)
         except pa.StanceUnreachableError:
             continue
         run = pa.verify_stand(robot, sunk)

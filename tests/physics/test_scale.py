@@ -124,7 +124,7 @@ def numbers(robot: pa.Robot, mass: float, size: float = 1.0) -> dict[str, float]
         assert pose.failures == ()
         found[f"loss {feet}"] = pose.height_loss / size
         found[f"stiffness {feet}"] = pose.stiffness * size
-    found["least kp"] = pa.minimum_stiffness(robot, stand, tolerance=1e-4) / (mass * size)
+    found["least kp"] = pa.stance.minimum_stiffness(robot, stand, tolerance=1e-4) / (mass * size)
     found["payload"] = pa.payload_limit(robot, stand, (0, 0, 0.05 * size)).mass / mass
     return found
 
@@ -166,7 +166,7 @@ def test_verdicts_about_the_least_stiffness_do_not_jump(tmp_path: Path) -> None:
     pair = written(drawn_one, tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     stand = pa.solve_stand(robot, pa.StandTask(pitch=0.05, roll=0.04))
-    least = pa.minimum_stiffness(robot, stand, tolerance=1e-3)
+    least = pa.stance.minimum_stiffness(robot, stand, tolerance=1e-3)
     stands = []
     for share in np.linspace(0.97, 1.03, 25):
         try:

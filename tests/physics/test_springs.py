@@ -37,8 +37,8 @@ def compensated(pair: Pair, body: str, share: float) -> Pair:
     return pair
 
 
-def verified(robot: Robot, stand: pa.Stand | None = None) -> pa.StandVerification:
-    found = pa.verify_stand(robot, stand or pa.sunk_stand(robot))
+def verified(robot: Robot, stand: pa.Stand | None = None) -> pa.simulation.StandVerification:
+    found = pa.verify_stand(robot, stand or pa.stance.solve_stand_on_soft_ground(robot))
     assert found.passed, found.failures
     assert max(found.torque_error, found.force_error) < 1e-5
     return found
@@ -114,8 +114,8 @@ def test_gravity_compensation_takes_weight_off_motors_and_feet(
         pair.mjcf.write_text(text.replace('" axis=', '" actuatorgravcomp="true" axis='))
     robot = load(pair)
     assert any(note.code == "gravity-compensation-passive" for note in robot.notes) == motors
-    stand = pa.sunk_stand(robot)
-    statics = pa.stand_statics(robot, stand)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    statics = pa.stance.stand_statics(robot, stand)
     held = sum(float(force[2]) for force in statics.contact_forces.values())
     assert held == pytest.approx((8.4 - 2.0 - 0.2) * 9.81, rel=1e-9)
     verified(robot, stand)
@@ -157,12 +157,12 @@ def test_rates_are_those_of_finite_differences(tmp_path: Path) -> None:
 def test_inverse_dynamics_at_rest_is_the_balance(tmp_path: Path) -> None:
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     qpos = pa.solve_stand(robot).qpos
-    found = pa.inverse_dynamics(pa.Configuration(robot, qpos), np.zeros(robot.nv))
+    found = pa.statics.inverse_dynamics(pa.Configuration(robot, qpos), np.zeros(robot.nv))
     np.testing.assert_allclose(found.joint_torques, torques_at(robot, qpos), atol=1e-8)
 
 
 def test_many_states_at_once_are_the_same(tmp_path: Path) -> None:
     robot = load(with_springs(quadruped(tmp_path), "_knee"))
     qpos = pa.solve_stand(robot).qpos
-    found = pa.gravity_compensations(robot, np.array([qpos, qpos]))
+    found = pa.statics.gravity_compensations(robot, np.array([qpos, qpos]))
     np.testing.assert_allclose(found.joint_torques[1], torques_at(robot, qpos), atol=1e-9)

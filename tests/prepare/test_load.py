@@ -26,8 +26,8 @@ def said(robot: Robot, text: str) -> str:
     return str(found[0])
 
 
-def stands(robot: Robot) -> pa.StandVerification:
-    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+def stands(robot: Robot) -> pa.simulation.StandVerification:
+    found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     assert found.passed, found.failures
     assert found.torque_error < 1e-5
     assert found.force_error < 1e-5
@@ -108,7 +108,7 @@ def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
 def test_a_joint_that_only_one_file_has_is_held_and_named(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, head=True))
     assert "nod" in said(robot, "only the MJCF has, held at zero")
-    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     # Its head of 0.3 kg is in the MJCF alone, and that is said.
     assert found.failures[-1].code == "files-of-two-robots"
     assert "8.700 kg" in str(found.failures[-1])
@@ -174,7 +174,7 @@ def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
 def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
     """Where MuJoCo has the contacts of the robot in its stand."""
     robot = load(biped(tmp_path))
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     data = mujoco.MjData(robot.mj_model)
     robot.mj_convention.set_state(data, stand.qpos)
     mujoco.mj_forward(robot.mj_model, data)
@@ -191,7 +191,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
     robot = load(biped(tmp_path))
     task = pa.StandTask(com=(0.05, 0.0), com_margin=0.01)
     stand = pa.solve_stand(robot, task)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     ankle = robot.joint_names.index("left_ankle")
     joint = pa.Configuration(robot, stand.qpos).joint_position("left_ankle")
     points = robot.soles["left_tilt_link"]
@@ -206,7 +206,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
 @pytest.mark.slow
 def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     sag = pa.steady_state(robot, stand)
     assert not sag.failures
     seen = pa.verify_stand(robot, stand, feedforward=False, duration=8.0, nudged=0)
@@ -223,7 +223,7 @@ def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_pa
     middle = float(np.mean([place[0] for place in points.values()]))
     task = pa.StandTask(com=(middle + ahead, 0.0), height=0.5)
     if held:
-        statics = pa.stand_statics(robot, pa.solve_stand(robot, task))
+        statics = pa.stance.stand_statics(robot, pa.solve_stand(robot, task))
         assert statics.com_margin == pytest.approx(0.09 - ahead, abs=1e-9)
     else:
         with pytest.raises(pa.ConfigurationError, match=r"2\.0 mm outside the support polygon"):
@@ -238,7 +238,7 @@ def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
     centres = pa.Configuration(robot, stand.qpos).foot_positions()
     for point, place in centres.items():
         assert place @ ground.normal() == pytest.approx(robot.foot_radius[point], abs=1e-9)
-    assert pa.verify_stand(robot, pa.sunk_stand(robot, stand.task)).passed
+    assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, stand.task)).passed
 
 
 @pytest.mark.slow
@@ -250,7 +250,7 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     centres = pa.Configuration(robot, stand.qpos).foot_positions()
     for point in robot.soles["left_tilt_link"]:
         assert centres[point][2] == pytest.approx(0.03, abs=1e-9)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
 
 
@@ -259,7 +259,7 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
 def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
     ground = pa.Ground(heights={"left_tilt_link": 0.03})
-    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=ground))
     heights = {
         foot: min(stand.contact_points[point][2] for point in points)
         for foot, points in robot.soles.items()
@@ -275,7 +275,7 @@ def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> Non
     robot = load(biped(tmp_path))
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
     ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
-    stand = pa.sunk_stand(robot, pa.StandTask(ground=ground))
+    stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=ground))
     for foot, points in robot.soles.items():
         for point in points:
             place = stand.contact_points[point]
@@ -284,7 +284,7 @@ def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> Non
     sag = pa.steady_state(robot, stand)
     assert not sag.failures
     on_one = pa.StandTask(ground=ground, swing={"left_tilt_link": 0.03})
-    assert pa.verify_stand(robot, pa.sunk_stand(robot, on_one)).passed
+    assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, on_one)).passed
 
 
 def test_one_foot_with_one_point_is_not_enough(tmp_path: Path) -> None:
@@ -308,8 +308,8 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
     """MuJoCo's contact pushes from its margin on: a foot may stand above the ground."""
     sphere = '<geom type="sphere" size="0.02" pos="0 0 -0.2" margin="0.004"/>'
     robot = load(quadruped(tmp_path, foot=sphere))
-    stand = pa.sunk_stand(robot)
-    bare = pa.sunk_stand(load(quadruped(tmp_path)))
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    bare = pa.stance.solve_stand_on_soft_ground(load(quadruped(tmp_path)))
     for foot, depth in stand.depths.items():
         assert depth == pytest.approx(bare.depths[foot] - 0.004, abs=1e-9)
     stands(robot)
@@ -350,9 +350,9 @@ def test_preparing_changes_no_file(tmp_path: Path) -> None:
 def test_a_biped_squats_as_its_path_says(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stances = [pa.StandTask(), pa.StandTask(height=robot.stand_height - 0.05), pa.StandTask()]
-    path = pa.stance_path(robot, stances, seconds=3.0)
+    path = pa.stance.stance_path(robot, stances, seconds=3.0)
     assert not path.infeasible.any()
-    tracked = pa.track_path(robot, path)
+    tracked = pa.simulation.track_path(robot, path)
     assert tracked.passed, tracked.failures
 
 
@@ -423,7 +423,7 @@ def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Pa
     pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
     robot = load(pair)
     kp, kd = advised(robot)
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     assert pa.verify_stand(robot, stand).tilt > 0.5
     assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
 
@@ -436,7 +436,7 @@ def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
     pair.mjcf.write_text(soft.replace("ctrlrange", "forcerange"))
     robot = load(pair)
     kp, kd = advised(robot)
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     assert pa.verify_stand(robot, stand, duration=5.0, nudged=0).tilt < 0.01
     assert not pa.verify_stand(robot, stand, duration=5.0, nudged=0).passed  # for it buckles
     assert pa.verify_stand(robot, stand).tilt > 0.5
@@ -538,7 +538,7 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     robot = load(pair)
     assert "FL_knee by +0.3" in said(robot, "zero is elsewhere")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
-    one, two = (pa.sunk_stand(each).qpos for each in (robot, plain))
+    one, two = (pa.stance.solve_stand_on_soft_ground(each).qpos for each in (robot, plain))
     np.testing.assert_allclose(one, two, atol=1e-9)
     stands(robot)
 
@@ -567,7 +567,7 @@ def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path
     again = pickle.loads(pickle.dumps(robot))
     assert (again.fingerprint, again.notes) == (robot.fingerprint, robot.notes)
     assert dict(again.soles) == dict(robot.soles)
-    one, two = (pa.sunk_stand(each) for each in (robot, again))
+    one, two = (pa.stance.solve_stand_on_soft_ground(each) for each in (robot, again))
     np.testing.assert_array_equal(one.qpos, two.qpos)
     assert pa.verify_stand(again, two).torque_error < 1e-6
 
@@ -657,4 +657,4 @@ def test_servos_that_hold_with_feed_forward_alone_are_taken_if_none_do_without(
     monkeypatch.setattr(drives, "_rests", slides)
     robot = load(quadruped(tmp_path))
     assert any(n.code == "rests-with-feed-forward-alone" for n in robot.notes)
-    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed
+    assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed

@@ -23,7 +23,7 @@ ROD = """<mujoco><option timestep="{step}"/><worldbody><body>
 def test_the_joint_that_holds_most_gives_way_by_the_sag() -> None:
     robot = load("v3")
     stand = pa.solve_stand(robot)
-    torques = pa.stand_statics(robot, stand).joint_torques
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
     required = Requirement.of_stand(robot, stand.qpos, torques)
     given = np.abs(torques) / required.stiffness(0.02)
     assert given.max() == pytest.approx(0.02, rel=1e-12)

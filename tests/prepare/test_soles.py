@@ -21,7 +21,7 @@ def load(pair: Pair) -> Robot:
 
 
 def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> pa.Stand:
-    stand = pa.sunk_stand(robot, task)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     assert max(found.torque_error, found.force_error) < within
@@ -174,9 +174,13 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
     pair = quadruped(tmp_path, foot=box, floor=True)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    tilted = pa.verify_stand(robot, pa.sunk_stand(robot, pa.StandTask(height=0.3)))
+    tilted = pa.verify_stand(
+        robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(height=0.3))
+    )
     assert tilted.passed  # on an edge each
-    found = pa.verify_stand(robot, pa.sunk_stand(robot, pa.StandTask(height=0.36)))
+    found = pa.verify_stand(
+        robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(height=0.36))
+    )
     assert not found.passed
     cause = found.failures[-1]
     assert cause.code == "foot-touches-at-several-places"
@@ -195,9 +199,9 @@ def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None
         for y in (-0.02, 0.02)
     )
     robot = load(quadruped(tmp_path, foot=balls))
-    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed
+    assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
     with pytest.raises(pa.StanceUnreachableError) as caught:
-        pa.sunk_stand(robot, pa.StandTask(height=0.36, offset=(0.15, 0.0)))
+        pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(height=0.36, offset=(0.15, 0.0)))
     assert "_calf is 0.1 mm in the ground" in str(caught.value.blocked[0])
 
 
@@ -222,7 +226,9 @@ def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> N
         assert touch.dist == pytest.approx(-1e-4, abs=1e-6)
     if len(set(size.split())) == 1:
         assert set(robot.foot_radius.values()) == {0.02}
-        assert pa.verify_stand(robot, pa.sunk_stand(robot)).torque_error < 1e-5
+        assert (
+            pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).torque_error < 1e-5
+        )
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ bases = st.sampled_from(["skeleton", "v3"])
 
 
 def bodies_of(source: str, *spec: object) -> dict[str, Body]:
-    return BODIES[source](pa.load_variant(pa.VariantSpec(*spec)))  # type: ignore[arg-type]
+    return BODIES[source](pa.load_variant(pa.pupper.VariantSpec(*spec)))  # type: ignore[arg-type]
 
 
 def second_moments(inertia: np.ndarray) -> np.ndarray:
@@ -47,7 +47,7 @@ def second_moments(inertia: np.ndarray) -> np.ndarray:
 def test_urdf_and_mjcf_agree_at_any_scale(
     base: str, leg_scale: float, torso_mass_scale: float
 ) -> None:
-    robot = pa.load_variant(pa.VariantSpec(base, leg_scale, torso_mass_scale))
+    robot = pa.load_variant(pa.pupper.VariantSpec(base, leg_scale, torso_mass_scale))
     assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-9)
     config, mj = pa.Configuration(robot, robot.neutral()), mujoco_at(robot, robot.neutral())
     for foot, frame in robot.foot_frames.items():
@@ -238,7 +238,7 @@ def mujoco_extent(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", ["v3", "v3-long-leg"])
 def test_meshes_are_in_the_same_place_in_both_files(name: str, tmp_path: Path) -> None:
     robot = load(name)
-    path, _ = pa.write_variant(name, tmp_path)
+    path, _ = pa.pupper.write_variant(name, tmp_path)
     config = pa.Configuration(robot, robot.neutral())
     theirs = mujoco_extent(robot, robot.neutral())
     assert len(theirs) == 13
@@ -277,7 +277,7 @@ def test_meshes_are_stretched_with_their_links() -> None:
 
 @pytest.mark.parametrize("s", [0.5, 1.5, 2.0])
 def test_skeletons_shapes_are_stretched_in_both_files(s: float) -> None:
-    description = describe(pa.VariantSpec("skeleton", s))
+    description = describe(pa.pupper.VariantSpec("skeleton", s))
     model = description.mjcf.copy().compile()
     links = {
         link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")
@@ -304,7 +304,7 @@ def test_home_keeps_its_clearance(base: str, scale: float) -> None:
     heights = []
     for robot in (
         load("v3" if base == "v3" else "original"),
-        pa.load_variant(pa.VariantSpec(base, scale)),
+        pa.load_variant(pa.pupper.VariantSpec(base, scale)),
     ):
         feet = pa.Configuration(robot, robot.home).foot_positions().values()
         heights.append(min(foot[2] for foot in feet))
@@ -315,7 +315,7 @@ def test_home_keeps_its_clearance(base: str, scale: float) -> None:
 
 
 def reloaded(variant: str, folder: Path) -> pa.Robot:
-    paths = pa.write_variant(variant, folder)
+    paths = pa.pupper.write_variant(variant, folder)
     return pa.load_robot(
         urdf=paths[0], mjcf=paths[1], feet=dict(load(variant).foot_frames), name=variant
     )
@@ -376,8 +376,8 @@ def test_written_files_move_like_the_variant(
 
 
 def test_any_scale_is_written_without_loss(tmp_path: Path) -> None:
-    spec = pa.VariantSpec("v3", 1 / 3, np.pi, name="odd")
-    paths = pa.write_variant(spec, tmp_path)
+    spec = pa.pupper.VariantSpec("v3", 1 / 3, np.pi, name="odd")
+    paths = pa.pupper.write_variant(spec, tmp_path)
     feet = list(load("v3").foot_frames.values())
     again = pa.load_robot(urdf=paths[0], mjcf=paths[1], feet=feet)
     ours = pa.load_variant(spec)
@@ -392,7 +392,7 @@ def test_written_files_open_elsewhere(
     """From another folder, with relative paths, in MuJoCo and in yourdfpy with its meshes."""
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    paths = pa.write_variant(variant, "out/models")
+    paths = pa.pupper.write_variant(variant, "out/models")
     assert paths == (
         Path(f"out/models/urdf/{variant}.urdf"),
         Path(f"out/models/mjcf/{variant}.xml"),
@@ -416,8 +416,8 @@ def test_base_files_are_not_touched(tmp_path: Path) -> None:
         path for kind in ("urdf", "mjcf") for path in (ROOT / kind).rglob("*") if path.is_file()
     ]
     before = {path: path.stat().st_mtime_ns for path in files}
-    pa.write_variant("v3-long-leg", tmp_path)
-    pa.write_variant("v3-long-leg", tmp_path)  # over itself
+    pa.pupper.write_variant("v3-long-leg", tmp_path)
+    pa.pupper.write_variant("v3-long-leg", tmp_path)  # over itself
     assert {path: path.stat().st_mtime_ns for path in files} == before
 
 

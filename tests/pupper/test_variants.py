@@ -81,7 +81,7 @@ def test_heavy_mass_ratio(heavy: str, base: str, ratio: float) -> None:
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
-    robot = pa.load_variant(pa.VariantSpec("skeleton", s, t))
+    robot = pa.load_variant(pa.pupper.VariantSpec("skeleton", s, t))
     config = pa.Configuration(robot, robot.neutral())
     torso, hips, thighs, calves, feet = 1.506 * t, 4 * 0.045, 4 * 0.186 * s, 4 * 0.05 * s, 4 * 0.02
     total = torso + hips + thighs + calves + feet
@@ -102,7 +102,7 @@ def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
     """Thigh and calf are stretched in the plane of the leg; the sideways offset stays."""
-    robot = pa.load_variant(pa.VariantSpec("v3", s, t))
+    robot = pa.load_variant(pa.pupper.VariantSpec("v3", s, t))
     config = pa.Configuration(robot, robot.neutral())
     total = 1.506 * t + 4 * (0.18 + (0.186 + 0.05) * s)
     assert robot.total_mass == pytest.approx(total, rel=1e-12)
@@ -135,7 +135,7 @@ def test_a_name_that_is_no_string_is_refused(name: object) -> None:
 @pytest.mark.parametrize("base", ["", "original", "pupper", None, 3, ["v3"]])
 def test_unknown_base_lists_the_known_ones(base: object) -> None:
     with pytest.raises(pa.VariantError, match="skeleton, v3") as caught:
-        pa.VariantSpec(base)  # type: ignore[arg-type]
+        pa.pupper.VariantSpec(base)  # type: ignore[arg-type]
     assert repr(base) in str(caught.value)
     assert caught.value.field == "base"
 
@@ -146,7 +146,7 @@ def test_unknown_base_lists_the_known_ones(base: object) -> None:
 )
 def test_bad_scale_is_refused(field: str, value: object) -> None:
     with pytest.raises(pa.VariantError, match=r"finite number greater than 0") as caught:
-        pa.VariantSpec("v3", **{field: value})  # type: ignore[arg-type]
+        pa.pupper.VariantSpec("v3", **{field: value})  # type: ignore[arg-type]
     assert field in str(caught.value)
     assert repr(value) in str(caught.value)
     assert caught.value.field == field
@@ -155,7 +155,7 @@ def test_bad_scale_is_refused(field: str, value: object) -> None:
 
 @pytest.mark.parametrize("number", [np.float64(1.5), np.float32(1.5), np.int64(2), 2])
 def test_numpy_numbers_are_numbers(number: float) -> None:
-    spec = pa.VariantSpec("skeleton", leg_scale=number)
+    spec = pa.pupper.VariantSpec("skeleton", leg_scale=number)
     assert pa.load_variant(spec).total_mass == pytest.approx(2.710 + (number - 1) * 0.944)
 
 
@@ -163,16 +163,16 @@ def test_numpy_numbers_are_numbers(number: float) -> None:
 
 
 def test_a_spec_names_itself() -> None:
-    assert pa.VariantSpec("v3", 1.2, 2.0).name == "v3-leg1.2-torso2"
-    assert pa.VariantSpec("v3", 1.2, name="mine").name == "mine"
-    assert pa.load_variant(pa.VariantSpec("v3", 1.2, name="mine")).name == "mine"
+    assert pa.pupper.VariantSpec("v3", 1.2, 2.0).name == "v3-leg1.2-torso2"
+    assert pa.pupper.VariantSpec("v3", 1.2, name="mine").name == "mine"
+    assert pa.load_variant(pa.pupper.VariantSpec("v3", 1.2, name="mine")).name == "mine"
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_variant_is_its_spec(name: str) -> None:
     spec = pa.VARIANTS[name]
     assert pa.load_variant(spec).total_mass == load(name).total_mass
-    assert spec == pa.VariantSpec(spec.base, spec.leg_scale, spec.torso_mass_scale)
+    assert spec == pa.pupper.VariantSpec(spec.base, spec.leg_scale, spec.torso_mass_scale)
 
 
 def test_only_a_heavier_torso_shows_ballast() -> None:
@@ -194,6 +194,6 @@ def test_variants_cannot_be_changed() -> None:
 
 @pytest.mark.parametrize("field", ["leg_scale", "torso_mass_scale"])
 def test_scales_that_nobody_builds_are_refused(field: str) -> None:
-    assert getattr(pa.VariantSpec("v3", **{field: 1000.0}), field) == 1000.0
+    assert getattr(pa.pupper.VariantSpec("v3", **{field: 1000.0}), field) == 1000.0
     with pytest.raises(pa.VariantError, match="at most 1000"):
-        pa.VariantSpec("v3", **{field: 1e8})
+        pa.pupper.VariantSpec("v3", **{field: 1e8})

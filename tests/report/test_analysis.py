@@ -13,7 +13,7 @@ from tests.support.stubs import problem
 
 
 @cache
-def analysis() -> pa.Analysis:
+def analysis() -> pa.analysis.Analysis:
     return pa.analyze_variant(pa.load_variant("v3"))
 
 

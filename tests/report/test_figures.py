@@ -49,7 +49,9 @@ def analysis_of(name: str) -> Any:
         statics=pa.gravity_compensation(pa.Configuration(robot, stand.qpos)),
         verification=pa.verify_stand(robot, stand, duration=2.0, nudged=0),
         sagging=pa.verify_stand(robot, stand, duration=2.0, feedforward=False, nudged=0),
-        sweep=pa.sweep_gains(robot, stand, kp=(20.0, 60.0), kd=(0.5, 1.0, 2.0), duration=2.0),
+        sweep=pa.simulation.sweep_gains(
+            robot, stand, kp=(20.0, 60.0), kd=(0.5, 1.0, 2.0), duration=2.0
+        ),
     )
 
 
@@ -187,7 +189,7 @@ def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.Monk
     touch = stand.contact_points["FR"] @ ground.normal()
     assert top == pytest.approx(touch, abs=1e-9)
     assert min(corner @ ground.normal() for corner in step) == pytest.approx(0, abs=1e-9)
-    figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stand_statics(robot, stand))
+    figure = drawn(monkeypatch, pose_figure, robot, stand, pa.stance.stand_statics(robot, stand))
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert "swing foot" in labels
     figure.canvas.draw()

@@ -62,7 +62,7 @@ EVIL = (
 
 
 @cache
-def analysis() -> pa.Analysis:
+def analysis() -> pa.analysis.Analysis:
     """Of v3, with distinct numbers where the robot's own are alike."""
     one = pa.analyze_variant(load("v3"))
     count = np.arange(1, 13)
@@ -124,17 +124,19 @@ def written(results: object, *, robots: bool = True, language: str = "en") -> st
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "report.html"
         given = [load("v3")] if robots else []
-        pa.write_report(results, path, robots=given, language=language)  # type: ignore[arg-type]
+        pa.report.write_report(results, path, robots=given, language=language)  # type: ignore[arg-type]
         return path.read_text(encoding="utf-8")
 
 
 @cache
-def comparison() -> pa.Comparison:
+def comparison() -> pa.checks.Comparison:
     """Of a URDF whose base is heavier, and whose knee is stronger, than the MJCF's."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        urdf, mjcf = pa.write_variant(pa.VariantSpec(base="v3", leg_scale=1.1), folder)
+        urdf, mjcf = pa.pupper.write_variant(
+            pa.pupper.VariantSpec(base="v3", leg_scale=1.1), folder
+        )
         text = Path(urdf).read_text()
         mass = re.search(r'<mass value="(1\.5\d*)"', text)
         assert mass is not None
@@ -244,7 +246,7 @@ def test_what_is_seen_in_a_language_is_of_that_language() -> None:
 
 def test_the_fields_of_any_result_are_written_out() -> None:
     stand = stand_of("v3")
-    statics = pa.stand_statics(load("v3"), stand)
+    statics = pa.stance.stand_statics(load("v3"), stand)
     tables = page_of(stand, statics).tables()
     rows = {row["field"]: row for name in ("Stand", "GravityCompensation") for row in tables[name]}
     assert rows["stance_feet"]["value"] == "(FR, FL, RR, RL)"
@@ -389,7 +391,7 @@ def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:
 
 
 @cache
-def audit() -> pa.Audit:
+def audit() -> pa.checks.Audit:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
@@ -424,7 +426,7 @@ def test_warnings_are_no_pass_without_more() -> None:
 
 
 def test_any_other_result_shows_its_fields() -> None:
-    limit = pa.reachable_heights(load("v3"))
+    limit = pa.stance.reachable_heights(load("v3"))
     page = Page(written({"heights": limit}))
     rows = page.tables()[type(limit).__name__]
     assert float(next(r for r in rows if r["field"] == "low")["value"]) == pytest.approx(
@@ -436,7 +438,7 @@ def test_any_other_result_shows_its_fields() -> None:
 # What nobody's names can do
 
 
-def evil_analysis() -> pa.Analysis:
+def evil_analysis() -> pa.analysis.Analysis:
     one = analysis()
     joints = tuple(
         replace(joint, name=EVIL[index % len(EVIL)]) for index, joint in enumerate(one.joints)
@@ -652,11 +654,11 @@ def test_six_variants_are_under_three_megabytes() -> None:
     assert text.count('class="canvas"') == 6
 
 
-def page_with(results: list[pa.Analysis], robots: list[pa.Robot]) -> str:
+def page_with(results: list[pa.analysis.Analysis], robots: list[pa.Robot]) -> str:
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        pa.write_report(results, Path(folder) / "r.html", robots=robots)
+        pa.report.write_report(results, Path(folder) / "r.html", robots=robots)
         return (Path(folder) / "r.html").read_text(encoding="utf-8")
 
 
@@ -730,11 +732,11 @@ def test_numbers_are_written(value: float | None, form: str, expected: str) -> N
 
 def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.ConfigurationError, match="no result"):
-        pa.write_report([], tmp_path / "r.html")
+        pa.report.write_report([], tmp_path / "r.html")
     with pytest.raises(pa.ConfigurationError, match="'en' nor 'zh'"):
-        pa.write_report(audit(), tmp_path / "r.html", language="fr")
+        pa.report.write_report(audit(), tmp_path / "r.html", language="fr")
     with pytest.raises(pa.OutputError):
-        pa.write_report(audit(), tmp_path)
+        pa.report.write_report(audit(), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -63,7 +63,7 @@ class Opened:
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    pa.write_report(analysis(), path, robots=[load("v3")])
+    pa.report.write_report(analysis(), path, robots=[load("v3")])
     return path
 
 
@@ -295,7 +295,7 @@ def test_it_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme:
 @pytest.mark.slow
 def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "study.html"
-    pa.write_report(outcome(), file)
+    pa.report.write_report(outcome(), file)
     one = Opened(browser, file, viewport={"width": 1000, "height": 900})
     page, table = one.page, outcome().table
     tip = page.locator("#tip")
@@ -352,7 +352,7 @@ def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
 @pytest.mark.slow
 def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "evil.html"
-    pa.write_report(evil_analysis(), file, robots=())
+    pa.report.write_report(evil_analysis(), file, robots=())
     one = Opened(browser, file)
     assert EVIL[0] in one.page.locator("h2").nth(1).inner_text()
     assert one.page.locator("img").count() == 0
@@ -366,7 +366,7 @@ def test_parts_are_folded_and_verdicts_are_seen_on_a_screen(browser: Any, tmp_pa
     file = tmp_path / "two.html"
     both = [analysis(), replace(analysis(), name="other")]
     rows = [compare(one, "v3", RatioReference(1.0, None, None)) for one in both]
-    pa.write_report([*both, comparison_table(rows)], file, robots=[load("v3")])
+    pa.report.write_report([*both, comparison_table(rows)], file, robots=[load("v3")])
     one = Opened(browser, file, viewport={"width": 1280, "height": 900})
     page = one.page
     assert page.title() == "Analysis: v3, other"

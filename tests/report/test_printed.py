@@ -23,8 +23,8 @@ from pupper_analysis.report.words import english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.stance.optimize.best import Objective
-from pupper_analysis.stance.path.leg_time import Binding
-from pupper_analysis.stance.path.path_limits import Limit
+from pupper_analysis.stance.path.leg_time import BindingLimit
+from pupper_analysis.stance.path.path_limits import PathLimit
 from pupper_analysis.stance.payload.sharing import Sharing
 from tests.support import printing
 from tests.support.stubs import (
@@ -126,7 +126,9 @@ def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
 
 def test_the_fastest_path() -> None:
     least = there(
-        binding=Binding(Limit.FRICTION, ("FR",), 2, 0.37, 0.5), reserve=0.21, lower_bound=2.5
+        binding=BindingLimit(PathLimit.FRICTION, ("FR",), 2, 0.37, 0.5),
+        reserve=0.21,
+        lower_bound=2.5,
     )
     text = " ".join(printed(path_document(least)))
     assert (

@@ -27,17 +27,17 @@ ASKED = ["peak_utilisation", "servo_sag", "com_margin", "stands"]
 
 
 @cache
-def outcome() -> pa.StudyOutcome:
+def outcome() -> pa.study.StudyOutcome:
     """Of 18 designs, a third of which are out of reach."""
     import tempfile
 
     study = pa.Study("v3", VARY, ASKED)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(1) as thread:
         study.run(folder, executor=thread)
-        return pa.study_outcome(study, folder)
+        return pa.study.study_outcome(study, folder)
 
 
-def full() -> pa.StudyOutcome:
+def full() -> pa.study.StudyOutcome:
     """The same with all that can be there, of distinct numbers."""
     sobol = SobolIndices("servo_sag", {"leg_scale": 0.111, "kp": 0.222, "height": 0.333},
                          {"leg_scale": 0.444, "kp": 0.555, "height": 0.666},
@@ -78,7 +78,7 @@ def test_the_front_is_of_what_stands_in_what_is_better() -> None:
     found = outcome()
     assert found.objectives == {"peak_utilisation": "min", "servo_sag": "min"}
     assert (found.front["stands"] == 1).all()
-    expected = pa.pareto_front(found.table[found.table["stands"] == 1], found.objectives)
+    expected = pa.study.pareto_front(found.table[found.table["stands"] == 1], found.objectives)
     pd.testing.assert_frame_equal(found.front, expected)
 
 
@@ -118,20 +118,20 @@ def test_cells_of_few_designs_are_wide() -> None:
 def test_what_makes_no_sense_is_refused(tmp_path: Path) -> None:
     study = pa.Study("v3", {"kp": [5.0, 10.0]}, ["sag"])
     with pytest.raises(pa.StudyError, match=r"no study\.json"):
-        pa.study_outcome(study, tmp_path)
+        pa.study.study_outcome(study, tmp_path)
     with pytest.raises(pa.ConfigurationError, match="no 'mass'; it has sag, kp"):
         study_with(tmp_path, study, minimise=["mass"])
     with pytest.raises(pa.ConfigurationError, match="once"):
         study_with(tmp_path, study, minimise=["sag"], maximise=["sag"])
     other = pa.Study("v3", {"kp": [6.0, 11.0]}, ["sag"])
     with pytest.raises(pa.ConfigurationError, match="no design of this study yet"):
-        pa.study_outcome(other, tmp_path / "there")
+        pa.study.study_outcome(other, tmp_path / "there")
 
 
-def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.StudyOutcome:
+def study_with(tmp_path: Path, study: pa.Study, **options: list[str]) -> pa.study.StudyOutcome:
     with ThreadPoolExecutor(1) as thread:
         study.run(tmp_path / "there", executor=thread)
-    return pa.study_outcome(study, tmp_path / "there", **options)
+    return pa.study.study_outcome(study, tmp_path / "there", **options)
 
 
 # The page

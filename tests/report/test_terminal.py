@@ -148,6 +148,6 @@ def test_nothing_is_confirmed_where_data_goes_to_standard_output(
 
 
 def test_any_result_without_a_builder_shows_its_fields() -> None:
-    lines = printed(pa.stand_statics(load("v3"), stand_of("v3"))).splitlines()
+    lines = printed(pa.stance.stand_statics(load("v3"), stand_of("v3"))).splitlines()
     assert lines[0] == "GravityCompensation"
     assert any(line.startswith("joint_torques") for line in lines)

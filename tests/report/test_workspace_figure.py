@@ -25,7 +25,7 @@ def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr(style, "save", keep)
     robot = load("v3")
-    workspace = pa.base_workspace(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
+    workspace = pa.stance.base_workspace(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
     workspace_figure.workspace_figure(robot, workspace, tmp_path / "workspace.png")
     assert (tmp_path / "workspace.png").stat().st_size > 50_000
     panels = {axes.get_title(loc="left").split(":")[0]: axes for axes in drawn[0].axes}

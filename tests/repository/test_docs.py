@@ -17,6 +17,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.checks.audit.registry import CHECKS
+from tests.support.names import public, public_modules
 from tests.support.repository import ROOT, script
 from tests.support.rooms import FLOOR
 
@@ -137,7 +138,9 @@ def test_the_reference_has_all_there_is(generated: Path) -> None:
     assert "| `servos-added` |" in codes
     assert codes.count("\n| `") == (chinese / "diagnostics.md").read_text().count("\n| `") > 200
     api = "".join(page.read_text() for page in (english / "api").glob("*.md"))
-    assert [name for name in pa.__all__ if f"{pa.__name__}.{name}\n" not in api] == []
+    for module in (pa, *public_modules()):
+        missing = [name for name in public(module) if f"{module.__name__}.{name}\n" not in api]
+        assert missing == [], module.__name__
     parts = re.split(r"^## ", (english / "commands.md").read_text(), flags=re.M)[1:]
     for (name, command), part in zip(cli.group.commands.items(), parts, strict=True):
         assert part.startswith(f"{name}\n")

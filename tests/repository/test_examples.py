@@ -73,8 +73,8 @@ def test_every_example_is_run_here_and_in_the_list() -> None:
 
 def test_own_robot(shown: Shown) -> None:
     text = shown("own_robot")
-    robot = pa.load_variant(pa.VariantSpec(base="v3", leg_scale=1.1))
-    held = pa.stand_statics(robot, pa.solve_stand(robot))
+    robot = pa.load_variant(pa.pupper.VariantSpec(base="v3", leg_scale=1.1))
+    held = pa.stance.stand_statics(robot, pa.solve_stand(robot))
     assert number(f"{robot.name}:", text) == pytest.approx(robot.total_mass, abs=5e-4)
     for joint, torque in zip(robot.joint_names, held.joint_torques, strict=True):
         printed = re.search(rf"^{joint} +([+-][\d.]+) N m$", text, re.M)
@@ -87,7 +87,7 @@ def test_compare_legs(shown: Shown) -> None:
     rows = re.findall(r"^ +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+)%$", shown("compare_legs"), re.M)
     table = np.array(rows, dtype=float)
     np.testing.assert_allclose(table[:, 0], [0.8, 1.0, 1.2, 1.4, 1.6])
-    of_v3 = pa.stand_statics(load("v3"), pa.held_stand(load("v3")))
+    of_v3 = pa.stance.stand_statics(load("v3"), pa.stance.solve_stand_as_simulated(load("v3")))
     expected = [1.0, load("v3").stand_height, abs(of_v3.joint_torques).max()]
     np.testing.assert_allclose(table[1, :3], expected, atol=6e-4)
     assert table[1, 3] == pytest.approx(100 * of_v3.motor_utilisation.max(), abs=0.06)
@@ -119,7 +119,7 @@ def test_path_to_csv(shown: Shown, tmp_path: Path) -> None:
     table = np.array(rows, dtype=float)
     assert len(table) == number("", text)
     assert table[-1, 0] == 2.0
-    still = pa.stand_statics(load("v3"), stand_of("v3"))
+    still = pa.stance.stand_statics(load("v3"), stand_of("v3"))
     np.testing.assert_allclose(table[0, 13:], still.joint_torques, atol=1e-6)
     used = abs(table[:, 13:]) / load("v3").effort_limits
     assert number("motors:", text) == pytest.approx(100 * used.max(), abs=0.06)
@@ -162,8 +162,10 @@ def test_payload(shown: Shown) -> None:
     assert "by the servos" in text
     assert mass == pytest.approx(5.6, abs=0.05)  # what the docstring says, as the next one
     assert number("motors", text) == pytest.approx(15, abs=0.5)
-    loaded = pa.with_payload(robot, mass / 2, (0.0, 0.0, 0.08))
-    used = pa.stand_statics(loaded, pa.held_stand(loaded)).motor_utilisation.max()
+    loaded = pa.robot.with_payload(robot, mass / 2, (0.0, 0.0, 0.08))
+    used = pa.stance.stand_statics(
+        loaded, pa.stance.solve_stand_as_simulated(loaded)
+    ).motor_utilisation.max()
     assert number("half of it takes", text) == pytest.approx(100 * used, abs=0.6)
 
 

@@ -77,8 +77,8 @@ def test_the_table_of_variants_is_true() -> None:
     assert [row[0] for row in rows] == list(pa.VARIANTS)
     for name, mass, mass_ratio, thigh_ratio, rest in rows:
         robot = pa.load_variant(name)
-        base = pa.load_variant(pa.VariantSpec(base=pa.VARIANTS[name].base))
-        stand = pa.held_stand(robot)
+        base = pa.load_variant(pa.pupper.VariantSpec(base=pa.VARIANTS[name].base))
+        stand = pa.stance.solve_stand_as_simulated(robot)
         statics = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
         peak, utilisation = rest.split(" | ")[:2]
         assert float(mass) == pytest.approx(robot.total_mass, abs=5e-4)

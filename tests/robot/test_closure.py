@@ -28,7 +28,7 @@ def at(robot: Robot, values: np.ndarray, joint: str) -> float:
 
 
 def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
-    stand = pa.sunk_stand(robot, task)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     assert max(found.torque_error, found.force_error) < 1e-5
@@ -83,7 +83,7 @@ def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     assert any(note.code == "joints-follow" for note in robot.notes)
     stand = pa.solve_stand(robot)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     tree = without_loops(robot, stand.qpos, held.contact_forces)
     for leg in LEGS:
         knee, motor = (at(robot, stand.qpos, f"{leg}_{name}") for name in ("knee", "motor"))
@@ -143,7 +143,7 @@ def test_coupled_legs_squat_shift_lift_a_foot_and_lean_on_a_slope(tmp_path: Path
     holds(robot, pa.StandTask(height=0.9 * robot.stand_height))
     holds(robot, pa.StandTask(offset=(0.02, 0.01)))
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
-    stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.02)))
+    stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=pa.Ground(slope=0.02)))
     found = pa.verify_stand(robot, stand)
     assert max(found.torque_error, found.force_error) < 1e-3
 
@@ -152,7 +152,7 @@ def test_a_parallelograms_crank_holds_what_the_knee_would(tmp_path: Path) -> Non
     """In closed form: knee = motor - pitch and pin = pitch - motor, by virtual work."""
     robot = load(four_bars(tmp_path))
     stand = pa.solve_stand(robot)
-    held = pa.stand_statics(robot, stand)
+    held = pa.stance.stand_statics(robot, stand)
     tree = without_loops(robot, stand.qpos, held.contact_forces)
     for leg in LEGS:
         q = {n: at(robot, stand.qpos, f"{leg}_{n}") for n in ("pitch", "knee", "motor", "pin")}
@@ -217,7 +217,7 @@ def test_a_give_is_what_mujoco_opens_by(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words=""))
     stand = pa.solve_stand(robot)
     drive = servos(robot)
-    torques = pa.stand_statics(robot, stand).joint_torques
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
     end = run(drive.model, start, np.tile(ctrl, (2000, 1)))[-1]
@@ -248,7 +248,7 @@ def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     assert found.base_height == pytest.approx(sag.base_height, abs=1e-7)
     np.testing.assert_allclose(found.joint_torques, sag.joint_torques, atol=1e-4)
     assert float(stand.qpos[2]) - sag.base_height > 2e-3
-    assert pa.minimum_stiffness(robot, stand, feet="sliding") > 1
+    assert pa.stance.minimum_stiffness(robot, stand, feet="sliding") > 1
 
 
 @pytest.mark.longest
@@ -267,7 +267,7 @@ def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> No
     robot = load(pair)
     assert pa.solve_stand(robot).solved
     with pytest.raises(pa.StanceUnreachableError, match="loops and couplings closed, it is in"):
-        pa.sunk_stand(robot)
+        pa.stance.solve_stand_on_soft_ground(robot)
 
 
 @pytest.mark.slow
@@ -275,7 +275,10 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
     assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
-    assert at(robot, pa.stand_statics(robot, pa.solve_stand(robot)).joint_torques, "FL_knee") != 0
+    assert (
+        at(robot, pa.stance.stand_statics(robot, pa.solve_stand(robot)).joint_torques, "FL_knee")
+        != 0
+    )
 
 
 @pytest.mark.slow
@@ -289,7 +292,7 @@ def test_motors_at_both_ends_each_hold_their_own(tmp_path: Path) -> None:
     assert not len(robot.closure.following)
     stand = holds(robot)
     assert robot.closure.open(stand.qpos) < 1e-9
-    assert abs(at(robot, pa.stand_statics(robot, stand).joint_torques, "FL_knee")) > 1
+    assert abs(at(robot, pa.stance.stand_statics(robot, stand).joint_torques, "FL_knee")) > 1
 
 
 def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
@@ -307,7 +310,7 @@ def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     heights = (robot.stand_height, 0.95 * robot.stand_height)
     stands = [pa.solve_stand(robot, pa.StandTask(height=height)) for height in heights]
-    rows = pa.gravity_compensations(robot, np.array([stand.qpos for stand in stands]))
+    rows = pa.statics.gravity_compensations(robot, np.array([stand.qpos for stand in stands]))
     for stand, torques in zip(stands, rows.joint_torques, strict=True):
         alone = pa.gravity_compensation(pa.Configuration(robot, stand.qpos))
         np.testing.assert_allclose(torques, alone.joint_torques, atol=1e-9)
@@ -319,7 +322,7 @@ def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
     with pytest.raises(pa.ConfigurationError, match="binds joints"):
-        pa.gravity_compensations(robot, qpos[None])
+        pa.statics.gravity_compensations(robot, qpos[None])
 
 
 @pytest.mark.slow
@@ -329,8 +332,8 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     config = pa.Configuration(robot, stand.qpos)
     asked = {
         "a payload": lambda: pa.payload_limit(robot, stand),
-        "a path": lambda: pa.stance_path(robot, [pa.StandTask(), pa.StandTask()], 1.0),
-        "inverse dynamics": lambda: pa.inverse_dynamics(config, np.zeros(robot.nv)),
+        "a path": lambda: pa.stance.stance_path(robot, [pa.StandTask(), pa.StandTask()], 1.0),
+        "inverse dynamics": lambda: pa.statics.inverse_dynamics(config, np.zeros(robot.nv)),
         "the best stance": lambda: pa.best_stance(robot),
     }
     for what, ask in asked.items():
@@ -373,10 +376,10 @@ def test_they_stand_at_the_command_line(
 @pytest.mark.slow
 def test_pushes_and_gains_are_simulated(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
-    stand = pa.sunk_stand(robot)
-    sweep = pa.sweep_gains(robot, stand, kp=[110.0], kd=[5.5], duration=2.0)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
+    sweep = pa.simulation.sweep_gains(robot, stand, kp=[110.0], kd=[5.5], duration=2.0)
     assert sweep.height_deviation.max() < 1e-3
-    pushed = pa.push_trial(robot, stand, 1.0, duration=3.0)
+    pushed = pa.simulation.simulate_push(robot, stand, 1.0, duration=3.0)
     assert not pushed.failure
 
 
@@ -411,7 +414,7 @@ def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> 
     assert "motors of their own have FL_knee, FR_knee, RL_knee, RR_knee" in said
     assert "of 0.6 kg, which is what the URDF lacks, weigh in both: FL_crank, FL_rod" in said
     assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     assert max(found.torque_error, found.force_error) < 1e-5
@@ -456,14 +459,16 @@ def test_a_weld_closes_a_loop_in_a_plane_as_a_connect_does(tmp_path: Path) -> No
     one, two = load(plain), load(pair)
     assert two.closure is not None
     assert len(two.closure.following) == 12
-    stand = pa.sunk_stand(two)
+    stand = pa.stance.solve_stand_on_soft_ground(two)
     # It stands as predicted, and for no longer than some 20 s: welds are softer, and it buckles.
     seen = pa.verify_stand(two, stand)
     assert max(seen.torque_error, seen.force_error) < 1e-5
     (mode,) = seen.stability.leaving()[:1]
     assert not mode.shakes
-    wanted = pa.stand_statics(one, pa.solve_stand(one, pa.StandTask(height=stand.task.height)))
-    torques = pa.stand_statics(two, pa.solve_stand(two, stand.task)).joint_torques
+    wanted = pa.stance.stand_statics(
+        one, pa.solve_stand(one, pa.StandTask(height=stand.task.height))
+    )
+    torques = pa.stance.stand_statics(two, pa.solve_stand(two, stand.task)).joint_torques
     for leg in LEGS:
         for joint in ("roll", "pitch", "motor"):
             name = f"{leg}_{joint}"
@@ -523,7 +528,7 @@ def test_what_ties_a_robot_to_the_world_is_named_where_its_stand_fails(tmp_path:
     tie = '<equality><connect name="tied" body1="trunk" anchor="0.1 0 0"/></equality><actuator>'
     pair.mjcf.write_text(pair.mjcf.read_text().replace("<actuator>", tie))
     robot = load(pair)
-    found = pa.verify_stand(robot, pa.sunk_stand(robot))
+    found = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
     assert not found.passed
     assert found.failures[-1].code == "constraints-not-predicted"
     assert "connect tied" in str(found.failures[-1])

@@ -36,8 +36,10 @@ def loaded(pair: Pair) -> Robot:
     return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
 
 
-def stands(robot: Robot, **task: Any) -> pa.StandVerification:
-    found = pa.verify_stand(robot, pa.sunk_stand(robot, pa.StandTask(**task)))
+def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
+    found = pa.verify_stand(
+        robot, pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(**task))
+    )
     assert found.passed, found.failures
     return found
 

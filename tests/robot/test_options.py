@@ -60,6 +60,6 @@ def test_a_base_does_not_hang_by_its_free_joint(tmp_path: Path) -> None:
     free = '<joint type="free" frictionloss="500" damping="0" armature="0"/>'
     robot = loaded(tmp_path, '<option actuatorgroupdisable="0"/>', free)
     assert [note for note in robot.notes if note.code == "free-joint-friction-taken-off"]
-    assert not pa.verify_stand(robot, pa.sunk_stand(robot)).passed
+    assert not pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
     robot = loaded(tmp_path, free=free)
-    assert pa.verify_stand(robot, pa.sunk_stand(robot)).passed
+    assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed

@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.stance.sag.solution import move
-from pupper_analysis.stance.sunk import loaded_stand
+from pupper_analysis.stance.soft_ground import loaded_stand
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
@@ -79,7 +79,9 @@ def test_the_base_stays_as_the_feet_sink() -> None:
     loaded = with_payload(robot, 2.0, (0.08, 0.0, 0.05))
     sunk = loaded_stand(loaded, stand)
     np.testing.assert_allclose(sunk.qpos[:7], stand.qpos[:7], atol=1e-9)
-    statics = pa.stand_statics(loaded, sunk, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    statics = pa.stance.stand_statics(
+        loaded, sunk, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
         9.81 * (robot.total_mass + 2.0)
     )

@@ -92,7 +92,7 @@ def loaded(pair: Pair) -> pa.Robot:
 
 
 def holds(robot: pa.Robot) -> None:
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     assert found.torque_error < 1e-5
@@ -147,7 +147,7 @@ def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: 
     (note,) = (note for note in robot.notes if note.code == "own-servos-too-stiff")
     assert note.values["integrator"] == "Euler"
     assert note.values["timestep"] == Quantity(0.002, "s")
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     assert not pa.verify_stand(robot, stand).passed
     assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
 
@@ -156,7 +156,7 @@ def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: 
 def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
     """Alike on all sides, it stood on servos that shake it to pieces: MuJoCo had it at rest."""
     robot = loaded(quadruped(tmp_path))
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     assert pa.verify_stand(robot, stand, kp=100.0, kd=5.0).passed
     shaking = pa.verify_stand(robot, stand, kp=3000.0, kd=200.0, integrator="Euler")
     assert not shaking.passed

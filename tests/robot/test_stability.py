@@ -30,11 +30,11 @@ def pendulum(kp: float, kd: float, integrator: str = "Euler", timestep: float = 
         <actuator><position joint="hinge" kp="{kp}" kv="{kd}"/></actuator></mujoco>"""
 
 
-def judged(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.Stability:
+def judged(xml: str, settle: float = 0.0, off: float = 0.0) -> pa.robot.Stability:
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     data.qpos[0] = off
-    return pa.step_stability(model, data, settle=settle)
+    return pa.robot.step_stability(model, data, settle=settle)
 
 
 def exponents(kp: float, kd: float) -> np.ndarray:
@@ -138,13 +138,13 @@ def test_what_still_sags_is_not_judged() -> None:
     held = standing(robot, stand, feedforward=False, kp=2.5, kd=0.4)
     found = judged_at(held.drive, held.start, held.ctrl)
     assert not found.at_rest
-    rest = pa.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
+    rest = pa.simulation.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
     assert rest.at_rest
     assert rest.lasts()
 
 
 def test_a_base_on_level_ground_drifts_in_three_ways(variant: str) -> None:
-    found = pa.stand_stability(load(variant), stand_of(variant))
+    found = pa.simulation.stand_stability(load(variant), stand_of(variant))
     assert found.drifts == 3
     assert found.stable
     assert found.lasts()
@@ -190,19 +190,21 @@ def test_a_solver_that_ends_early_makes_no_mode_grow() -> None:
     """With its own tolerance it is off by 1e-5 in some states, one of a hundred."""
     robot, stand = load("v3"), stand_of("v3")
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, pa.sunk_stand(robot, stand.task).qpos)
+    robot.mj_convention.set_state(
+        data, pa.stance.solve_stand_on_soft_ground(robot, stand.task).qpos
+    )
     data.ctrl[:] = stand.joint_positions(robot)
     tolerance = model.opt.tolerance
     mujoco.mj_step(model, data, 1000)
     for _ in range(20):
         mujoco.mj_step(model, data, 50)
-        assert pa.step_stability(model, data, settle=0).stable
+        assert pa.robot.step_stability(model, data, settle=0).stable
     assert model.opt.tolerance == tolerance
 
 
 def test_what_a_stand_that_holds_is_told(variant: str) -> None:
     """The nudge decays, and both judgements agree."""
-    found = pa.verify_stand(load(variant), pa.sunk_stand(load(variant)))
+    found = pa.verify_stand(load(variant), pa.stance.solve_stand_on_soft_ground(load(variant)))
     assert found.passed
     assert found.nudge is not None
     assert found.nudge.decayed
@@ -270,7 +272,7 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     assert found.decayed
     assert found.moved < 1e-6
     assert not found.stays
-    stability = pa.step_stability(model, mujoco.MjData(model))
+    stability = pa.robot.step_stability(model, mujoco.MjData(model))
     (said,) = unstable(stability, found)
     assert "swing is 0.03 rad from where it was, and comes back" in str(said)
     assert not unstable(stability, replace(found, farthest=9e-3))
@@ -292,7 +294,7 @@ def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:
         data = mujoco.MjData(model)
         data.qpos[0] = data.ctrl[0] = place
         mujoco.mj_forward(model, data)
-        least = pa.step_stability(model, data, settle=0.0).least_damped
+        least = pa.robot.step_stability(model, data, settle=0.0).least_damped
         assert least is not None
         swings.append(least.frequency)
     assert swings == pytest.approx([math.sqrt(1 / 0.01) / (2 * math.pi)] * 2, rel=1e-2)

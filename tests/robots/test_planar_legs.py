@@ -18,7 +18,7 @@ def load(pair: Pair) -> Robot:
 
 
 def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
-    stand = pa.sunk_stand(robot, task)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     found = pa.verify_stand(robot, stand)
     assert found.passed, found.failures
     assert max(found.torque_error, found.force_error) < 1e-5
@@ -46,7 +46,7 @@ def test_the_centre_is_refused_if_it_is_asked_for(tmp_path: Path) -> None:
 def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
     """Legs that swing in planes cannot hold the com where the start has it, to rounding."""
     robot = load(planar(quadruped(tmp_path)))
-    heights = pa.reachable_heights(robot)
+    heights = pa.stance.reachable_heights(robot)
     assert heights.low < 0.8 * robot.stand_height < 1.2 * robot.stand_height < heights.high
     for height in (heights.low, heights.high):
         assert pa.solve_stand(robot, pa.StandTask(height=height), explain=False).solved
@@ -95,7 +95,7 @@ def test_joints_with_more_than_a_turn_of_range_are_not_wound_up(tmp_path: Path) 
 def test_why_it_does_not_settle_on_a_slope(tmp_path: Path) -> None:
     """MuJoCo's friction creeps, by as much as its law says."""
     robot = load(planar(quadruped(tmp_path)))
-    stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.25)))
+    stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=pa.Ground(slope=0.25)))
     seen = pa.verify_stand(robot, stand)
     assert not seen.passed
     reason = next(one for one in seen.failures if one.code == "foot-creeps")

@@ -31,7 +31,7 @@ def outcome(seed: int, folder: Path) -> set[str]:
     for name, limit in limits.items():
         stated = efforts[name.removeprefix(drawn.prefix)]
         assert limit == pytest.approx(stated) or not stated
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     run = pa.verify_stand(robot, stand)
     if run.passed:
         assert run.torque_error < 1e-3

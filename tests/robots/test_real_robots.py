@@ -381,7 +381,9 @@ def test_mini_cheetah_stands_as_predicted() -> None:
     with pytest.raises(pa.ModelError, match="no position servo"):
         pa.verify_stand(robot, pa.solve_stand(robot))
     for task in (pa.StandTask(), pa.StandTask(swing={"FL": 0.03}, com="inside", com_margin=0.02)):
-        run = pa.verify_stand(robot, pa.sunk_stand(robot, task), kp=100, kd=3)
+        run = pa.verify_stand(
+            robot, pa.stance.solve_stand_on_soft_ground(robot, task), kp=100, kd=3
+        )
         assert run.passed, run.failures
         assert max(run.torque_error, run.force_error) < 1e-3
 
@@ -421,7 +423,7 @@ def test_a_humanoid_on_two_flat_feet() -> None:
     """Without feed-forward its sag is MuJoCo's, to a per mille."""
     urdf, mjcf = published("G1")
     robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     held = pa.verify_stand(robot, stand)
     assert held.passed, held.failures
     assert max(held.torque_error, held.force_error) < 1e-4

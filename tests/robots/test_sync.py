@@ -31,7 +31,9 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
     result = pa.sync_models(*files, take=side, tolerances=FINE, take_absent=True)
     assert len(result.differences) > 25
     assert result.left == ()
-    compared = pa.compare_models(*files, tolerances=pa.Tolerances.strict(), configurations=3)
+    compared = pa.compare_models(
+        *files, tolerances=pa.matching.Tolerances.strict(), configurations=3
+    )
     assert compared.agree
     assert max(compared.deviations.values()) < 1e-9
     # Lines without a number that is written are the same lines.

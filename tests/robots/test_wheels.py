@@ -76,7 +76,7 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     assert set(robot.foot_radius.values()) == {RADIUS}
     assert not moves_com(robot)
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     seen = pa.verify_stand(robot, stand)
     assert seen.passed, seen.failures
     wheels = [i for i, name in enumerate(robot.joint_names) if name.endswith("_roll_on")]

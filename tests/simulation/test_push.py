@@ -44,7 +44,8 @@ def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool
     robot, stand = load(name), stand_of(name)
     drive, model = servos(robot), robot.description.mjcf.copy().compile()
     torques = pa.gravity_compensation(
-        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        pa.Configuration(robot, stand.qpos),
+        distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
     ).joint_torques
     data = mujoco.MjData(model)
     start = place_on_ground(robot, drive, stand, torques)
@@ -316,7 +317,7 @@ def test_bad_figures_are_refused(tmp_path: Path) -> None:
 def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
     """On three legs it tips early where the fourth is missing, which then catches it."""
     robot = load("original")
-    stand = pa.sunk_stand(robot, task)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     result = push_recovery(robot, stand, directions=8, resolution=0.1)
     assert result.weakest_impulse > 0.2
     if task.swing:
@@ -334,7 +335,7 @@ def test_a_table_has_each_number_under_its_name() -> None:
     rows = np.arange(15.0).reshape(3, 5)
     names = ("direction", "impulse", "velocity_step", "tipping_estimate", "bisected")
     values = dict(zip(names, rows.T, strict=True))
-    result = pa.PushRecovery(
+    result = pa.simulation.PushRecovery(
         feedforward=True, integrator="Euler", timestep=0.002, duration=6.0, kp=np.ones(1),
         kd=np.ones(1), point=np.zeros(3), pulse=0.02, directions=values["direction"],
         impulses=values["impulse"], velocity_steps=values["velocity_step"],
@@ -358,11 +359,11 @@ def test_what_does_not_stand_withstands_no_push_and_what_stands_does(
 ) -> None:
     """At 8 N m s/rad its servos shake, and throw it over in the second after a nudge at 5 s."""
     robot = pa.load_robot(**quadruped(tmp_path, actuators="position", floor=True)._asdict())
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     alone = pa.verify_stand(robot, stand, kp=150.0, kd=kd)
     assert alone.passed == alone.stays == stands
     found = push_recovery(robot, stand, kp=150.0, kd=kd, directions=3, duration=2.0, resolution=1.0)
-    trial = pa.push_trial(robot, stand, 0.01, kp=150.0, kd=kd, duration=2.0)
+    trial = pa.simulation.simulate_push(robot, stand, 0.01, kp=150.0, kd=kd, duration=2.0)
     assert trial.recovered == stands
     assert found.unpushed == alone.failures
     assert (found.weakest_impulse > 0) == stands

@@ -16,8 +16,12 @@ def test_what_survives_and_what_does_not_is_as_the_search_says() -> None:
     robot, stand = load("original"), stand_of("original")
     found = pa.push_recovery(robot, stand, directions=3, duration=2.0, resolution=0.1)
     for direction, impulse in zip(found.directions, found.impulses, strict=True):
-        good = pa.push_trial(robot, stand, float(impulse), float(direction), duration=2.0)
-        bad = pa.push_trial(robot, stand, float(impulse) + 0.1, float(direction), duration=2.0)
+        good = pa.simulation.simulate_push(
+            robot, stand, float(impulse), float(direction), duration=2.0
+        )
+        bad = pa.simulation.simulate_push(
+            robot, stand, float(impulse) + 0.1, float(direction), duration=2.0
+        )
         assert good.recovered
         assert good.failure is None
         assert not bad.recovered
@@ -29,7 +33,7 @@ def test_the_motion_is_that_of_a_force_on_the_base() -> None:
     """Stepped by hand: 0.3 N s in 20 ms to the left of a base that is yawed."""
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(yaw=0.3))
-    trial = pa.push_trial(robot, stand, 0.3, math.pi / 2, duration=2.0)
+    trial = pa.simulation.simulate_push(robot, stand, 0.3, math.pi / 2, duration=2.0)
     model = robot.mj_model
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, trial.motion[0])
@@ -45,7 +49,7 @@ def test_the_motion_is_that_of_a_force_on_the_base() -> None:
 
 
 def test_no_push_leaves_it_standing() -> None:
-    trial = pa.push_trial(load("v3"), stand_of("v3"), 0.0, duration=2.0)
+    trial = pa.simulation.simulate_push(load("v3"), stand_of("v3"), 0.0, duration=2.0)
     assert trial.recovered
     assert np.ptp(trial.motion, axis=0).max() < 2e-3
 
@@ -61,12 +65,12 @@ def test_no_push_leaves_it_standing() -> None:
 )
 def test_what_is_no_push_is_refused(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
-        pa.push_trial(load("v3"), stand_of("v3"), **arguments)
+        pa.simulation.simulate_push(load("v3"), stand_of("v3"), **arguments)
 
 
 @pytest.mark.parametrize("feedforward", [True, False])
 def test_what_it_was_pushed_with_is_told(feedforward: bool) -> None:
-    trial = pa.push_trial(
+    trial = pa.simulation.simulate_push(
         load("v3"), stand_of("v3"), 0.1, duration=2.0, kp=8.0, kd=0.3, feedforward=feedforward,
         integrator="implicitfast",
     )  # fmt: skip

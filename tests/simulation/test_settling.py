@@ -15,7 +15,7 @@ from tests.support.variants import load
 @pytest.fixture(scope="module")
 def standing() -> tuple[pa.Robot, Stand]:
     robot = load("v3")
-    return robot, pa.sunk_stand(robot)
+    return robot, pa.stance.solve_stand_on_soft_ground(robot)
 
 
 @pytest.mark.longest

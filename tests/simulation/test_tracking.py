@@ -140,7 +140,7 @@ def test_what_fails_is_said() -> None:
         track_path(robot, path, integrator="magic")
 
 
-def fast_sway() -> pa.StancePath:
+def fast_sway() -> pa.stance.StancePath:
     """v3's sway as fast as a minimum-jerk law allows, with a fifth of friction in reserve."""
     robot = load("v3")
     geometry = path_geometry(robot, demo_stances(robot, "sway", depth=0.2), 32)

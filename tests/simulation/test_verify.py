@@ -23,7 +23,7 @@ SERVOS = {"v3": (5.0, 0.1), "skeleton": (60.0, 1.0)}
 
 
 @cache
-def verified(name: str, feedforward: bool = True) -> pa.StandVerification:
+def verified(name: str, feedforward: bool = True) -> pa.simulation.StandVerification:
     return pa.verify_stand(load(name), stand_of(name), feedforward=feedforward)
 
 
@@ -80,7 +80,9 @@ def test_feet_carry_the_weight(variant: str) -> None:
 
 def test_prediction_is_the_even_balance(variant: str) -> None:
     config = pa.Configuration(load(variant), stand_of(variant).qpos)
-    expected = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    expected = pa.gravity_compensation(
+        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     result = verified(variant)
     np.testing.assert_array_equal(result.predicted_torques, expected.joint_torques)
     gap = np.abs(result.joint_torques - expected.joint_torques).max()
@@ -144,7 +146,7 @@ def test_small_sag_is_predicted_from_the_urdf_alone(name: str) -> None:
     """Virtual work: weight x sag = sum of tau^2 / kp, with Pinocchio's torques."""
     config = pa.Configuration(load(name), stand_of(name).qpos)
     torques = pa.gravity_compensation(
-        config, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
     ).joint_torques
     hanging = pa.gravity_compensation(config, []).joint_torques
     # The legs' own weight does not come down with the base: only what the feet hold up does.
@@ -223,7 +225,8 @@ def test_servo_law_with_given_gains(name: str) -> None:
 def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
     drive = servos(robot)
     prediction = pa.gravity_compensation(
-        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        pa.Configuration(robot, stand.qpos),
+        distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
     )
     ctrl = drive.command(robot, stand.joint_positions(robot), prediction.joint_torques)
     state = place_on_ground(robot, drive, stand, prediction.joint_torques)
@@ -354,9 +357,9 @@ def test_joint_without_motor_is_named(tiny: pa.Robot) -> None:
 
 
 @cache
-def sweep(name: str, amplitude: float = 2.0) -> pa.GainSweep:
+def sweep(name: str, amplitude: float = 2.0) -> pa.simulation.GainSweep:
     kp, kd = (10.0, 30.0, 60.0, 120.0), (0.5, 1.0, 2.0, 5.0)
-    return pa.sweep_gains(load(name), stand_of(name), kp=kp, kd=kd, amplitude=amplitude)
+    return pa.simulation.sweep_gains(load(name), stand_of(name), kp=kp, kd=kd, amplitude=amplitude)
 
 
 def test_sweep_covers_its_grid() -> None:
@@ -374,14 +377,14 @@ def test_sweep_covers_its_grid() -> None:
 def test_each_cell_of_a_sweep_tells_how_stable_its_gains_are() -> None:
     """As ``stand_stability`` does of them; what is stiff and hardly damped swings longest."""
     robot, stand = load("original"), stand_of("original")
-    result = pa.sweep_gains(robot, stand, kp=[1.5, 20.0], kd=[0.2, 0.5], duration=2.0)
+    result = pa.simulation.sweep_gains(robot, stand, kp=[1.5, 20.0], kd=[0.2, 0.5], duration=2.0)
     for row, column in np.ndindex(2, 2):
         gains = {"kp": float(result.kp[row]), "kd": float(result.kd[column])}
         if not row:  # too soft: there is no rest to be judged
             assert np.isnan(result.doubling_time[row, column])
             assert np.isnan(result.damping_ratio[row, column])
             continue
-        found = pa.stand_stability(
+        found = pa.simulation.stand_stability(
             robot, stand, feedforward=False, integrator="implicitfast", **gains
         )
         assert result.doubling_time[row, column] == (found.doubling_time or np.inf)
@@ -395,8 +398,10 @@ def test_each_cell_of_a_sweep_tells_how_stable_its_gains_are() -> None:
 def test_damping_has_no_part_in_how_fast_soft_servos_buckle() -> None:
     """Within 3 % of the least stiffness: before, each kd was judged half way down."""
     robot, stand = load("v3"), stand_of("v3")
-    assert 2.4 < pa.minimum_stiffness(robot, stand) < 2.5
-    found = pa.sweep_gains(robot, stand, kp=[2.0, 2.5], kd=[0.025, 0.1, 0.4], duration=2.0)
+    assert 2.4 < pa.stance.minimum_stiffness(robot, stand) < 2.5
+    found = pa.simulation.sweep_gains(
+        robot, stand, kp=[2.0, 2.5], kd=[0.025, 0.1, 0.4], duration=2.0
+    )
     soft, near = found.doubling_time
     assert np.isnan(soft).all()
     assert (near > 12.0).all()
@@ -406,12 +411,12 @@ def test_damping_has_no_part_in_how_fast_soft_servos_buckle() -> None:
 
 def test_by_default_the_grid_is_around_the_models_own_gains() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    result = pa.sweep_gains(robot, stand)
+    result = pa.simulation.sweep_gains(robot, stand)
     np.testing.assert_allclose(result.kp, [1.25, 2.5, 5, 10, 20])
     assert 0.1 in result.kd  # the model's own
-    given = pa.sweep_gains(robot, stand, kp=result.kp.tolist(), kd=result.kd.tolist())
+    given = pa.simulation.sweep_gains(robot, stand, kp=result.kp.tolist(), kd=result.kd.tolist())
     np.testing.assert_allclose(given.height_deviation, result.height_deviation, rtol=1e-12)
-    alone = pa.sweep_gains(robot, stand, kp=[5.0], kd=[0.1])
+    alone = pa.simulation.sweep_gains(robot, stand, kp=[5.0], kd=[0.1])
     row, column = result.kp.tolist().index(5.0), result.kd.tolist().index(0.1)
     assert alone.height_deviation[0, 0] == pytest.approx(
         result.height_deviation[row, column], rel=1e-9
@@ -427,7 +432,9 @@ def test_stiffer_is_steadier() -> None:
 def test_response_is_proportional_to_the_disturbance() -> None:
     one, two = sweep("original").height_deviation, sweep("original", 4.0).height_deviation
     np.testing.assert_allclose(two / one, 2.0, rtol=0.1)
-    still = pa.sweep_gains(load("original"), stand_of("original"), kp=[60], kd=[2], amplitude=0.0)
+    still = pa.simulation.sweep_gains(
+        load("original"), stand_of("original"), kp=[60], kd=[2], amplitude=0.0
+    )
     assert still.height_deviation[0, 0] < 0.05 * one[2, 2]
 
 
@@ -435,14 +442,17 @@ def test_response_is_proportional_to_the_disturbance() -> None:
 def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> None:
     """One cell again: gains by hand, the force by hand, one step at a time."""
     robot, stand = load(name), stand_of(name)
-    cells = pa.sweep_gains(robot, stand, kp=[5.0, kp], kd=[0.3, kd], amplitude=3.0, frequency=1.5)
+    cells = pa.simulation.sweep_gains(
+        robot, stand, kp=[5.0, kp], kd=[0.3, kd], amplitude=3.0, frequency=1.5
+    )
     model = robot.description.mjcf.copy().compile()
     model.actuator_gainprm[:, 0] = kp
     model.actuator_biasprm[:, 1], model.actuator_biasprm[:, 2] = -kp, -kd
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
     data = mujoco.MjData(model)
     torques = pa.gravity_compensation(
-        pa.Configuration(robot, stand.qpos), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        pa.Configuration(robot, stand.qpos),
+        distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
     ).joint_torques
     start = place_on_ground(robot, servos(robot, kp, kd, "implicitfast"), stand, torques)
     mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
@@ -458,7 +468,9 @@ def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> Non
 
 def test_sweep_and_verification_are_deterministic() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    one, two = (pa.sweep_gains(robot, stand, kp=[5, 9], kd=[0.2], duration=2.0) for _ in range(2))
+    one, two = (
+        pa.simulation.sweep_gains(robot, stand, kp=[5, 9], kd=[0.2], duration=2.0) for _ in range(2)
+    )
     np.testing.assert_array_equal(one.height_deviation, two.height_deviation)
     again = pa.verify_stand(robot, stand)
     np.testing.assert_array_equal(again.joint_torques, verified("v3").joint_torques)
@@ -468,14 +480,14 @@ def test_sweep_and_verification_are_deterministic() -> None:
 def test_sweep_knows_a_robot_that_lies_on_the_ground() -> None:
     """On its thighs it lies steadier than it stands, but that is no stand."""
     arguments = {"kp": [0.3, 20], "kd": [0.5]}
-    result = pa.sweep_gains(load("v3-heavy"), stand_of("v3-heavy"), **arguments)
+    result = pa.simulation.sweep_gains(load("v3-heavy"), stand_of("v3-heavy"), **arguments)
     np.testing.assert_array_equal(result.fell, [[True], [False]])
     assert result.height_deviation[0, 0] == math.inf
 
 
 def test_sweep_tells_where_the_robot_falls() -> None:
     """Thrown over by a force of ten times its weight, whatever the gains."""
-    result = pa.sweep_gains(
+    result = pa.simulation.sweep_gains(
         load("original"), stand_of("original"), kp=[10, 60], kd=[0.5], amplitude=300, frequency=0.4
     )
     assert result.fell.all()
@@ -499,12 +511,14 @@ def test_sweep_tells_where_the_robot_falls() -> None:
 )
 def test_bad_sweeps_are_refused(arguments: dict[str, object], field: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=field):
-        pa.sweep_gains(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
+        pa.simulation.sweep_gains(load("v3"), stand_of("v3"), **arguments)  # type: ignore[arg-type]
 
 
 def test_every_variant_has_gains_that_hold() -> None:
     for name in NAMES:
-        result = pa.sweep_gains(load(name), stand_of(name), kp=[30], kd=[1], duration=2.0)
+        result = pa.simulation.sweep_gains(
+            load(name), stand_of(name), kp=[30], kd=[1], duration=2.0
+        )
         assert not result.fell.any()
         assert result.height_deviation[0, 0] < 5e-3
 
@@ -565,7 +579,9 @@ def test_what_diverges_is_said_and_leaves_no_log(
     if act == "verify":
         assert pa.verify_stand(robot, stand).failures[0].code == "simulation-diverged"
     else:
-        swept = pa.sweep_gains(robot, stand, kp=[1e9], kd=[0.0], duration=2.0, integrator="Euler")
+        swept = pa.simulation.sweep_gains(
+            robot, stand, kp=[1e9], kd=[0.0], duration=2.0, integrator="Euler"
+        )
         assert swept.fell.all()
     assert not [*tmp_path.iterdir()]
     assert "WARNING" not in capfd.readouterr().err
@@ -585,10 +601,12 @@ def test_ground_that_pushes_by_jolts_is_told(option: str, says: str, tmp_path: P
     text = pair.mjcf.read_text()
     pair.mjcf.write_text(text.replace("<worldbody>", f"{option}<worldbody>", 1))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    stand = pa.sunk_stand(robot)
+    stand = pa.stance.solve_stand_on_soft_ground(robot)
     drive = servos(robot)
     ctrl = drive.command(robot, stand.joint_positions(robot), None)
-    start = place_on_ground(robot, drive, stand, pa.stand_statics(robot, stand).joint_torques)
+    start = place_on_ground(
+        robot, drive, stand, pa.stance.stand_statics(robot, stand).joint_torques
+    )
     states = run(drive.model, start, np.tile(ctrl, (200, 1)))
     assert rattling(robot, drive, states, ctrl) == []
     states = np.tile(states[-1], (200, 1))

@@ -210,7 +210,7 @@ def test_no_stand_has_a_mesh_in_the_ground(robot: pa.Robot) -> None:
 def test_the_workspace_ends_where_a_mesh_meets_the_ground(robot: pa.Robot) -> None:
     """Typed back it stands, and a hundredth of a radian on the keel is in MuJoCo's ground."""
     start = pa.StandTask(height=0.22)
-    most = pa.base_workspace(robot, start).intervals["pitch"].high
+    most = pa.stance.base_workspace(robot, start).intervals["pitch"].high
     stand = pa.solve_stand(robot, pa.StandTask(height=0.22, pitch=most))
     assert 0 <= above_ground(robot, stand.qpos) + 1e-6 < 1e-3
     qpos = stand.qpos.copy()

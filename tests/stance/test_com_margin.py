@@ -13,7 +13,7 @@ from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.optimize.space import StanceSpace
 from pupper_analysis.stance.problem import goal_of
 from pupper_analysis.stance.search import nearest, search
-from pupper_analysis.stance.sunk import loaded_stand
+from pupper_analysis.stance.soft_ground import loaded_stand
 from pupper_analysis.stance.workspace import base_workspace, stand_at
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load
@@ -78,7 +78,7 @@ def test_without_a_margin_the_com_may_be_outside() -> None:
     stand = pa.solve_stand(robot, pa.StandTask(offset=(0.11, 0.0), height=0.12))
     assert stand.com_margin < 0
     with pytest.raises(pa.StaticsInfeasibleError):
-        pa.stand_statics(robot, stand)
+        pa.stance.stand_statics(robot, stand)
 
 
 def test_another_way_to_bend_the_legs_may_have_the_margin() -> None:
@@ -96,12 +96,12 @@ def test_on_soft_ground_and_under_a_load() -> None:
     """Sunk feet shift the com by a little; a load takes it where it will."""
     robot = load("original")
     task = pa.StandTask(offset=(0.03, 0.0), com_margin=0.03)
-    sunk = pa.sunk_stand(robot, task)
+    sunk = pa.stance.solve_stand_on_soft_ground(robot, task)
     assert sunk.task.com_margin == 0.03
     assert margin_of(robot, sunk) >= 0.03 - 1e-9
     edge = replace(task, com_margin=pa.solve_stand(robot, task).com_margin)
     loaded = loaded_stand(
-        pa.with_payload(robot, 1.0, (0.05, 0.0, 0.0)), pa.solve_stand(robot, edge)
+        pa.robot.with_payload(robot, 1.0, (0.05, 0.0, 0.0)), pa.solve_stand(robot, edge)
     )
     assert loaded.com_margin < edge.com_margin
 
@@ -111,11 +111,11 @@ def test_paths_keep_it() -> None:
     stances = [
         pa.StandTask(offset=(x, 0.0), com_margin=margin) for x, margin in ((0.0, 0.0), (0.03, 0.05))
     ]
-    path = pa.stance_path(robot, stances, 2.0, rate=10.0)
+    path = pa.stance.stance_path(robot, stances, 2.0, rate=10.0)
     assert path.com_margin[-1] >= 0.05 - 1e-9
     # The margin moves along the same law as all else: half of it half way.
     with pytest.raises(pa.StanceUnreachableError, match="the com is"):
-        pa.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
+        pa.stance.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
 
 
 @pytest.mark.slow

@@ -117,10 +117,14 @@ def test_a_depth_is_found_from_anywhere() -> None:
 def test_a_cell_of_a_sweep_is_what_it_is_alone() -> None:
     robot, stand = load("v3"), stand_of("v3")
     kp, kd = (20.0, 60.0), (0.5, 2.0)
-    grid = pa.sweep_gains(robot, stand, kp=kp, kd=kd, duration=2.0).height_deviation
+    grid = pa.simulation.sweep_gains(robot, stand, kp=kp, kd=kd, duration=2.0).height_deviation
     alone = [
         [
-            float(pa.sweep_gains(robot, stand, kp=[p], kd=[d], duration=2.0).height_deviation[0, 0])
+            float(
+                pa.simulation.sweep_gains(
+                    robot, stand, kp=[p], kd=[d], duration=2.0
+                ).height_deviation[0, 0]
+            )
             for d in kd
         ]
         for p in kp
@@ -131,20 +135,22 @@ def test_a_cell_of_a_sweep_is_what_it_is_alone() -> None:
 def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, found = load("v3"), []
 
-    def counted(*given: object, **named: object) -> pa.GravityCompensation:
+    def counted(*given: object, **named: object) -> pa.statics.GravityCompensation:
         found.append(named["distribution"])
         return pa.gravity_compensation(*given, **named)  # type: ignore[arg-type]
 
     monkeypatch.setattr("pupper_analysis.stance.stand.gravity_compensation", counted)
     stand = pa.solve_stand(robot, pa.StandTask(height=0.11))
-    held = pa.stand_statics(robot, stand)
-    assert pa.stand_statics(robot, stand) is held
+    held = pa.stance.stand_statics(robot, stand)
+    assert pa.stance.stand_statics(robot, stand) is held
     pa.steady_state(robot, stand)
     assert len(found) == 1
-    loaded = pa.stand_statics(pa.with_payload(robot, 1.0), stand)
+    loaded = pa.stance.stand_statics(pa.robot.with_payload(robot, 1.0), stand)
     assert loaded.joint_torques.tolist() != held.joint_torques.tolist()
-    peak = pa.stand_statics(robot, stand, distribution="minimum peak")
+    peak = pa.stance.stand_statics(robot, stand, distribution="minimum peak")
     assert peak.joint_torques.tolist() != held.joint_torques.tolist()
     again = pickle.loads(pickle.dumps(stand))
-    np.testing.assert_array_equal(pa.stand_statics(robot, again).joint_torques, held.joint_torques)
+    np.testing.assert_array_equal(
+        pa.stance.stand_statics(robot, again).joint_torques, held.joint_torques
+    )
     assert len(found) == 4

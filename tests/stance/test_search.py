@@ -106,7 +106,7 @@ def test_three_legs_hold_for_six_seconds(name: str) -> None:
     robot = load(name)
     for foot in robot.feet:
         task = pa.StandTask(swing={foot: 0.02}, com="inside", com_margin=0.01)
-        stand = pa.sunk_stand(robot, task)
+        stand = pa.stance.solve_stand_on_soft_ground(robot, task)
         report = pa.verify_stand(robot, stand, duration=6.0, nudged=0)
         assert report.passed is not buckles, (foot, report.failures)
         assert report.stability.lasts() is not buckles
@@ -149,7 +149,7 @@ def test_reached_but_not_held_is_told_from_not_reached() -> None:
     stand = pa.solve_stand(robot, task)
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         stand_statics(robot, stand)
-    assert caught.value.reason is pa.Infeasibility.FRICTION
+    assert caught.value.reason is pa.errors.Infeasibility.FRICTION
     assert caught.value.friction_needed == pytest.approx(math.tan(math.radians(48)), rel=1e-3)
 
 
@@ -356,7 +356,9 @@ def test_the_nearest_stance_keeps_what_is_left_of_the_com_margin() -> None:
 def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
     """The forces are vertical; their parts along the normals are W cos(slope) in all."""
     robot, slope = load("v3"), 0.3
-    stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25))
+    stand = pa.stance.solve_stand_on_soft_ground(
+        robot, pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
+    )
     pressing = sum(GroundLaw.of(robot, foot).force(depth) for foot, depth in stand.depths.items())
     weight = robot.total_mass * np.linalg.norm(robot.gravity)
     assert pressing == pytest.approx(weight * math.cos(slope), rel=1e-6)
@@ -366,7 +368,7 @@ def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
 def test_the_loads_of_a_path_on_a_slope_are_vertical() -> None:
     robot, slope = load("v3"), 0.3
     task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)
-    path = pa.stance_path(robot, [task, replace(task, height=0.125)], 4.0)
+    path = pa.stance.stance_path(robot, [task, replace(task, height=0.125)], 4.0)
     weight = robot.total_mass * np.linalg.norm(robot.gravity)
     assert path.loads[0].sum() == pytest.approx(weight, rel=1e-6)  # at rest
     normal = task.ground.normal()

@@ -299,12 +299,12 @@ def test_a_stand_knows_whose_it_is(other: str) -> None:
     """Also where the other robot has as many joints, or even the same legs."""
     stand, robot = stand_of("v3"), load(other)
     for use in (
-        pa.stand_statics,
+        pa.stance.stand_statics,
         pa.payload_limit,
         pa.verify_stand,
-        pa.sweep_gains,
+        pa.simulation.sweep_gains,
         pa.steady_state,
-        pa.minimum_stiffness,
+        pa.stance.minimum_stiffness,
         pa.push_recovery,
     ):
         with pytest.raises(pa.ConfigurationError, match=f"a stand of v3.*solve it for {other}"):
@@ -314,4 +314,4 @@ def test_a_stand_knows_whose_it_is(other: str) -> None:
 def test_the_same_robot_loaded_again_takes_its_stands() -> None:
     robot = pa.load_variant("v3")
     assert robot.fingerprint == load("v3").fingerprint
-    assert pa.stand_statics(robot, stand_of("v3")).joint_torques.shape == (12,)
+    assert pa.stance.stand_statics(robot, stand_of("v3")).joint_torques.shape == (12,)

@@ -55,11 +55,11 @@ def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
     x = base_workspace(robot).intervals["x"]
     for value, sign in ((x.low, -1), (x.high, 1)):
         inside = pa.solve_stand(robot, pa.StandTask(offset=(value, 0.0)))
-        assert pa.stand_statics(robot, inside).com_margin >= 0
+        assert pa.stance.stand_statics(robot, inside).com_margin >= 0
         beyond = pa.StandTask(offset=(value + sign * 2e-4, 0.0))
         if reached(robot, beyond):
             with pytest.raises(pa.StaticsInfeasibleError):
-                pa.stand_statics(robot, pa.solve_stand(robot, beyond))
+                pa.stance.stand_statics(robot, pa.solve_stand(robot, beyond))
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
 def test_an_end_that_is_far_enough_need_not_be_found() -> None:
     robot = pa.load_variant("original")
     start = pa.solve_stand(robot)
-    whole = pa.base_workspace(robot).intervals
+    whole = pa.stance.base_workspace(robot).intervals
     for direction, enough in (("pitch", 0.3), ("roll", 0.45), ("height", 0.02)):
         begin = float(getattr(start.task, direction))
         some = interval(robot, start, direction, enough)

@@ -26,8 +26,13 @@ TASKS = (
 
 
 def designs() -> list[pa.Robot]:
-    heavy = pa.with_payload(load("v3"), 1.0, (0.03, 0.0, 0.05))
-    return [load("v3"), pa.load_variant(pa.VariantSpec("v3", 1.1)), heavy, load("v3-long-leg")]
+    heavy = pa.robot.with_payload(load("v3"), 1.0, (0.03, 0.0, 0.05))
+    return [
+        load("v3"),
+        pa.load_variant(pa.pupper.VariantSpec("v3", 1.1)),
+        heavy,
+        load("v3-long-leg"),
+    ]
 
 
 def stands(robot: pa.Robot) -> list[list[float]]:
@@ -60,7 +65,7 @@ def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(wrappers, "_load", counted)
     monkeypatch.setattr("pupper_analysis.robot.lent._MOST_SPARE", 0)  # of each robot asked last
     for scale in np.linspace(0.9, 1.1, 8):
-        robot = pa.load_variant(pa.VariantSpec("v3", float(scale)))
+        robot = pa.load_variant(pa.pupper.VariantSpec("v3", float(scale)))
         Context(robot)
         pa.solve_stand(robot, pa.StandTask(self_clearance=0.0))
     assert len(read) == 1
@@ -93,7 +98,7 @@ def test_nobody_has_what_another_holds() -> None:
 
 
 def test_threads_have_their_own() -> None:
-    robots = [pa.load_variant(pa.VariantSpec("v3", scale)) for scale in (0.95, 1.0, 1.05)]
+    robots = [pa.load_variant(pa.pupper.VariantSpec("v3", scale)) for scale in (0.95, 1.0, 1.05)]
     expected = [stands(robot) for robot in robots]
     found: dict[int, list[list[float]]] = {}
 
@@ -125,7 +130,7 @@ def test_robots_that_are_solved_leave_no_memory_behind() -> None:
 
     def solved(count: int, at: int) -> None:
         for number in range(count):
-            robot = pa.load_variant(pa.VariantSpec("v3", 1 + 1e-4 * (at + number)))
+            robot = pa.load_variant(pa.pupper.VariantSpec("v3", 1 + 1e-4 * (at + number)))
             pa.solve_stand(robot)
             pa.solve_stand(robot, pa.StandTask(self_clearance=0.001))
         gc.collect()

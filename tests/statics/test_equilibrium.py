@@ -20,7 +20,7 @@ from tests.support.variants import NAMES, load, stand_of
 
 GRAVITY = 9.81  # [m/s^2]
 UP = np.array([0.0, 0.0, 1.0])
-DISTRIBUTIONS = tuple(pa.ForceDistribution)
+DISTRIBUTIONS = tuple(pa.statics.ForceDistribution)
 
 
 def at_stand(name: str) -> pa.Configuration:
@@ -42,7 +42,7 @@ def weight(config: pa.Configuration) -> float:
     return config.robot.total_mass * GRAVITY
 
 
-def check_newton_euler(config: pa.Configuration, result: pa.GravityCompensation) -> None:
+def check_newton_euler(config: pa.Configuration, result: pa.statics.GravityCompensation) -> None:
     """The contact forces carry the weight, and have no moment about the com."""
     total = sum(result.contact_forces.values(), np.zeros(3))
     moment = sum(
@@ -57,7 +57,9 @@ def check_newton_euler(config: pa.Configuration, result: pa.GravityCompensation)
 
 
 def check_cones(
-    result: pa.GravityCompensation, friction: float, normals: dict[str, np.ndarray] | None = None
+    result: pa.statics.GravityCompensation,
+    friction: float,
+    normals: dict[str, np.ndarray] | None = None,
 ) -> None:
     """No foot pulls or slides; and the utilisations are right."""
     for foot, force in result.contact_forces.items():
@@ -71,7 +73,9 @@ def check_cones(
             assert result.friction_utilisation[foot] == expected
 
 
-def mujoco_joint_torques(config: pa.Configuration, result: pa.GravityCompensation) -> np.ndarray:
+def mujoco_joint_torques(
+    config: pa.Configuration, result: pa.statics.GravityCompensation
+) -> np.ndarray:
     """Inverse dynamics of the MJCF at rest under the given forces on its feet: (nv,)."""
     robot = config.robot
     model = robot.description.mjcf.copy().compile()
@@ -96,7 +100,7 @@ def mujoco_joint_torques(config: pa.Configuration, result: pa.GravityCompensatio
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 @settings(max_examples=60)
 @given(config=near_stands)
-def test_balance(distribution: pa.ForceDistribution, config: pa.Configuration) -> None:
+def test_balance(distribution: pa.statics.ForceDistribution, config: pa.Configuration) -> None:
     try:
         result = pa.gravity_compensation(config, distribution=distribution)
     except pa.StaticsInfeasibleError:
@@ -117,7 +121,7 @@ def test_balance(distribution: pa.ForceDistribution, config: pa.Configuration) -
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_stands_balance(variant: str, distribution: pa.ForceDistribution) -> None:
+def test_stands_balance(variant: str, distribution: pa.statics.ForceDistribution) -> None:
     config = at_stand(variant)
     result = pa.gravity_compensation(config, distribution=distribution)
     check_newton_euler(config, result)
@@ -136,7 +140,7 @@ def test_velocity_does_not_matter() -> None:
 # ------------------------------------------------------------------------------------- the best
 
 
-def null_space(result: pa.GravityCompensation) -> np.ndarray:
+def null_space(result: pa.statics.GravityCompensation) -> np.ndarray:
     """Contact forces (3 n, m) without resultant force or moment, from the contact points."""
     columns = []
     for point in result.contact_points.values():
@@ -146,7 +150,7 @@ def null_space(result: pa.GravityCompensation) -> np.ndarray:
 
 
 def joint_torques(
-    config: pa.Configuration, result: pa.GravityCompensation, forces: np.ndarray
+    config: pa.Configuration, result: pa.statics.GravityCompensation, forces: np.ndarray
 ) -> np.ndarray:
     """The joint torques that go with contact forces (3 n,)."""
     torques = config.gravity()
@@ -175,12 +179,12 @@ def test_nothing_feasible_nearby_is_better(
 
         def cost(
             forces: np.ndarray,
-            best: pa.GravityCompensation = best,
-            distribution: pa.ForceDistribution = distribution,
+            best: pa.statics.GravityCompensation = best,
+            distribution: pa.statics.ForceDistribution = distribution,
         ) -> float:
-            if distribution is not pa.ForceDistribution.MIN_TANGENTIAL:
+            if distribution is not pa.statics.ForceDistribution.MIN_TANGENTIAL:
                 torques = joint_torques(config, best, forces)
-                if distribution is pa.ForceDistribution.MIN_TORQUE:
+                if distribution is pa.statics.ForceDistribution.MIN_TORQUE:
                     return float(torques @ torques)
                 return float(np.abs(torques / config.robot.effort_limits).max())
             return float(np.sum(forces.reshape(-1, 3)[:, :2] ** 2))
@@ -190,7 +194,7 @@ def test_nothing_feasible_nearby_is_better(
         # Of equal tangential forces, the least normal ones; but a foot that bears nothing may be
         # where more of one direction would make it pull.
         bears = forces[2::3].min() > 1e-3 * forces.max()
-        if distribution is pa.ForceDistribution.MIN_TANGENTIAL and bears:
+        if distribution is pa.statics.ForceDistribution.MIN_TANGENTIAL and bears:
             sideways = linalg.null_space(np.delete(np.eye(12), np.s_[2::3], axis=0) @ free)
             assert np.abs(forces[2::3] @ (free @ sideways)[2::3]).max() < 1e-4 * forces.max()
         for size in (1e-3, 1e-2, 1e-1, 1.0):
@@ -201,7 +205,7 @@ def test_nothing_feasible_nearby_is_better(
                 if (slide <= friction * push * (1 - 1e-5)).all():
                     least = 1e-9 * float(forces @ forces)
                     if (
-                        distribution is pa.ForceDistribution.MIN_PEAK
+                        distribution is pa.statics.ForceDistribution.MIN_PEAK
                     ):  # its peak is within 1e-7 of the least
                         least = 0.0
                     assert cost(other) >= cost(forces) * (1 - 1e-6) - least
@@ -212,7 +216,10 @@ def test_least_torque_is_less_than_even(variant: str) -> None:
         np.linalg.norm(
             pa.gravity_compensation(at_stand(variant), distribution=distribution).joint_torques
         )
-        for distribution in (pa.ForceDistribution.MIN_TORQUE, pa.ForceDistribution.MIN_TANGENTIAL)
+        for distribution in (
+            pa.statics.ForceDistribution.MIN_TORQUE,
+            pa.statics.ForceDistribution.MIN_TANGENTIAL,
+        )
     )
     if variant.startswith("v3"):
         assert best < 0.999 * even
@@ -221,7 +228,7 @@ def test_least_torque_is_less_than_even(variant: str) -> None:
 
 
 def test_more_friction_never_costs_torque() -> None:
-    config, least = at_stand("v3"), pa.ForceDistribution.MIN_TORQUE
+    config, least = at_stand("v3"), pa.statics.ForceDistribution.MIN_TORQUE
     costs = [
         np.linalg.norm(
             pa.gravity_compensation(config, friction=mu, distribution=least).joint_torques
@@ -233,7 +240,10 @@ def test_more_friction_never_costs_torque() -> None:
 
 
 def linear_programme(
-    config: pa.Configuration, result: pa.GravityCompensation, share: np.ndarray, friction: float
+    config: pa.Configuration,
+    result: pa.statics.GravityCompensation,
+    share: np.ndarray,
+    friction: float,
 ) -> float:
     """The least peak of share * |torque|, with cones of 64 sides, by scipy's simplex."""
     sides = np.linspace(0, 2 * np.pi, 64, endpoint=False)
@@ -299,13 +309,13 @@ def test_the_forces_that_last_are_the_default(variant: str) -> None:
     config = at_stand(variant)
     default, even = (
         pa.gravity_compensation(config, **arguments)
-        for arguments in ({}, {"distribution": pa.ForceDistribution.MIN_TANGENTIAL})
+        for arguments in ({}, {"distribution": pa.statics.ForceDistribution.MIN_TANGENTIAL})
     )
     np.testing.assert_array_equal(default.joint_torques, even.joint_torques)
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_a_sharing_by_its_value(distribution: pa.ForceDistribution) -> None:
+def test_a_sharing_by_its_value(distribution: pa.statics.ForceDistribution) -> None:
     config = at_stand("v3")
     one, two = (
         pa.gravity_compensation(config, distribution=s) for s in (distribution, distribution.value)
@@ -339,7 +349,9 @@ def v3_at_zero() -> pa.Configuration:
 
 
 def test_even_shares_are_those_of_the_lever_arms() -> None:
-    result = pa.gravity_compensation(v3_at_zero(), distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    result = pa.gravity_compensation(
+        v3_at_zero(), distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     load_ = 3.170 * GRAVITY
     for foot, share in (("FR", FRONT_SHARE), ("RR", 1 - FRONT_SHARE)):
         for side in (foot, foot[0] + "L"):
@@ -353,12 +365,14 @@ def test_even_forces_are_vertical_on_level_steps(name: str) -> None:
     robot = load(name)
     ground = pa.Ground(heights={"FR": 0.02, "RL": 0.01})
     stand = pa.solve_stand(robot, pa.StandTask(ground=ground, com=(0.02, -0.015)))
-    result = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    result = pa.stance.stand_statics(
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     scale = float(np.linalg.norm(weight(at_stand(name))))
     for force in result.contact_forces.values():
         np.testing.assert_allclose(force[:2], 0, atol=1e-6 * scale)
-    best = pa.stand_statics(
-        robot, stand, distribution=pa.ForceDistribution.MIN_TORQUE
+    best = pa.stance.stand_statics(
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TORQUE
     ).contact_forces
     assert max(np.linalg.norm(force[:2]) for force in best.values()) > 5e-3 * scale
 
@@ -369,7 +383,9 @@ def test_even_forces_make_all_feet_creep_as_one_body(name: str) -> None:
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.01})
     task = pa.StandTask(ground=ground, com="inside", offset=None, com_margin=0.02)
     stand = pa.solve_stand(robot, task)
-    result = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    result = pa.stance.stand_statics(
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     assert max(result.friction_utilisation.values()) < 0.9
     normal = ground.normal()
     along = np.linalg.qr(np.column_stack([normal, np.eye(3)[:, :2]]))[0][:, 1:]  # (3, 2)
@@ -420,7 +436,9 @@ def test_three_feet_share_by_the_triangles_coordinates() -> None:
 
 def test_stand_shares_the_weight_in_quarters(variant: str) -> None:
     config = at_stand(variant)
-    result = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    result = pa.gravity_compensation(
+        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     for force in result.contact_forces.values():
         np.testing.assert_allclose(force, weight(config) / 4 * UP, atol=1e-7)
 
@@ -428,7 +446,9 @@ def test_stand_shares_the_weight_in_quarters(variant: str) -> None:
 def test_knee_torque_by_hand() -> None:
     """Standing, the skeleton's knee holds the foot's force less calf and foot, at their arms."""
     config = at_stand("original")
-    result = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    result = pa.gravity_compensation(
+        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     for leg in ("FL", "FR", "RL", "RR"):
         knee = config.frame_position(f"{leg}_calf")
         foot = config.frame_position(f"{leg}_foot")
@@ -497,7 +517,7 @@ def test_a_slope_needs_the_tangent_of_its_angle(angle: float, heading: float) ->
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(config, friction=0.9 * math.tan(angle), normals=normals)
     error = caught.value
-    assert error.reason is pa.Infeasibility.FRICTION
+    assert error.reason is pa.errors.Infeasibility.FRICTION
     assert error.friction_needed == pytest.approx(math.tan(angle), rel=1e-4)
     assert error.margin > 0
     assert error.feet == config.robot.feet
@@ -548,7 +568,7 @@ def test_two_feet_do_not_carry_a_com_beside_their_line() -> None:
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR"])
     error = caught.value
-    assert error.reason is pa.Infeasibility.COM_OUTSIDE
+    assert error.reason is pa.errors.Infeasibility.COM_OUTSIDE
     one, two = np.array([0.06881, -0.1015]), np.array([-0.08119, -0.0905])
     along = (two - one) / np.linalg.norm(two - one)
     arm = np.array([-0.00272409, 0]) - one
@@ -578,7 +598,7 @@ def test_a_com_out_of_the_stance_is_refused() -> None:
     qpos[8::3] = 1.2
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(pa.Configuration(robot, qpos))
-    assert caught.value.reason is pa.Infeasibility.COM_OUTSIDE
+    assert caught.value.reason is pa.errors.Infeasibility.COM_OUTSIDE
     feet = pa.Configuration(robot, qpos).foot_positions()
     ahead = pa.Configuration(robot, qpos).center_of_mass()[0] - feet["FL"][0]
     assert caught.value.margin == pytest.approx(-ahead, abs=1e-9)
@@ -642,7 +662,7 @@ def test_no_balance_is_missed(
     }
     com = config.center_of_mass()
     assert not forces_exist(points, com, 0.999 * friction, normals)
-    if refusal.reason is pa.Infeasibility.FRICTION:
+    if refusal.reason is pa.errors.Infeasibility.FRICTION:
         assert refusal.friction_needed is not None
         assert refusal.friction_needed > 0.999 * friction
         needed = refusal.friction_needed
@@ -674,7 +694,7 @@ def test_feet_on_a_ceiling_would_have_to_pull() -> None:
     normals = dict.fromkeys(config.robot.feet, -UP)
     with pytest.raises(pa.StaticsInfeasibleError, match="pull") as caught:
         pa.gravity_compensation(config, normals=normals)
-    assert caught.value.reason is pa.Infeasibility.PULL
+    assert caught.value.reason is pa.errors.Infeasibility.PULL
     assert set(caught.value.feet) == set(config.robot.feet)
     assert caught.value.friction_needed is None
 
@@ -684,7 +704,7 @@ def test_feet_on_one_wall_would_have_to_pull() -> None:
     normals = dict.fromkeys(config.robot.feet, np.array([1.0, 0, 0]))
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(config, normals=normals)
-    assert caught.value.reason is pa.Infeasibility.PULL
+    assert caught.value.reason is pa.errors.Infeasibility.PULL
 
 
 # ------------------------------------------------------------------------------------- margins

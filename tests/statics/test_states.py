@@ -22,9 +22,9 @@ def around(name: str, count: int, size: float = 0.05) -> np.ndarray:
     return states
 
 
-def assert_same(robot: pa.Robot, states: np.ndarray, **how: Any) -> pa.GravityCompensations:
+def assert_same(robot: pa.Robot, states: np.ndarray, **how: Any) -> pa.statics.GravityCompensations:
     """Checks every number of every state against the single call."""
-    found = pa.gravity_compensations(robot, states, **how)
+    found = pa.statics.gravity_compensations(robot, states, **how)
     for state, qpos in enumerate(states):
         one = pa.gravity_compensation(pa.Configuration(robot, qpos), **how)
         assert found.joint_names == one.joint_names
@@ -64,7 +64,7 @@ def test_every_state_is_the_single_calls(name: str) -> None:
     "how",
     [
         {"distribution": "minimum torque"},
-        {"distribution": pa.ForceDistribution.MIN_PEAK},
+        {"distribution": pa.statics.ForceDistribution.MIN_PEAK},
         {"friction": 0.05},  # binds: the cones decide, state by state
         {"normals": {"FL": (0.05, -0.02, 1.0), "RR": (0.05, -0.02, 1.0)}},
         {"depths": {"FL": 2e-3, "RR": 1e-3}},
@@ -102,7 +102,7 @@ def tipped(count: int) -> np.ndarray:
 def test_a_state_that_cannot_be_held_is_named() -> None:
     robot, states = load("v3"), tipped(4)
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
-        pa.gravity_compensations(robot, states)
+        pa.statics.gravity_compensations(robot, states)
     assert caught.value.where == "qpos[1]"
     with pytest.raises(pa.StaticsInfeasibleError) as alone:
         pa.gravity_compensation(pa.Configuration(robot, states[1]))
@@ -112,7 +112,7 @@ def test_a_state_that_cannot_be_held_is_named() -> None:
 
 def test_states_that_cannot_be_held_can_be_left_out() -> None:
     robot, states = load("v3"), tipped(6)
-    found = pa.gravity_compensations(robot, states, keep_going=True)
+    found = pa.statics.gravity_compensations(robot, states, keep_going=True)
     assert sorted(found.infeasible) == [1, 3, 5]
     for state, why in found.infeasible.items():
         with pytest.raises(pa.StaticsInfeasibleError) as caught:
@@ -128,16 +128,16 @@ def test_states_that_cannot_be_held_can_be_left_out() -> None:
 def test_states_that_are_none_are_refused() -> None:
     robot = load("v3")
     with pytest.raises(pa.ConfigurationError, match=r"qpos: its shape must be \(k, 19\)"):
-        pa.gravity_compensations(robot, stand_of("v3").qpos)
+        pa.statics.gravity_compensations(robot, stand_of("v3").qpos)
     states = around("v3", 3)
     states[2, 5] = np.nan
     with pytest.raises(pa.ConfigurationError, match=r"qpos\[2\]: qpos: element 5 is nan"):
-        pa.gravity_compensations(robot, states)
+        pa.statics.gravity_compensations(robot, states)
     with pytest.raises(pa.UnknownNameError, match="no foot 'XX'"):
-        pa.gravity_compensations(robot, states[:2], ["XX"])
+        pa.statics.gravity_compensations(robot, states[:2], ["XX"])
     with pytest.raises(pa.ConfigurationError, match="'even' is none of"):
-        pa.gravity_compensations(robot, states[:2], distribution="even")
-    assert pa.gravity_compensations(robot, np.zeros((0, 19))).joint_torques.shape == (0, 12)
+        pa.statics.gravity_compensations(robot, states[:2], distribution="even")
+    assert pa.statics.gravity_compensations(robot, np.zeros((0, 19))).joint_torques.shape == (0, 12)
 
 
 def test_legs_in_singular_positions_are_solved_one_by_one() -> None:

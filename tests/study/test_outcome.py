@@ -175,7 +175,9 @@ def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
         step = 1e-5 if name.startswith("com") else 1e-4  # m; of a factor, a tenth of a per mille
         more, less = (maker.design({**NUMBERS, name: value + way}) for way in (step, -step))
         if name in torques:
-            held = [pa.stand_statics(one.robot, one.stand).joint_torques for one in (more, less)]
+            held = [
+                pa.stance.stand_statics(one.robot, one.stand).joint_torques for one in (more, less)
+            ]
             difference = (held[0] - held[1]) / (2 * step)
             assert torques[name] == pytest.approx(difference, abs=1e-8)
             assert np.abs(difference).max() > 1e-2
@@ -188,15 +190,15 @@ def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
 def test_derivatives_that_are_not_there_are_refused() -> None:
     with pytest.raises(pa.ConfigurationError, match="'leg_scale' has no derivative of torques"):
         linear_shares(
-            pa.Study("v3", {"leg_scale": pa.normal(1, 0.01)}, ["torque"], samples=4),
+            pa.Study("v3", {"leg_scale": pa.study.normal(1, 0.01)}, ["torque"], samples=4),
             ["torque.leg_front_l_3"],
         )
-    study = pa.Study("v3", {"mass:*_3": pa.normal(1, 0.01)}, ["torque"], samples=4)
+    study = pa.Study("v3", {"mass:*_3": pa.study.normal(1, 0.01)}, ["torque"], samples=4)
     with pytest.raises(pa.ConfigurationError, match="'com_margin' is none of base_height"):
         linear_shares(study, ["com_margin"])
     sloped = pa.Study(
         "v3",
-        {"mass:*_3": pa.normal(1, 0.01)},
+        {"mass:*_3": pa.study.normal(1, 0.01)},
         ["torque"],
         samples=4,
         stand=pa.StandTask(ground=pa.Ground(slope=0.1)),
@@ -210,7 +212,7 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
 
 def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
     """Of a product of independent factors, in closed form; together they make a share of it."""
-    vary = {"kp": pa.uniform(2.0, 8.0), "kd": pa.uniform(0.1, 0.9)}
+    vary = {"kp": pa.study.uniform(2.0, 8.0), "kd": pa.study.uniform(0.1, 0.9)}
     study = pa.Study("v3", vary, [study_measures.product_of_gains], samples=4)
     (found,) = sobol_indices(
         study, tmp_path, ["product_of_gains"], samples=256, executor=thread
@@ -232,10 +234,10 @@ def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) ->
 def test_for_small_spreads_derivatives_say_the_same(tmp_path: Path, thread: Executor) -> None:
     """Within 5 % of the variance, and the deviation of the samples within 5 %."""
     vary = {
-        "mass:base_link": pa.normal(1.0, 0.02),
-        "mass:leg_*_2": pa.normal(1.0, 0.03),
-        "mass:leg_front_l_3": pa.normal(1.0, 0.05),
-        "kp": pa.normal(5.0, 0.1),
+        "mass:base_link": pa.study.normal(1.0, 0.02),
+        "mass:leg_*_2": pa.study.normal(1.0, 0.03),
+        "mass:leg_front_l_3": pa.study.normal(1.0, 0.05),
+        "kp": pa.study.normal(5.0, 0.1),
     }
     study = pa.Study("v3", vary, ["servo_sag", "base_height", "torque"], samples=4)
     measures = ["servo_sag", "base_height", "torque.leg_front_l_2", "torque.leg_back_r_3"]
@@ -254,7 +256,7 @@ def test_for_small_spreads_derivatives_say_the_same(tmp_path: Path, thread: Exec
 
 
 def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:
-    study = pa.Study("v3", {"height": pa.uniform(0.1, 0.4)}, ["peak_torque"], samples=4)
+    study = pa.Study("v3", {"height": pa.study.uniform(0.1, 0.4)}, ["peak_torque"], samples=4)
     with pytest.raises(pa.ConfigurationError, match=r"designs have no peak_torque \(unreachable\)"):
         sobol_indices(study, tmp_path, ["peak_torque"], samples=4, executor=thread)
     with pytest.raises(pa.ConfigurationError, match="no power of 2"):
@@ -291,16 +293,16 @@ def test_certainty_counts_what_fails() -> None:
 
 def test_spreads_are_narrowed_about_their_means() -> None:
     vary = {
-        "kp": pa.normal(5, 0.5),
-        "payload": pa.uniform(0.2, 0.6),
-        "kd": pa.log_uniform(0.1, 10),
+        "kp": pa.study.normal(5, 0.5),
+        "payload": pa.study.uniform(0.2, 0.6),
+        "kd": pa.study.log_uniform(0.1, 10),
         "slope": [0.0, 0.1],
     }
     study = narrowed(pa.Study("v3", vary, ["sag"], samples=4), 0.5)
-    assert study.variables["kp"] == pa.normal(5, 0.25)
+    assert study.variables["kp"] == pa.study.normal(5, 0.25)
     assert study.variables["payload"].range == pytest.approx((0.3, 0.5))
     assert study.variables["kd"].range == pytest.approx((math.sqrt(0.1), math.sqrt(10)))
-    assert study.variables["slope"] == pa.values([0.0, 0.1])
+    assert study.variables["slope"] == pa.study.values([0.0, 0.1])
 
 
 @pytest.mark.longest
@@ -310,9 +312,9 @@ def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor
     With a mean m and a share p the deviation s must satisfy m - z_p s = k.
     """
     robot = pa.load_variant("v3")
-    least = float(pa.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation.max())
+    least = float(pa.stance.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation.max())
     mean, wide = 1.3 * least, 0.5 * least
-    vary = {"effort:*": pa.normal(mean, wide), "kp": [500.0]}
+    vary = {"effort:*": pa.study.normal(mean, wide), "kp": [500.0]}
     base = pa.Study("v3", vary, ["stands", "utilisation"], samples=64)
     found = tightest_tolerance(base, tmp_path, wanted=0.9, resolution=0.05, executor=thread)
     spread = (mean - least) / stats.norm.ppf(0.9)
@@ -327,11 +329,11 @@ def test_the_tightest_tolerance_is_the_quantile(tmp_path: Path, thread: Executor
 def test_randomisation_as_yaml(tmp_path: Path) -> None:
     yaml = pytest.importorskip("yaml")
     vary = {
-        "mass:leg_*_3": pa.normal(1.0, 0.05),
-        "effort:each": pa.uniform(0.9, 1.1),
-        "kp": pa.uniform(4, 6),
+        "mass:leg_*_3": pa.study.normal(1.0, 0.05),
+        "effort:each": pa.study.uniform(0.9, 1.1),
+        "kp": pa.study.uniform(4, 6),
         "leg_scale": [0.9, 1.1],
-        "payload": pa.linspace(0, 1, 3),
+        "payload": pa.study.linspace(0, 1, 3),
     }
     study = pa.Study("v3", vary, ["sag"], samples=4)
     write_randomisation(study.spreads, tmp_path / "random.yaml")
@@ -449,7 +451,7 @@ def test_randomisation_as_terms_of_isaac_lab(tmp_path: Path) -> None:
 @pytest.mark.longest
 def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -> None:
     """Legs of a length between bounds: uniform about 1, kept to where it is within +-0.1."""
-    study = pa.Study("v3", {"leg_scale": pa.uniform(0.95, 1.05)}, ["base_height"], samples=32)
+    study = pa.Study("v3", {"leg_scale": pa.study.uniform(0.95, 1.05)}, ["base_height"], samples=32)
     table = study.run(tmp_path, executor=thread)
     middle = float(table["base_height"].median())
     asked = {"base_height": (0.9 * middle, 1.1 * middle)}
@@ -470,13 +472,13 @@ def test_tolerances_for_criteria_of_ones_own(tmp_path: Path, thread: Executor) -
 def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor) -> None:
     """Masses enter the mass; of motors' strengths only that of the one that is used most."""
     robot = pa.load_variant("v3")
-    used = pa.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation
+    used = pa.stance.stand_statics(robot, pa.solve_stand(robot)).motor_utilisation
     most = robot.joint_names[int(np.argmax(used))]
     leg = most.rpartition("_")[0]
     vary = {
-        "mass:each:leg_front_?_3": pa.uniform(0.9, 1.1),
-        "armature:*": pa.uniform(0.9, 1.1),
-        f"effort:each:{leg}_*": pa.uniform(0.999, 1.001),
+        "mass:each:leg_front_?_3": pa.study.uniform(0.9, 1.1),
+        "armature:*": pa.study.uniform(0.9, 1.1),
+        f"effort:each:{leg}_*": pa.study.uniform(0.999, 1.001),
         "kp": [6.0],
     }
     study = pa.Study("v3", vary, ["total_mass", "peak_utilisation"], samples=16)
@@ -495,7 +497,7 @@ def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor
 
 
 def searched() -> pa.Study:
-    vary = {"leg_scale": pa.uniform(0.8, 1.8), "kp": [5.0, 10.0, 20.0]}
+    vary = {"leg_scale": pa.study.uniform(0.8, 1.8), "kp": [5.0, 10.0, 20.0]}
     return pa.Study("v3", vary, ["servo_sag", "stands", study_measures.knee_bend], samples=1)
 
 
@@ -504,7 +506,9 @@ def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> N
     """The longest legs that sag by 8 mm at most, with the stiffest servos: from a fine grid."""
     options = {"maximise": ["leg_scale"], "subject_to": {"servo_sag": (None, 8e-3)}, "trials": 48}
     found = searched().optimise(tmp_path / "search", executor=thread, **options)
-    grid = pa.Study("v3", {"leg_scale": pa.linspace(0.8, 1.8, 41), "kp": [20.0]}, ["servo_sag"])
+    grid = pa.Study(
+        "v3", {"leg_scale": pa.study.linspace(0.8, 1.8, 41), "kp": [20.0]}, ["servo_sag"]
+    )
     table = grid.run(tmp_path / "grid", executor=thread)
     best = float(table[table["servo_sag"] <= 8e-3]["leg_scale"].max())
     assert len(found.best) == 1
@@ -544,7 +548,7 @@ def test_searches_that_make_no_sense_are_refused(tmp_path: Path, thread: Executo
     ):
         with pytest.raises(pa.ConfigurationError, match=message):
             study.optimise(tmp_path, **options)
-    normal = pa.Study("v3", {"kp": pa.normal(5, 1)}, ["servo_sag"], samples=1)
+    normal = pa.Study("v3", {"kp": pa.study.normal(5, 1)}, ["servo_sag"], samples=1)
     with pytest.raises(pa.ConfigurationError, match="no ends to search between"):
         normal.optimise(tmp_path, minimise=["servo_sag"])
     with pytest.raises(pa.ConfigurationError, match="none of 4 designs keeps to them"):

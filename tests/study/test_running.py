@@ -60,11 +60,11 @@ def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert list(undisturbed.columns[-4:]) == ["failure", "failed_measure", "reason", "diagnostic"]
     row = undisturbed.iloc[7]  # of the product: the last variable changes first
     assert tuple(row[["leg_scale", "slope", "kp"]]) == (1.3, 0.0, 5.0)
-    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.3))
+    robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=1.3))
     stand = pa.solve_stand(robot)
     rest = pa.steady_state(robot, stand, kp=5.0)
     assert row["servo_sag"] == pytest.approx(rest.servo_sag, rel=1e-9)
-    statics = pa.stand_statics(robot, stand)
+    statics = pa.stance.stand_statics(robot, stand)
     assert row["peak_utilisation"] == pytest.approx(statics.motor_utilisation.max(), rel=1e-9)
 
 
@@ -105,12 +105,12 @@ def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
 
 
 def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Stand]:
-    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=legs, torso_mass_scale=torso))
+    robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=legs, torso_mass_scale=torso))
     return robot, pa.solve_stand(robot, pa.StandTask(height=height))
 
 
 def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
-    vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.normal(1.0, 1e-3)}
+    vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.study.normal(1.0, 1e-3)}
     table = study(vary, "peak_utilisation", study_measures.fails, samples=32).run(
         tmp_path, executor=threads
     )
@@ -228,14 +228,14 @@ def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executo
 
 
 def test_more_samples_are_added_to_fewer(tmp_path: Path, threads: Executor) -> None:
-    vary = {"kp": pa.uniform(5, 20)}
+    vary = {"kp": pa.study.uniform(5, 20)}
     study(vary, "servo_sag", samples=4).execute(tmp_path, executor=threads)
     assert study(vary, "servo_sag", samples=6).execute(tmp_path, executor=threads).done == 2
 
 
 def test_what_comes_twice_is_done_once(tmp_path: Path, threads: Executor) -> None:
     """Of 16 samples of 2 x 1 lists and a constant distribution's ends only the lists differ."""
-    vary = {"kp": [5.0, 6.0], "payload": pa.uniform(0, 1e-300)}
+    vary = {"kp": [5.0, 6.0], "payload": pa.study.uniform(0, 1e-300)}
     done = study(vary, "total_mass", samples=16)
     table = done.run(tmp_path, executor=threads)
     assert len(table) == table["design"].nunique()
@@ -357,7 +357,7 @@ from pupper_analysis.study import running
 running.SHARD_SECONDS = 0.2
 
 if __name__ == "__main__":
-    vary = {{"torso_mass_scale": pa.linspace(1.0, 2.0, 24)}}
+    vary = {{"torso_mass_scale": pa.study.linspace(1.0, 2.0, 24)}}
     study = pa.Study("v3", vary, [study_measures.slow, "servo_sag"])
     print("begins", flush=True)
     study.execute(sys.argv[1], workers=2)
@@ -366,7 +366,7 @@ if __name__ == "__main__":
 
 
 def slow_study() -> pa.Study:
-    vary = {"torso_mass_scale": pa.linspace(1.0, 2.0, 24)}
+    vary = {"torso_mass_scale": pa.study.linspace(1.0, 2.0, 24)}
     return study(vary, study_measures.slow, "servo_sag")
 
 

@@ -46,16 +46,16 @@ def study(vary: Mapping[str, Any], *measures: Any, robot: Any = "v3", **options:
 
 
 def test_a_grid_has_both_ends_and_even_steps() -> None:
-    assert pa.linspace(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
+    assert pa.study.linspace(0.8, 1.6, 5).levels == pytest.approx((0.8, 1.0, 1.2, 1.4, 1.6))
 
 
 @pytest.mark.parametrize(
     ("given", "known"),
     [
-        (pa.uniform(0.8, 2.0), stats.uniform(0.8, 1.2)),
-        (pa.normal(1.0, 0.05), stats.norm(1.0, 0.05)),
-        (pa.log_uniform(0.1, 10.0), stats.loguniform(0.1, 10.0)),
-        (pa.values([3.0, 5.0]), stats.randint(0, 2)),
+        (pa.study.uniform(0.8, 2.0), stats.uniform(0.8, 1.2)),
+        (pa.study.normal(1.0, 0.05), stats.norm(1.0, 0.05)),
+        (pa.study.log_uniform(0.1, 10.0), stats.loguniform(0.1, 10.0)),
+        (pa.study.values([3.0, 5.0]), stats.randint(0, 2)),
     ],
     ids=["uniform", "normal", "log_uniform", "values"],
 )
@@ -68,22 +68,22 @@ def test_quantiles_are_those_of_the_distribution(given: Any, known: Any) -> None
 
 
 def test_no_share_is_infinitely_far() -> None:
-    assert np.isfinite(pa.normal(0.0, 1.0).at(np.array([0.0, 1.0]))).all()
+    assert np.isfinite(pa.study.normal(0.0, 1.0).at(np.array([0.0, 1.0]))).all()
 
 
 @pytest.mark.parametrize(
     ("make", "arguments", "message"),
     [
-        (pa.linspace, (1.6, 0.8, 5), "from 1.6 to 0.8 is empty"),
-        (pa.linspace, (0.8, 1.6, 1), "1 values"),
-        (pa.linspace, (0.8, 1.6, 2.5), "not a whole number|is not a whole"),
-        (pa.values, ([],), "0 of them"),
-        (pa.values, ([1, 2, 1],), "twice"),
-        (pa.values, ("12",), "not a sequence"),
-        (pa.uniform, (1, 1), "is empty"),
-        (pa.uniform, (0, math.inf), "not finite"),
-        (pa.log_uniform, (0, 1), "not above 0"),
-        (pa.normal, (1, 0), "not above 0"),
+        (pa.study.linspace, (1.6, 0.8, 5), "from 1.6 to 0.8 is empty"),
+        (pa.study.linspace, (0.8, 1.6, 1), "1 values"),
+        (pa.study.linspace, (0.8, 1.6, 2.5), "not a whole number|is not a whole"),
+        (pa.study.values, ([],), "0 of them"),
+        (pa.study.values, ([1, 2, 1],), "twice"),
+        (pa.study.values, ("12",), "not a sequence"),
+        (pa.study.uniform, (1, 1), "is empty"),
+        (pa.study.uniform, (0, math.inf), "not finite"),
+        (pa.study.log_uniform, (0, 1), "not above 0"),
+        (pa.study.normal, (1, 0), "not above 0"),
     ],
 )
 def test_what_is_no_variable_is_refused(make: Any, arguments: Any, message: str) -> None:
@@ -92,10 +92,15 @@ def test_what_is_no_variable_is_refused(make: Any, arguments: Any, message: str)
 
 
 def test_plain_data_says_the_same() -> None:
-    for made in (pa.linspace(1, 2, 3), pa.values([1, 2]), pa.uniform(1, 2), pa.normal(1, 2)):
+    for made in (
+        pa.study.linspace(1, 2, 3),
+        pa.study.values([1, 2]),
+        pa.study.uniform(1, 2),
+        pa.study.normal(1, 2),
+    ):
         assert variable("x", made.asked()) == made
-    assert variable("x", [5, 10]) == pa.values([5, 10])
-    assert variable("x", 7) == pa.values([7])
+    assert variable("x", [5, 10]) == pa.study.values([5, 10])
+    assert variable("x", 7) == pa.study.values([7])
     with pytest.raises(pa.ConfigurationError) as refused:  # three values, or a range and a count?
         variable("x", {"grid": [0.8, 1.4, 3]})
     for meant in ("{values = [0.8, 1.4, 3]}", "{linspace = [0.8, 1.4, 3]}"):
@@ -121,14 +126,18 @@ def all_of(sampling: Sampling) -> np.ndarray:
 
 
 def test_lists_give_their_product_the_last_changing_first() -> None:
-    sampling = Sampling({"a": pa.values([1, 2]), "b": pa.values([5, 6, 7])}, None, 0)
+    sampling = Sampling({"a": pa.study.values([1, 2]), "b": pa.study.values([5, 6, 7])}, None, 0)
     assert all_of(sampling).tolist() == [[1, 5], [1, 6], [1, 7], [2, 5], [2, 6], [2, 7]]
     assert len(sampling) == 6
     assert all_of(Sampling({}, None, 0)).shape == (1, 0)  # of nothing: the robot as it is
 
 
 def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
-    variables = {"a": pa.uniform(0, 1), "b": pa.normal(0, 1), "c": pa.values([1, 2])}
+    variables = {
+        "a": pa.study.uniform(0, 1),
+        "b": pa.study.normal(0, 1),
+        "c": pa.study.values([1, 2]),
+    }
     short, long = (all_of(Sampling(variables, n, 3)) for n in (100, BLOCK + 500))
     assert len(long) == BLOCK + 500
     assert np.array_equal(long[:100], short)
@@ -137,7 +146,7 @@ def test_a_longer_sequence_begins_with_the_shorter_one() -> None:
 
 def test_a_sequence_is_more_even_than_chance() -> None:
     """The mean of a uniform variable over n of Sobol's points errs by 1/n, not by 1/sqrt(n)."""
-    points = all_of(Sampling({"a": pa.uniform(0, 1), "b": pa.uniform(0, 1)}, 1024, 1))
+    points = all_of(Sampling({"a": pa.study.uniform(0, 1), "b": pa.study.uniform(0, 1)}, 1024, 1))
     assert np.abs(points.mean(axis=0) - 0.5).max() < 2e-3
     assert abs((points[:, 0] * points[:, 1]).mean() - 0.25) < 4e-3
     assert np.unique(points[:, 0]).size == 1024
@@ -145,7 +154,7 @@ def test_a_sequence_is_more_even_than_chance() -> None:
 
 def test_samples_go_with_distributions() -> None:
     with pytest.raises(pa.ConfigurationError, match="payload is a distribution"):
-        study({"payload": pa.uniform(0, 1)})
+        study({"payload": pa.study.uniform(0, 1)})
     with pytest.raises(pa.ConfigurationError, match="6 designs"):
         study({"payload": [0, 1], "kp": [5, 10, 20]}, samples=10)
 
@@ -169,9 +178,9 @@ def test_a_designs_hash_is_of_its_numbers_by_name() -> None:
         ({"leg": [1]}, "no such number; there are leg_scale, torso_mass_scale, height"),
         ({"weight:leg": [1]}, "'weight' is no parameter of a model; there are mass:NAME"),
         ({"kp": [0, 5]}, "from 0 to 5: it must be > 0"),
-        ({"leg_scale": pa.linspace(-1, 1, 3)}, "from -1 to 1: it must be > 0"),
+        ({"leg_scale": pa.study.linspace(-1, 1, 3)}, "from -1 to 1: it must be > 0"),
         ({"slope": [2.0]}, "<= 1.569"),
-        ({"payload": pa.uniform(-1, 1)}, ">= 0"),
+        ({"payload": pa.study.uniform(-1, 1)}, ">= 0"),
         ({"mass:*": [0.0]}, "must be > 0"),
     ],
 )
@@ -271,8 +280,8 @@ def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
     made = pa.Study(
         "v3",
         {
-            "leg_scale": pa.linspace(0.8, 1.6, 3),
-            "mass:leg_*_3": pa.normal(1.0, 0.05),
+            "leg_scale": pa.study.linspace(0.8, 1.6, 3),
+            "mass:leg_*_3": pa.study.normal(1.0, 0.05),
             "kp": [5, 10],
         },
         ["servo_sag", study_measures.knee_bend],
@@ -421,7 +430,10 @@ def test_offsets_of_coms_are_numbers_of_a_study() -> None:
 
 def test_each_has_a_factor_of_its_own() -> None:
     """One line is twelve variables, each of one link: the masses of both models are theirs."""
-    vary = {"mass:each:leg_*_[12]": pa.uniform(0.5, 2.0), "effort:each": pa.uniform(0.5, 2.0)}
+    vary = {
+        "mass:each:leg_*_[12]": pa.study.uniform(0.5, 2.0),
+        "effort:each": pa.study.uniform(0.5, 2.0),
+    }
     asked = pa.Study("v3", vary, ["total_mass", "torque"], samples=2)
     assert len(asked.variables) == 8 + 12
     assert asked.spreads == {name: one.asked() for name, one in vary.items()}
@@ -471,7 +483,7 @@ def test_gains_and_friction_are_what_the_predictions_read() -> None:
     assert {one.sliding_friction for one in slippery.contacts.values()} == {0.3}
     steep = pa.solve_stand(slippery, pa.StandTask(ground=pa.Ground(slope=0.4)))
     with pytest.raises(pa.StaticsInfeasibleError, match="friction too low"):
-        pa.stand_statics(slippery, steep)
+        pa.stance.stand_statics(slippery, steep)
 
 
 def test_what_is_only_looked_at_makes_no_difference() -> None:
@@ -492,11 +504,13 @@ def test_a_design_is_the_robot_that_its_numbers_say() -> None:
     numbers = {"leg_scale": 1.2, "torso_mass_scale": 1.5, "payload": 0.7, "kp": 9.0, "pitch": 0.1,
                "slope": 0.05}  # fmt: skip
     design = maker.design(numbers)
-    robot = pa.with_payload(pa.load_variant(pa.VariantSpec("v3", 1.2, 1.5)), 0.7, (0.02, 0.0, 0.1))
+    robot = pa.robot.with_payload(
+        pa.load_variant(pa.pupper.VariantSpec("v3", 1.2, 1.5)), 0.7, (0.02, 0.0, 0.1)
+    )
     task = pa.StandTask(roll=0.05, pitch=0.1, ground=pa.Ground(slope=0.05))
     stand = pa.solve_stand(robot, task)
     assert design.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
-    torques = pa.stand_statics(robot, stand).joint_torques
+    torques = pa.stance.stand_statics(robot, stand).joint_torques
     assert MEASURES["peak_torque"].function(design) == pytest.approx(np.abs(torques).max())
     rest = pa.steady_state(robot, stand, kp=9.0)
     assert MEASURES["servo_sag"].function(design) == pytest.approx(rest.servo_sag, rel=1e-9)
@@ -507,8 +521,8 @@ def test_measures_are_what_their_names_say() -> None:
     """Each against the call that a user would make."""
     robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1))
     design = Maker(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design({"pitch": 0.1})
-    statics, rest = pa.stand_statics(robot, stand), pa.steady_state(robot, stand)
-    best = pa.stand_statics(robot, stand, distribution=pa.ForceDistribution.MIN_PEAK)
+    statics, rest = pa.stance.stand_statics(robot, stand), pa.steady_state(robot, stand)
+    best = pa.stance.stand_statics(robot, stand, distribution=pa.statics.ForceDistribution.MIN_PEAK)
     expected = {
         "total_mass": robot.total_mass,
         "peak_utilisation": statics.motor_utilisation.max(),
@@ -547,10 +561,10 @@ def test_the_com_with_its_payload_is_over_the_feet() -> None:
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
     design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})
-    reach = pa.base_workspace(robot).intervals
+    reach = pa.stance.base_workspace(robot).intervals
     expected = {
         "payload_limit": pa.payload_limit(robot, stand).mass,
-        "minimum_stiffness": pa.minimum_stiffness(robot, stand),
+        "minimum_stiffness": pa.stance.minimum_stiffness(robot, stand),
         "height_range": reach["height"].high - reach["height"].low,
         "pitch_range": reach["pitch"].high - reach["pitch"].low,
         "roll_range": reach["roll"].high - reach["roll"].low,

@@ -17,8 +17,8 @@ from lxml import etree
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.robot.servos import lead, own_servos, servos
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.stance.sunk import held_stand
 from tests.robots.test_wheels import wheeled
 from tests.support import legged, random_legged
 from tests.support.legged import Pair
@@ -54,7 +54,7 @@ def hexapod(folder: Path) -> Pair:
 
 
 def pupper(name: str) -> Callable[[Path], Pair]:
-    return lambda folder: Pair(*pa.write_variant(name, folder))
+    return lambda folder: Pair(*pa.pupper.write_variant(name, folder))
 
 
 def published(name: str) -> Callable[[Path], Pair]:
@@ -192,7 +192,7 @@ def _with_servos(root: etree._Element, robot: pa.Robot) -> None:
 @quiet()
 def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
     """Returns a keyframe in which it stands, with the commands that keep it there."""
-    stand = held_stand(robot, pa.solve_stand(robot))
+    stand = solve_stand_as_simulated(robot, pa.solve_stand(robot))
     held = servos(robot)
     ahead = lead(stand_statics(robot, stand).joint_torques, held.kp)
     model = mujoco.MjModel.from_xml_string(etree.tostring(root).decode())

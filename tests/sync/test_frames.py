@@ -43,7 +43,7 @@ CHANGES = [
 
 def agree(files: Files) -> bool:
     compared = pa.compare_models(
-        files.urdf, files.mjcf, tolerances=pa.Tolerances.strict(), configurations=2
+        files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
     )
     return compared.agree and max(compared.deviations.values()) < 1e-9
 

@@ -58,7 +58,7 @@ def written(name: str, folder: Path) -> Pair:
             if "fixed" not in file.name:
                 shutil.copy(file, folder / "mjcf")
         return Pair(folder / "urdf" / f"{base}.urdf", folder / "mjcf" / f"{base}.xml")
-    return Pair(*pa.write_variant(name, folder))
+    return Pair(*pa.pupper.write_variant(name, folder))
 
 
 @pytest.fixture(scope="session")

@@ -38,17 +38,17 @@ def pair(folder: Path, mjcf: Parts = ROBOT, urdf: Parts = ROBOT) -> Files:
     return write_parts(folder, urdf, mjcf)
 
 
-def sync(files: Files, take: Any = (), **options: Any) -> pa.Sync:
+def sync(files: Files, take: Any = (), **options: Any) -> pa.sync.Sync:
     return pa.sync_models(files.urdf, files.mjcf, take=take, **options)
 
 
-def edits(result: pa.Sync) -> list[tuple[str, str, str | None, str]]:
+def edits(result: pa.sync.Sync) -> list[tuple[str, str, str | None, str]]:
     return [(edit.element, edit.attribute, edit.old, edit.new) for edit in result.edits]
 
 
 def agree(files: Files) -> bool:
     compared = pa.compare_models(
-        files.urdf, files.mjcf, tolerances=pa.Tolerances.strict(), configurations=2
+        files.urdf, files.mjcf, tolerances=pa.matching.Tolerances.strict(), configurations=2
     )
     return compared.agree and max(compared.deviations.values()) < 1e-9
 

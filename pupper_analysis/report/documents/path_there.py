@@ -15,7 +15,7 @@ from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.words import joined, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
-from pupper_analysis.stance.path.leg_time import Binding
+from pupper_analysis.stance.path.leg_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath
 
 
@@ -66,7 +66,7 @@ def _least_time(there: PathThere) -> Iterable[doc.Words]:
     )
 
 
-def _binding(binding: Binding) -> doc.Words:
+def _binding(binding: BindingLimit) -> doc.Words:
     """Names a limit, whose it is, and when it binds."""
     limit: doc.Words = word(binding.limit.value)
     if binding.names:

@@ -14,7 +14,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.geometry import Place, minimum_jerk
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, ForceBounds
-from pupper_analysis.statics.inverse_dynamics import InverseDynamics, inverse_dynamics
+from pupper_analysis.statics.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]

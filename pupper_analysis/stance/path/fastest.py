@@ -18,7 +18,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import path_effort
 from pupper_analysis.stance.path.geometry import Geometry, path_geometry
-from pupper_analysis.stance.path.leg_time import Binding, LegTime
+from pupper_analysis.stance.path.leg_time import BindingLimit, LegTime
 from pupper_analysis.stance.path.path_limits import PathLimits
 from pupper_analysis.stance.path.stance_path import (
     MAX_SAMPLES,
@@ -68,10 +68,10 @@ class FastestPath(Result):
 
     seconds: float
     lower_bound: float
-    binding: Binding
+    binding: BindingLimit
     leg_seconds: Array
     leg_lower_bounds: Array
-    leg_bindings: tuple[Binding | None, ...]
+    leg_bindings: tuple[BindingLimit | None, ...]
     reserve: float
     rise: float
     path: StancePath

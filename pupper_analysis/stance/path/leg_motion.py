@@ -14,7 +14,7 @@ from pupper_analysis.stance.path.geometry import Place
 from pupper_analysis.stance.path.path_limits import PathLimits
 from pupper_analysis.stance.path.time_optimum import Demands
 from pupper_analysis.statics.contacts import contacts_of
-from pupper_analysis.statics.inverse_dynamics import (
+from pupper_analysis.statics.dynamics import (
     joint_resistance,
     left_to_turn,
     rolling_levers,

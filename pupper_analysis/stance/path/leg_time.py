@@ -13,7 +13,7 @@ from pupper_analysis.errors import Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.stance.path.geometry import Geometry, Place, minimum_jerk
 from pupper_analysis.stance.path.leg_motion import LegMotion
-from pupper_analysis.stance.path.path_limits import Limit, PathLimits
+from pupper_analysis.stance.path.path_limits import PathLimit, PathLimits
 from pupper_analysis.stance.path.time_optimum import (
     Grid,
     Optimum,
@@ -52,7 +52,7 @@ _FINE = 16
 
 
 @dataclass(frozen=True)
-class Binding(Result):
+class BindingLimit(Result):
     """What binds a leg of a path most: the robot's limit that it would pay most to raise.
 
     Attributes:
@@ -64,7 +64,7 @@ class Binding(Result):
             programme's multiplier has it (s).
     """
 
-    limit: Limit
+    limit: PathLimit
     names: tuple[str, ...]
     leg: int
     progress: float
@@ -95,7 +95,7 @@ class LegTime:
         self._places[0] = replace(start, tangent=second.tangent, curvature=second.curvature)
         self._limits = limits.narrowed(_NARROWED)
         self._number = number
-        self.binding: Binding | None = None
+        self.binding: BindingLimit | None = None
         self._progress = np.array([place.progress for place in self._places])
         self.square = np.full(len(self._places[::2]), 1 / rise**2)
         self.lower_bound = 0.0
@@ -203,7 +203,7 @@ class LegTime:
             raise StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin)
         return best
 
-    def _binding(self, best: Optimum) -> Binding:
+    def _binding(self, best: Optimum) -> BindingLimit:
         feet, robot = self._places[-1].leg.stance_feet, self._limits.robot
         torque = self._limits.torques
         rated = np.flatnonzero(np.isfinite(torque) & (torque > 0))
@@ -224,9 +224,9 @@ class LegTime:
             found.append((float(price[column]), _LIMITS[kind], known[index], place.share))
         # The rise is no limit of the robot's: it is named where nothing else costs anything.
         least = _FREE * best.seconds
-        hard = [row for row in found if row[1] is not Limit.JERK and row[0] > least]
+        hard = [row for row in found if row[1] is not PathLimit.JERK and row[0] > least]
         price, limit, which, share = max(hard or found, key=lambda row: row[0])
-        return Binding(limit, which, self._number + 1, share, price)
+        return BindingLimit(limit, which, self._number + 1, share, price)
 
     def _quickest(self, place: Place) -> str:
         robot = self._limits.robot
@@ -235,10 +235,10 @@ class LegTime:
 
 
 _LIMITS = {
-    "torque": Limit.TORQUE,
-    "velocity": Limit.VELOCITY,
-    "friction": Limit.FRICTION,
-    "load": Limit.LIFTING,
-    "passing": Limit.PASSING,
-    "jerk": Limit.JERK,
+    "torque": PathLimit.TORQUE,
+    "velocity": PathLimit.VELOCITY,
+    "friction": PathLimit.FRICTION,
+    "load": PathLimit.LIFTING,
+    "passing": PathLimit.PASSING,
+    "jerk": PathLimit.JERK,
 }

@@ -16,7 +16,7 @@ from pupper_analysis.statics.cone_program import ForceBounds
 Array = NDArray[np.float64]
 
 
-class Limit(StrEnum):
+class PathLimit(StrEnum):
     """What can bind the speed of a path."""
 
     TORQUE = "motor torque"

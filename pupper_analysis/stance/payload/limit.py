@@ -23,8 +23,8 @@ from pupper_analysis.stance.payload.first_order import Loads
 from pupper_analysis.stance.payload.servo_limit import (
     RESOLUTION,
     Bound,
-    Command,
     Failure,
+    PayloadCommand,
     first_failing,
     servo_limit,
 )
@@ -75,7 +75,7 @@ class PayloadLimit(Result):
     contacts: Bound
     shared: Sharing | None
     point: Array
-    command: Command
+    command: PayloadCommand
     unlimited: tuple[str, ...]
     joint_torques: Array
     contact_forces: dict[str, Array]
@@ -103,7 +103,7 @@ def payload_limit(
     stand: Stand,
     point: Sequence[float] = (0.0, 0.0, 0.0),
     *,
-    command: Command = Command.LOADED,
+    command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> PayloadLimit:
@@ -116,7 +116,8 @@ def payload_limit(
 
     The default command is the pose with the feed-forward torques of the *loaded* robot: "how much
     can it carry" asks for what the robot bears, standing as asked, and not for how well a
-    controller guesses. With ``Command.UNLOADED`` the mass is a surprise, and servos give way to it.
+    controller guesses. With ``PayloadCommand.UNLOADED`` the mass is a surprise, and servos give way
+    to it.
 
     Args:
         robot: The robot.
@@ -128,7 +129,7 @@ def payload_limit(
             motors are no servos. It takes part of what a nudge asks of them.
 
     Returns:
-        The limit. ``payload_trial`` simulates it.
+        The limit. ``simulate_payload`` simulates it.
 
     Raises:
         ConfigurationError: If an argument is out of its range, or the robot cannot stand.
@@ -138,9 +139,9 @@ def payload_limit(
     robot.check_tree("a payload")
     place = point_on_base(point)
     try:
-        command = Command(command)
+        command = PayloadCommand(command)
     except ValueError as error:
-        told = diagnose("none-of", value=command, known=Command)
+        told = diagnose("none-of", value=command, known=PayloadCommand)
         raise ConfigurationError("command", told) from error
     stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     contacts = contact_limit(robot, stand, place)

@@ -33,8 +33,8 @@ from pupper_analysis.stance.sag.steady_state import (
     settle,
 )
 from pupper_analysis.stance.sag.way import Way
+from pupper_analysis.stance.soft_ground import loaded_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.stance.sunk import loaded_stand
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class Failure(StrEnum):
     NOTHING = "nothing that was looked at"
 
 
-class Command(StrEnum):
+class PayloadCommand(StrEnum):
     """What position servos are commanded.
 
     LOADED: the pose, with feed-forward for the torques that the load takes: ctrl = q* + tau / kp.
@@ -128,7 +128,7 @@ def servo_limit(
     stand: Stand,
     point: ArrayLike,
     *,
-    command: Command = Command.LOADED,
+    command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
     most: float = math.inf,
@@ -216,7 +216,7 @@ def loaded_pose(
     mass: float,
     point: ArrayLike,
     *,
-    command: Command = Command.LOADED,
+    command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> LoadedPose | Bound:
@@ -254,14 +254,14 @@ def loaded_pose(
     drive = servos(loaded, kp, _damping(loaded, kp, kd))
     damping = drive.kd
     target = sunk.joint_positions(loaded) + lead(balance.joint_torques, drive.kp)
-    if command is Command.UNLOADED:
+    if command is PayloadCommand.UNLOADED:
         empty = loaded_stand(robot, stand)
         torques = stand_statics(
             robot, empty, distribution=ForceDistribution.MIN_TANGENTIAL
         ).joint_torques
         target = empty.joint_positions(robot) + lead(torques, drive.kp)
     try:
-        if command is Command.LOADED:
+        if command is PayloadCommand.LOADED:
             way = _way(loaded, sunk, kp)
             pose = settle(way, feedforward=True)
             start = pose.qpos
@@ -270,7 +270,7 @@ def loaded_pose(
             start, pose = _crept(way)
     except NoEquilibriumError:
         # With feed-forward for the load the only thing that can be missing is torque.
-        if command is Command.LOADED:
+        if command is PayloadCommand.LOADED:
             over = np.abs(balance.joint_torques) >= loaded.effort_limits
             names = tuple(loaded.joint_names[index] for index in np.flatnonzero(over))
             if names:
@@ -280,7 +280,7 @@ def loaded_pose(
     if why is None and (weak := lost(way, damping)):
         why, where = Failure.MOTOR, weak
     # Feet that are pressed against each other, as soles that are twisted are, creep from there.
-    if why is None and command is Command.LOADED and math.isfinite(lasting(way, pose)):
+    if why is None and command is PayloadCommand.LOADED and math.isfinite(lasting(way, pose)):
         why, where = Failure.SLIDING, _creeping(pose)
     return LoadedPose(loaded, sunk, target, start, pose, why, where)
 

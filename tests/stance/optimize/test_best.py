@@ -10,7 +10,7 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.simulation.payload import payload_trial
+from pupper_analysis.simulation.payload import simulate_payload
 from pupper_analysis.stance.optimize import search
 from pupper_analysis.stance.optimize.best import best_stance
 from pupper_analysis.stance.optimize.search import Objective, StanceSearch, Subspace
@@ -20,7 +20,7 @@ from pupper_analysis.stance.stand import stand_statics
 from tests.support.engines import with_efforts
 from tests.support.variants import load
 
-EVEN = pa.ForceDistribution.MIN_TANGENTIAL
+EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
 
 
 @pytest.fixture
@@ -49,7 +49,7 @@ def bent(robot: pa.Robot, stand: pa.Stand) -> np.ndarray:
     return np.array(values)
 
 
-def neighbours(robot: pa.Robot, found: pa.BestStance, count: int) -> list[pa.Stand]:
+def neighbours(robot: pa.Robot, found: pa.stance.BestStance, count: int) -> list[pa.Stand]:
     """Stands near the best one, in all coordinates, that the search may take."""
     space, random = StanceSpace(robot, found.nominal.task), np.random.default_rng(3)
     at = np.array(list(found.coordinates.values()))
@@ -68,7 +68,7 @@ def neighbours(robot: pa.Robot, found: pa.BestStance, count: int) -> list[pa.Sta
     return stands
 
 
-def check_kept(robot: pa.Robot, found: pa.BestStance) -> None:
+def check_kept(robot: pa.Robot, found: pa.stance.BestStance) -> None:
     """It is a stance of the space: in reach, inside all bounds, balanced."""
     assert found.stand.foot_error < 1e-9
     joints = found.stand.joint_positions(robot)
@@ -97,7 +97,7 @@ def test_least_utilisation(name: str) -> None:
         assert utilisation(robot, stand) > 0.995 * found.value
     assert any("stretched" in what for what in found.active)
     assert found.payload is None
-    report = pa.verify_stand(robot, pa.sunk_stand(robot, found.stand.task))
+    report = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, found.stand.task))
     peak = np.abs(report.joint_torques / robot.effort_limits).max()
     assert peak == pytest.approx(found.value, rel=0.1)
 
@@ -133,7 +133,7 @@ def test_largest_payload_holds_in_mujoco(name: str) -> None:
     nominal = pa.payload_limit(robot, pa.solve_stand(robot)).mass
     assert found.nominal_value == pytest.approx(nominal, rel=1e-9)
     assert found.value > (3 if name == "v3" else 1.05) * nominal
-    below, above = (payload_trial(robot, found.stand, s * found.value) for s in (0.95, 1.05))
+    below, above = (simulate_payload(robot, found.stand, s * found.value) for s in (0.95, 1.05))
     assert below.held, (below.failure, below.where)
     assert above.failure is found.payload.failure
 
@@ -223,7 +223,7 @@ def test_the_rest_of_the_task_stays() -> None:
 
 @pytest.mark.longest
 def test_least_torque() -> None:
-    robot, distribution = load("v3"), pa.ForceDistribution.MIN_TORQUE
+    robot, distribution = load("v3"), pa.statics.ForceDistribution.MIN_TORQUE
     found = best_stance(robot, distribution=distribution)
     statics = stand_statics(robot, found.stand, distribution=distribution)
     assert found.value == pytest.approx(statics.motor_utilisation.max(), rel=1e-6)

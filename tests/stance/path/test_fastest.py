@@ -14,9 +14,9 @@ from pupper_analysis.pupper.demo import DEMOS, demo_stances
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.simulation.tracking import track_path
 from pupper_analysis.stance.path.fastest import RESERVE, RISE, fastest_path, ground_lag
-from pupper_analysis.stance.path.path_limits import Limit
+from pupper_analysis.stance.path.path_limits import PathLimit
 from pupper_analysis.stance.path.stance_path import stance_path
-from pupper_analysis.statics.inverse_dynamics import joint_resistance
+from pupper_analysis.statics.dynamics import joint_resistance
 from tests.stance.path.test_stance_path import Task, stances
 from tests.support.cases import some
 from tests.support.repository import benchmark
@@ -31,7 +31,7 @@ def aside(name: str) -> list[pa.StandTask]:
     return stances(name, "sway")[:2]
 
 
-def beyond(robot: pa.Robot, found: pa.FastestPath) -> tuple[float, float, float, float]:
+def beyond(robot: pa.Robot, found: pa.stance.FastestPath) -> tuple[float, float, float, float]:
     """How much of limits a path needs: torque, speed, friction; and what loads lack of theirs.
 
     By Pinocchio's mass matrix, bias forces and Jacobians alone: the path's own forces must balance
@@ -120,7 +120,7 @@ def test_a_squat_falls_no_faster_than_gravity() -> None:
     assert found.lower_bound > math.sqrt(2 * (first - last) / 9.81)
     loads = found.path.loads
     assert loads.sum(axis=1).min() < 0.2 * loads[0].sum()
-    assert found.binding.limit is Limit.LIFTING
+    assert found.binding.limit is PathLimit.LIFTING
 
 
 def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
@@ -129,7 +129,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     sluggish = replace(robot, pin_model=robot.pin_model.copy())
     sluggish.pin_model.velocityLimit = 0.005 * robot.pin_model.velocityLimit
     found = fastest_path(sluggish, tasks, reserve=0.0)
-    assert found.binding.limit is Limit.VELOCITY
+    assert found.binding.limit is PathLimit.VELOCITY
     assert found.path.peak_speed_utilisation == pytest.approx(1, rel=5e-3)
     joint = robot.joint_names.index(found.binding.names[0])  # one of several alike
     allowed = sluggish.velocity_limits[joint]
@@ -142,7 +142,7 @@ def test_weak_motors_slow_ones_and_smooth_floors_bind() -> None:
     }
     slippery = replace(robot, contacts=smooth)
     found = fastest_path(slippery, tasks, reserve=0.0)
-    assert found.binding.limit is Limit.FRICTION
+    assert found.binding.limit is PathLimit.FRICTION
     # Sliding is where the com's horizontal acceleration is mu g: no way is shorter than that.
     places = [pa.Configuration(robot, qpos).center_of_mass() for qpos in found.path.qpos[[0, -1]]]
     way = float(np.linalg.norm((places[1] - places[0])[:2]))
@@ -156,7 +156,7 @@ def test_forces_are_chosen_so_that_motors_bear_them() -> None:
     still = stance_path(robot, tasks, 1e3, rate=1e-3)
     least = max(
         pa.gravity_compensation(
-            pa.Configuration(robot, qpos), distribution=pa.ForceDistribution.MIN_PEAK
+            pa.Configuration(robot, qpos), distribution=pa.statics.ForceDistribution.MIN_PEAK
         ).motor_utilisation.max()
         for qpos in still.qpos[::8]
     )
@@ -187,7 +187,7 @@ def test_bad_arguments_and_what_no_time_helps() -> None:
     weak.pin_model.effortLimit = 0.001 * robot.pin_model.effortLimit
     with pytest.raises(pa.StaticsInfeasibleError, match="however slow") as caught:
         fastest_path(weak, down("original"))
-    assert caught.value.reason is pa.Infeasibility.MOTOR
+    assert caught.value.reason is pa.errors.Infeasibility.MOTOR
 
 
 @pytest.mark.longest
@@ -219,8 +219,8 @@ def test_mujoco_follows_the_fastest_paths_of_others(name: str) -> None:
     paths = benchmark("paths")
     robot = paths.other(name)
     for demo in ("squat", "sway"):
-        found = pa.fastest_path(robot, paths.tasks_of(robot, name, demo))
-        tracking = pa.track_path(robot, found.path)
+        found = pa.stance.fastest_path(robot, paths.tasks_of(robot, name, demo))
+        tracking = pa.simulation.track_path(robot, found.path)
         assert tracking.passed, tracking.failures
         assert tracking.torque_error < 0.05
         assert found.lower_bound < found.seconds < 1.3 * found.lower_bound

@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.simulation.tracking import track_path
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
-from pupper_analysis.statics.inverse_dynamics import joint_resistance
+from pupper_analysis.statics.dynamics import joint_resistance
 from tests.support.cases import some
 from tests.support.variants import load
 
@@ -203,7 +203,8 @@ def test_inertia_counts_as_one_over_time_squared() -> None:
         resistance = np.array([joint_resistance(robot, *row)[6:] for row in motion])
         torques.append(path.torques - resistance)
         at_rest = pa.gravity_compensation(
-            pa.Configuration(robot, path.qpos[5]), distribution=pa.ForceDistribution.MIN_TANGENTIAL
+            pa.Configuration(robot, path.qpos[5]),
+            distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
         )
         if seconds == 1e4:
             np.testing.assert_allclose(path.torques[5], at_rest.joint_torques, atol=5e-3)
@@ -216,7 +217,10 @@ def test_beyond_what_contacts_allow() -> None:
     robot, tasks = load("v3"), stances("v3", "squat")
     with pytest.raises(pa.StaticsInfeasibleError, match=r"at 0\.\d\d s, between stances") as caught:
         stance_path(robot, tasks, 0.1)
-    assert caught.value.reason in (pa.Infeasibility.ZMP_OUTSIDE, pa.Infeasibility.PULL)
+    assert caught.value.reason in (
+        pa.errors.Infeasibility.ZMP_OUTSIDE,
+        pa.errors.Infeasibility.PULL,
+    )
     path = stance_path(robot, tasks, 0.1, beyond=True)
     assert path.infeasible.any()
     assert (path.loads[path.infeasible].min(axis=1) < 0).all()
@@ -355,7 +359,7 @@ def test_refusals_name_the_moment() -> None:
     over = lift("v3", "FL")
     with pytest.raises(pa.StaticsInfeasibleError, match=r"at 1.00 s, between .* 1 and 2") as caught:
         stance_path(robot, [over[1], Task(), over[2]], 2.0, rolling=False)
-    assert caught.value.reason is pa.Infeasibility.COM_OUTSIDE
+    assert caught.value.reason is pa.errors.Infeasibility.COM_OUTSIDE
     assert "\n" not in str(caught.value)
     with pytest.raises(pa.StaticsInfeasibleError, match="between stances 1 and 2"):
         stance_path(robot, [Task(offset=(0.0, 0.0)), Task(offset=(0.14, 0.0), height=0.1)], 1.0)

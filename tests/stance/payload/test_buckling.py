@@ -11,10 +11,10 @@ from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, buckling_modes
 from pupper_analysis.stance.sag.solution import move
-from pupper_analysis.stance.sunk import loaded_stand
+from pupper_analysis.stance.soft_ground import loaded_stand
 from tests.support.variants import NAMES, load, stand_of
 
-EVEN = pa.ForceDistribution.MIN_TANGENTIAL
+EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_stiffness_is_the_slope_of_the_balance(name: str, slope: float) -> None:
     """Of gravity less forces that keep their direction, by central differences."""
     robot = load(name)
     stand = pa.solve_stand(robot, pa.StandTask(ground=pa.Ground(slope, 0.5)))
-    forces = pa.stand_statics(robot, stand, distribution=EVEN).contact_forces
+    forces = pa.stance.stand_statics(robot, stand, distribution=EVEN).contact_forces
 
     def balance(qpos: np.ndarray) -> np.ndarray:
         config = pa.Configuration(robot, qpos)
@@ -57,7 +57,9 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> 
     for _ in range(4):
         loaded = with_payload(robot, mass)
         sunk = loaded_stand(loaded, stand)
-        empty, laden = (pa.stand_statics(one, sunk, distribution=EVEN) for one in (robot, loaded))
+        empty, laden = (
+            pa.stance.stand_statics(one, sunk, distribution=EVEN) for one in (robot, loaded)
+        )
         modes = buckling_modes(robot, loaded, sunk, kp, empty, laden)
         assert modes is not None
         mass = float(1 / modes[0])
@@ -72,5 +74,7 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> 
 def test_servos_too_soft_without_any_payload() -> None:
     robot, stand = load("v3"), stand_of("v3")
     loaded = with_payload(robot, 0.3)
-    empty, laden = (pa.stand_statics(one, stand, distribution=EVEN) for one in (robot, loaded))
+    empty, laden = (
+        pa.stance.stand_statics(one, stand, distribution=EVEN) for one in (robot, loaded)
+    )
     assert buckling_modes(robot, loaded, stand, np.full(12, 0.5), empty, laden) is None

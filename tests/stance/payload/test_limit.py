@@ -14,16 +14,21 @@ from pupper_analysis.analysis.payload import NEAR, study_payload
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.simulation import payload
-from pupper_analysis.simulation.payload import payload_trial
+from pupper_analysis.simulation.payload import simulate_payload
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.payload.limit import _problem, contact_limit, motor_limit, payload_limit
-from pupper_analysis.stance.payload.servo_limit import Command, Failure, first_failing, servo_limit
-from pupper_analysis.stance.sunk import loaded_stand
+from pupper_analysis.stance.payload.servo_limit import (
+    Failure,
+    PayloadCommand,
+    first_failing,
+    servo_limit,
+)
+from pupper_analysis.stance.soft_ground import loaded_stand
 from tests.support.engines import mujoco_at, with_efforts
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
 
-EVEN = pa.ForceDistribution.MIN_TANGENTIAL
+EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
 ON_TOP, AHEAD = (0.0, 0.0, 0.05), (0.2, 0.0, 0.05)
 
 
@@ -83,10 +88,10 @@ def test_forces_act_where_the_statics_have_them() -> None:
     """Half way into soft ground, on a slope: the forces of the statics balance the programme."""
     robot = load("v3")
     task = pa.StandTask(ground=pa.Ground(slope=0.15, uphill=0.6), pitch=-0.1)
-    stand = pa.sunk_stand(robot, task)
+    stand = pa.stance.solve_stand_on_soft_ground(robot, task)
     assert min(stand.depths.values()) > 1e-3
     problem = _problem(robot, stand, np.array(ON_TOP))
-    forces = pa.stand_statics(robot, stand, distribution=EVEN).contact_forces
+    forces = pa.stance.stand_statics(robot, stand, distribution=EVEN).contact_forces
     stacked = np.concatenate([forces[foot] for foot in stand.stance_feet])
     np.testing.assert_allclose(problem.contacts @ stacked, problem.gravity, atol=1e-10)
 
@@ -108,13 +113,15 @@ def test_a_plane_slides_at_one_angle_whatever_it_carries() -> None:
 def test_at_the_motors_limit_one_is_at_its_end_with_the_forces_that_last(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     limit = motor_limit(robot, stand, ON_TOP)
-    held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN)
+    held = pa.stance.stand_statics(
+        with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN
+    )
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=1e-9)
     busiest = robot.joint_names[int(held.motor_utilisation.argmax())]
     assert limit.failure is Failure.MOTOR
     assert busiest in limit.where
     assert max(held.friction_utilisation.values()) == 0.0  # vertical forces
-    below = pa.stand_statics(
+    below = pa.stance.stand_statics(
         with_payload(robot, 0.9 * limit.mass, ON_TOP), stand, distribution=EVEN
     )
     assert below.motor_utilisation.max() < 1
@@ -126,7 +133,7 @@ def test_where_a_foot_lets_go_the_motors_limit_is_found_by_search() -> None:
     point = (0.04, 0.035, 0.05)
     limit = motor_limit(robot, stand, point)
     assert limit.failure is Failure.MOTOR
-    held = pa.stand_statics(with_payload(robot, limit.mass, point), stand, distribution=EVEN)
+    held = pa.stance.stand_statics(with_payload(robot, limit.mass, point), stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=2e-3)
     assert held.motor_utilisation.max() <= 1 + 1e-12  # rounding
 
@@ -139,21 +146,25 @@ def test_a_foot_that_begins_to_carry_is_no_line(strength: float) -> None:
     """
     robot = load("v3")
     stand = pa.solve_stand(robot, pa.StandTask(com=(0.05, 0.04)))
-    empty = pa.stand_statics(robot, stand, distribution=EVEN)
+    empty = pa.stance.stand_statics(robot, stand, distribution=EVEN)
     assert min(force[2] for force in empty.contact_forces.values()) < 1e-3
     weak = with_efforts(robot, strength * float(np.abs(empty.joint_torques).max()))
     limit = motor_limit(weak, stand, (-0.05, -0.05, 0.05))
     laden = with_payload(weak, limit.mass, (-0.05, -0.05, 0.05))
-    held = pa.stand_statics(laden, stand, distribution=EVEN)
+    held = pa.stance.stand_statics(laden, stand, distribution=EVEN)
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=1e-3)
     assert limit.where
 
 
 def test_on_a_slope_the_motors_limit_is_found_by_search() -> None:
     robot = load("v3")
-    stand = pa.sunk_stand(robot, pa.StandTask(ground=pa.Ground(slope=0.2), pitch=-0.2))
+    stand = pa.stance.solve_stand_on_soft_ground(
+        robot, pa.StandTask(ground=pa.Ground(slope=0.2), pitch=-0.2)
+    )
     limit = motor_limit(robot, stand, ON_TOP)
-    held = pa.stand_statics(with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN)
+    held = pa.stance.stand_statics(
+        with_payload(robot, limit.mass, ON_TOP), stand, distribution=EVEN
+    )
     assert held.motor_utilisation.max() == pytest.approx(1.0, abs=2e-3)
     assert held.motor_utilisation.max() <= 1 + 1e-12  # rounding
 
@@ -187,9 +198,12 @@ def test_a_limit_of_zero_carries_nothing_and_divides_nothing() -> None:
 
 
 def test_motors_too_weak_for_the_robot_itself() -> None:
-    robot = pa.load_variant(pa.VariantSpec(base="v3", torso_mass_scale=12.0))
+    robot = pa.load_variant(pa.pupper.VariantSpec(base="v3", torso_mass_scale=12.0))
     stand = pa.solve_stand(robot)
-    limit, held = payload_limit(robot, stand), pa.stand_statics(robot, stand, distribution=EVEN)
+    limit, held = (
+        payload_limit(robot, stand),
+        pa.stance.stand_statics(robot, stand, distribution=EVEN),
+    )
     assert limit.mass == limit.motors.mass == 0.0
     assert limit.failure is Failure.MOTOR
     over = [n for n, u in zip(held.joint_names, held.motor_utilisation, strict=True) if u > 1]
@@ -239,7 +253,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
 def test_a_surprise_is_carried_less_well() -> None:
     robot, stand = load("v3"), stand_of("v3")
     known = payload_limit(robot, stand)
-    surprise = payload_limit(robot, stand, command=Command.UNLOADED)
+    surprise = payload_limit(robot, stand, command=PayloadCommand.UNLOADED)
     assert surprise.servos.mass < 0.9 * known.servos.mass
     assert surprise.motors.mass == known.motors.mass
     with pytest.raises(pa.ConfigurationError, match="command"):
@@ -271,13 +285,13 @@ def check_by_simulation(
     robot: pa.Robot,
     stand: pa.Stand,
     point: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    command: Command = Command.LOADED,
+    command: PayloadCommand = PayloadCommand.LOADED,
 ) -> None:
     limit = payload_limit(robot, stand, point, command=command)
     bounds = (limit.motors.mass, limit.servos.mass, limit.contacts.mass)
     assert limit.mass == min(bounds)
     below, above = (
-        payload_trial(robot, stand, share * limit.mass, point, command=command)
+        simulate_payload(robot, stand, share * limit.mass, point, command=command)
         for share in (0.95, 1.05)
     )
     assert below.held, (below.failure, below.where, below.time)
@@ -310,7 +324,7 @@ def test_mujoco_agrees_where_motors_bind() -> None:
     limit = payload_limit(robot, stand, kp=60.0)
     assert limit.binding == "motors"
     below, above = (
-        payload_trial(robot, stand, share * limit.mass, kp=60.0, kd=0.8) for share in (0.95, 1.1)
+        simulate_payload(robot, stand, share * limit.mass, kp=60.0, kd=0.8) for share in (0.95, 1.1)
     )
     assert below.held
     assert above.failure is Failure.MOTOR
@@ -320,8 +334,8 @@ def test_dry_friction_holds_up_what_is_not_stable() -> None:
     """So that a robot which nobody touches proves nothing."""
     robot, stand = load("v3"), stand_of("v3")
     heavy = 1.1 * servo_limit(robot, stand, (0.0, 0.0, 0.0)).mass
-    assert payload_trial(robot, stand, heavy, dry_friction=True, duration=6).held
-    assert not payload_trial(robot, stand, heavy, duration=6).held
+    assert simulate_payload(robot, stand, heavy, dry_friction=True, duration=6).held
+    assert not simulate_payload(robot, stand, heavy, duration=6).held
 
 
 @pytest.mark.parametrize("point", [(0, 0), (0, 0, np.nan), "top"])
@@ -329,7 +343,7 @@ def test_bad_points(point: object) -> None:
     with pytest.raises(pa.ConfigurationError, match="point"):
         payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
     with pytest.raises(pa.ConfigurationError, match="point"):
-        payload_trial(load("v3"), stand_of("v3"), 1.0, point)  # type: ignore[arg-type]
+        simulate_payload(load("v3"), stand_of("v3"), 1.0, point)  # type: ignore[arg-type]
 
 
 # ---------------------------------------------------------------------------------- buckling
@@ -338,8 +352,8 @@ def test_bad_points(point: object) -> None:
 def test_it_buckles_as_fast_as_a_simulation_leaves() -> None:
     """Above the limit of 5.64 kg, without dry friction: from one that is nudged, by bare MuJoCo."""
     robot, stand, point = load("v3"), stand_of("v3"), np.array([0.0, 0.0, 0.08])
-    found = pa.payload_buckling(robot, stand, 6.2, point)  # type: ignore[arg-type]
-    laid = payload._laid(robot, stand, 6.2, point, Command.LOADED, None, None)
+    found = pa.simulation.payload_buckling(robot, stand, 6.2, point)  # type: ignore[arg-type]
+    laid = payload._laid(robot, stand, 6.2, point, PayloadCommand.LOADED, None, None)
     laid.free()
     model = laid.drive.model
     still, nudged = mujoco.MjData(model), mujoco.MjData(model)

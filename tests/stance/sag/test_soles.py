@@ -105,7 +105,8 @@ def test_soles_bear_what_is_stated_when_nudged(point: Point, tmp_path: Path) -> 
     robot, stand, gains = biped_of_five_joints(tmp_path)
     limit = pa.payload_limit(robot, stand, point, **gains)
     trials = [
-        pa.payload_trial(robot, stand, share * limit.mass, point, **gains) for share in (0.95, 1.05)
+        pa.simulation.simulate_payload(robot, stand, share * limit.mass, point, **gains)
+        for share in (0.95, 1.05)
     ]
     assert [trial.held for trial in trials] == [True, False]
 
@@ -120,7 +121,7 @@ def test_what_falls_when_nudged_is_not_stated(tmp_path: Path) -> None:
     assert carried.passed
     assert carried.mass < limit.mass
     trials = [
-        pa.payload_trial(robot, stand, share * TRIED * carried.mass, ON_TOP, **gains)
+        pa.simulation.simulate_payload(robot, stand, share * TRIED * carried.mass, ON_TOP, **gains)
         for share in (1.0, 1.05)
     ]
     assert [trial.held for trial in trials] == [True, False]

@@ -119,7 +119,9 @@ def test_feedforward_leaves_only_the_contact(name: str) -> None:
 # ------------------------------------------------------------------------------------- simulation
 
 
-def assert_predicts(pose: settle.SteadyState, run: pa.StandVerification, tolerance: float) -> None:
+def assert_predicts(
+    pose: settle.SteadyState, run: pa.simulation.StandVerification, tolerance: float
+) -> None:
     assert pose.base_height == pytest.approx(run.base_height, abs=tolerance)
     assert pose.contact_sag == pytest.approx(run.contact_sag, abs=1e-5 + 0.02 * tolerance)
     for foot, force in run.foot_forces.items():
@@ -404,7 +406,7 @@ def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
 def test_a_foot_that_the_ground_would_have_to_pull_lets_go() -> None:
     robot = load("original")
     stand = pa.solve_stand(robot, pa.StandTask(offset=(0.055, 0.055)))
-    assert pa.stand_statics(robot, stand).contact_forces["RR"][2] > 0
+    assert pa.stance.stand_statics(robot, stand).contact_forces["RR"][2] > 0
     pose = steady_state(robot, stand, seconds=4.5)
     assert pose.stance_feet == ("FL", "FR", "RL")
     assert [str(one) for one in pose.failures] == ["foot RR carries nothing"]
@@ -528,7 +530,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Solution | None, int
 
 def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     ended = searches(monkeypatch)
-    robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=1.5))  # its stand ends half way
+    robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=1.5))  # its stand ends half way
     with pytest.raises(pa.NoEquilibriumError, match="of the feed-forward is taken away"):
         steady_state(robot, pa.solve_stand(robot))
     lost = [steps for found, steps in ended if found is None]
@@ -543,7 +545,7 @@ def test_a_search_that_finds_something_does_not_go_round(
     monkeypatch.setattr(equilibrium, "goes_round", lambda _: False)
     ended = searches(monkeypatch)
     for leg in (0.8, 1.1, 1.4):
-        robot = pa.load_variant(pa.VariantSpec("v3", leg_scale=leg, torso_mass_scale=torso))
+        robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=leg, torso_mass_scale=torso))
         with contextlib.suppress(pa.NoEquilibriumError):
             steady_state(robot, pa.solve_stand(robot))
     found = [one.residuals for one, _ in ended if one is not None]

@@ -9,9 +9,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
-from pupper_analysis.stance.sunk import sunk_stand
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.statics.cone_program import ForceBounds
-from pupper_analysis.statics.inverse_dynamics import (
+from pupper_analysis.statics.dynamics import (
     inverse_dynamics,
     joint_resistance,
     rolling_levers,
@@ -84,7 +84,9 @@ def test_at_rest_it_is_gravity_compensation(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     config = pa.Configuration(robot, stand.qpos)
     found = inverse_dynamics(config, np.zeros(robot.nv))
-    still = pa.gravity_compensation(config, distribution=pa.ForceDistribution.MIN_TANGENTIAL)
+    still = pa.gravity_compensation(
+        config, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
+    )
     np.testing.assert_allclose(found.joint_torques, still.joint_torques, atol=1e-12)
     assert found.zmp_margin == pytest.approx(still.com_margin, abs=1e-12)
     np.testing.assert_allclose(found.zero_moment_point[:2], still.center_of_mass[:2], atol=1e-12)
@@ -118,7 +120,7 @@ def test_zero_moment_point_two_ways(name: str) -> None:
 def test_ground_resists_rolling_as_mujocos_does() -> None:
     """v3's feet roll as it rises: moments of MuJoCo's contacts in its own inverse dynamics."""
     robot = load("v3")
-    stand = sunk_stand(robot)
+    stand = solve_stand_on_soft_ground(robot)
     config = pa.Configuration(robot, stand.qpos)
     stacked = np.concatenate([np.eye(robot.nv)[2:6], config.com_jacobian()[:2]])
     depth = max(stand.depths.values()) / 2  # MuJoCo has the contact half way
@@ -157,7 +159,7 @@ def test_on_a_slope_what_rolls_is_at_the_edge_of_the_grounds_cone() -> None:
     up = ground.normal()
     qvel = np.zeros(robot.nv)
     qvel[4] = 1.0  # the base pitches, and its feet with it
-    found = pa.inverse_dynamics(
+    found = pa.statics.inverse_dynamics(
         pa.Configuration(robot, stand.qpos, qvel),
         np.zeros(robot.nv),
         normals=dict.fromkeys(robot.feet, up),
@@ -177,8 +179,8 @@ def test_what_no_feet_can_do_is_said() -> None:
     robot, stand = load("v3"), stand_of("v3")
     config, qacc = pa.Configuration(robot, stand.qpos), np.zeros(robot.nv)
     for index, acceleration, reason in (
-        (2, -15.0, pa.Infeasibility.PULL),
-        (1, 12.0, pa.Infeasibility.ZMP_OUTSIDE),
+        (2, -15.0, pa.errors.Infeasibility.PULL),
+        (1, 12.0, pa.errors.Infeasibility.ZMP_OUTSIDE),
     ):
         qacc[:] = 0
         qacc[index] = acceleration
@@ -240,7 +242,7 @@ def test_the_motor_that_is_too_weak_is_named_with_its_torque_and_limit() -> None
     limits[strongest % 3 :: 3] = torques[strongest] / 20
     bounds = ForceBounds(np.zeros(4), np.full(4, np.inf), limits)
     with pytest.raises(pa.StaticsInfeasibleError) as refused:
-        pa.inverse_dynamics(config, np.zeros(config.robot.nv), bounds=bounds)
+        pa.statics.inverse_dynamics(config, np.zeros(config.robot.nv), bounds=bounds)
     told = refused.value.diagnostic.values["detail"]
     assert told.subject.name in config.robot.joint_names[strongest % 3 :: 3]
     assert told.values["limit"].value == limits[strongest]

@@ -8,8 +8,8 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE
 from pupper_analysis.stance.path.sinking import depths_of
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.stance.sunk import sunk_stand
 from tests.support.variants import NAMES, load
 
 TASKS = {
@@ -26,7 +26,7 @@ TASKS = {
 @pytest.mark.parametrize("name", NAMES)
 def test_simulation_holds_what_is_predicted(name: str, what: str) -> None:
     robot = load(name)
-    stand = sunk_stand(robot, TASKS[what])
+    stand = solve_stand_on_soft_ground(robot, TASKS[what])
     assert max(stand.foot_error, stand.height_error, stand.com_error) < 1e-9
     run = pa.verify_stand(robot, stand)
     # The tallest of the soft ones buckles on three legs, and falls 40 s after a nudge.
@@ -46,17 +46,17 @@ def test_rigid_stand_is_another(name: str, what: str) -> None:
     """Without its feet sunk, the same stance does not hold its loads on soft ground."""
     run = pa.verify_stand(load(name), pa.solve_stand(load(name), TASKS[what]))
     assert not run.passed
-    assert "sunk_stand allows for that" in str(run.failures[-1])
+    assert "solve_stand_on_soft_ground allows for that" in str(run.failures[-1])
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
     robot, task = load(name), TASKS["slope"]
-    rigid, stand = pa.solve_stand(robot, task), sunk_stand(robot, task)
+    rigid, stand = pa.solve_stand(robot, task), solve_stand_on_soft_ground(robot, task)
     assert stand.task == rigid.task
     np.testing.assert_allclose(stand.qpos[:7], rigid.qpos[:7], atol=1e-3)  # the com is, exactly
     forces = stand_statics(
-        robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
     ).contact_forces
     feet = pa.Configuration(robot, stand.qpos).foot_positions()
     for foot, depth in stand.depths.items():
@@ -72,11 +72,11 @@ def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
 def test_it_is_the_equilibrium_that_feedforward_holds(name: str, what: str) -> None:
     """By Newton's iteration on the soft ground, from the stand's torques."""
     robot = load(name)
-    stand = sunk_stand(robot, TASKS[what])
+    stand = solve_stand_on_soft_ground(robot, TASKS[what])
     pose = pa.steady_state(robot, stand, feedforward=True)
     np.testing.assert_allclose(pose.qpos, stand.qpos, atol=1e-6)
     forces = stand_statics(
-        robot, stand, distribution=pa.ForceDistribution.MIN_TANGENTIAL
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
     ).contact_forces
     for foot, force in forces.items():
         np.testing.assert_allclose(pose.contact_forces[foot], force, atol=1e-4)
@@ -90,11 +90,11 @@ def test_depths_are_checked() -> None:
 
 def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
     robot = load("v3")
-    highest = pa.reachable_heights(robot).high
+    highest = pa.stance.reachable_heights(robot).high
     task = pa.StandTask(height=highest - 1e-4)
     pa.solve_stand(robot, task)
     with pytest.raises(pa.StanceUnreachableError):
-        sunk_stand(robot, task)
+        solve_stand_on_soft_ground(robot, task)
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])

@@ -52,7 +52,7 @@ def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
         ik_seed=tuple(stand.joint_positions(loaded).tolist()),
     )
     try:
-        return sunk_stand(loaded, task, explain=False)
+        return solve_stand_on_soft_ground(loaded, task, explain=False)
     except StanceUnreachableError as error:
         if error.blocked:
             raise
@@ -67,7 +67,7 @@ _MAX_ITERATIONS = 50
 
 
 @checked
-def sunk_stand(
+def solve_stand_on_soft_ground(
     robot: Robot, task: StandTask | Stand | None = None, *, explain: bool = True
 ) -> Stand:
     """Finds the stand that satisfies a task on ground as soft as MuJoCo's.
@@ -133,12 +133,12 @@ def sunk_stand(
 
 
 @checked
-def held_stand(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
+def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
     """Finds the stand that a task means wherever it is told, pushed, loaded or simulated.
 
-    That is the ``sunk_stand``, which MuJoCo holds as predicted; or, where the legs do not reach
-    down so far, or the ground does not settle under soft loops, the one on rigid ground, without
-    ``depths``.
+    That is ``solve_stand_on_soft_ground``'s, which MuJoCo holds as predicted; or, where the legs do
+    not reach down so far, or the ground does not settle under soft loops, the one on rigid ground,
+    without ``depths``.
 
     Args:
         robot: A robot with a floating base and a ground.
@@ -153,7 +153,7 @@ def held_stand(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
     """
     stand = task if isinstance(task, Stand) else solve_stand(robot, task, explain=False)
     try:
-        return sunk_stand(robot, stand, explain=False)
+        return solve_stand_on_soft_ground(robot, stand, explain=False)
     except StanceUnreachableError:
         return stand
     except NotSettlingError:

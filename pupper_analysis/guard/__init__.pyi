@@ -1,0 +1,2 @@
+from .check import RepositoryCheck as RepositoryCheck
+from .check import check_repository as check_repository

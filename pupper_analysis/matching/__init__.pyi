@@ -1,0 +1,1 @@
+from .tolerances import Tolerances as Tolerances

@@ -1,0 +1,2 @@
+from .variant_files import write_variant as write_variant
+from .variants import VariantSpec as VariantSpec

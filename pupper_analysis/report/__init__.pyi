@@ -1,0 +1,1 @@
+from .html.write import write_report as write_report
