@@ -53,6 +53,11 @@ _CLEAR_STARTS = 32
 _ATTEMPTS_INSIDE = 4
 """Choices of branches for each of the places where a com that may be anywhere inside begins."""
 
+_SAME, _AGREE = 1e-3, 3
+"""Where the feet come no nearer from so many seeds than from the best of them, by such a part of
+what they miss by, they come no nearer: of 395 stands, most at the end of reach, that needed it all
+were found from the first such place."""
+
 CLEARANCES = ("ground-clearance", "self-clearance")
 """Constraints that a stand may miss with its feet in place: then these are what is in the way."""
 
@@ -137,6 +142,7 @@ class _Search:
         self.context, self.shapes, self.robot = context, context.shapes, context.robot
         self.goal, self.iterations = goal, 0
         self.closest: Stand | None = None
+        self.misses: list[float] = []
         self.points: list[Point] = []
         self.reached: list[Stand] = []
         self.found: dict[Limb, tuple[Branch, ...]] = {}
@@ -192,7 +198,14 @@ class _Search:
             stand = self.met(programme, qpos) or self.met_from_nearest(programme, qpos)
             if stand is not None and (stand.solved or self._in_vain):
                 return stand
+            if self._agreed():
+                break
         return self.result()
+
+    def _agreed(self) -> bool:
+        """Whether the feet have come as near as they do from several seeds."""
+        least = min(self.misses, default=0.0)
+        return sum(one <= (1 + _SAME) * least for one in self.misses) >= _AGREE
 
     def _seeds(self, best: Stand) -> Iterator[Array]:
         """Yields configurations (nq,) where all constraints are begun to be met."""
@@ -222,6 +235,7 @@ class _Search:
         if not self.goal.com_is_free or self.reached:
             return None
         closest = nearest(self.context, self.goal, qpos)
+        self.misses.append(closest.foot_error)
         if self.closest is None or closest.foot_error < self.closest.foot_error:
             self.closest = closest
         if closest.foot_error >= NEAR_MISS:
