@@ -92,7 +92,7 @@ class _Point:
     residuals: tuple[Array, ...]
 
 
-class _Stalled(Exception):
+class _NoProgressError(Exception):
     """Steps do not lead on."""
 
 
@@ -112,14 +112,14 @@ class _Progress:
         """Takes notice of where a step has led.
 
         Raises:
-            _Stalled: After some steps in a row that did not help.
+            _NoProgressError: After some steps in a row that did not help.
         """
         helps = missed <= max(_MET, _HARDLY * self._least)
         self._in_vain = 0 if helps else self._in_vain + 1
         if missed < self._least:
             self._least, self.x = missed, x.copy()
         if self._in_vain > _STALLED:
-            raise _Stalled
+            raise _NoProgressError
 
 
 class Programme:
@@ -246,7 +246,7 @@ class Programme:
                 ],
                 options={"ftol": tolerance, "maxiter": iterations},
             ).x
-        except _Stalled:
+        except _NoProgressError:
             x = progress.x
         inside: Array = np.clip(x, self._low, self._high)
         return inside
