@@ -181,7 +181,9 @@ class Programme:
         """
         start = self._start(qpos, task)
         most = _ITERATIONS if self._demands else _FEW
-        x = self._minimised(lambda x: (float(self._cost @ x), self._cost), start, 1e-9, most)
+        x = self._minimised(
+            lambda x: (float(self._cost @ x), self._cost), start, 1e-9, most, ends=not self._demands
+        )
         values, given = self._values(x), dict.fromkeys(self._demands, 0.0)
         for demand, slack in zip(self._fields, (values - self._asked) / self._units, strict=True):
             given[demand] += abs(float(slack))
@@ -218,14 +220,26 @@ class Programme:
         start: Array,
         tolerance: float,
         iterations: int,
+        *,
+        ends: bool = False,
     ) -> Array:
-        """Returns where a function is least, from one start, by SLSQP."""
+        """Returns where a function is least, from one start, by SLSQP.
+
+        Args:
+            function: Its value and its gradient.
+            start: Where to begin.
+            tolerance: Of the value.
+            iterations: How many at most.
+            ends: Whether it ends where steps do not help to meet the constraints. Demands that
+                give go by way of such steps.
+        """
         from scipy import optimize  # slow to import
 
         equal, progress = self._rows[1], _Progress()
 
         def rates(x: Array, rows: slice) -> Array:  # asked for at the end of each step
-            progress.look(x, self._missed(x))
+            if ends:
+                progress.look(x, self._missed(x))
             return self._jacobian(x)[rows]
 
         kinds = ("eq", slice(0, equal)), ("ineq", slice(equal, None))
