@@ -7,13 +7,35 @@ from dataclasses import dataclass, field
 
 import mujoco
 
+from pupper_analysis.diagnostics import Diagnostic, Term
+from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.match import Match
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_kinds import has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.ready import ready_robot
 from pupper_analysis.prepare.request import Request
+from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
+
+_FREE_IN_PARTS = 4
+"""Joints of a base that is free by three slides and a ball joint, or more."""
+
+
+@dataclass(frozen=True)
+class PassRun(Result):
+    """A pass that was run.
+
+    Attributes:
+        name: What it is called.
+        does: What it does, in words.
+        done: What it had to do, or found; empty where the files needed nothing.
+    """
+
+    name: str
+    does: Term
+    done: tuple[Diagnostic, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +52,8 @@ class Draft:
         description: Both files made alike; from the pass ``match`` on.
         ready: The robot of both files as they are, if they are ready: then no pass applies.
         built: The robot; from the pass ``build`` on.
+        refused: Why no robot with a free base can be made: then only ``hold-base`` applies.
+        runs: The passes that were run.
     """
 
     urdf: UrdfFile
@@ -41,6 +65,8 @@ class Draft:
     description: Description | None = None
     ready: Robot | None = None
     built: Robot | None = None
+    refused: ModelError | None = None
+    runs: tuple[PassRun, ...] = ()
 
     @classmethod
     def of(cls, urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Draft:
@@ -50,6 +76,14 @@ class Draft:
             ModelError: If they are ready, and make no robot.
         """
         return cls(urdf, mjcf, request, mjcf.spec, ready=ready_robot(urdf, mjcf, request))
+
+    @property
+    def may_be_held(self) -> bool:
+        """Whether its base may be fixed, as the file has it, though it was to be free."""
+        if self.request.fixed_base or has_free_joint(self.mjcf.spec):
+            return False
+        tops = (len(list(body.joints)) for body in self.mjcf.spec.worldbody.bodies)
+        return max(tops, default=0) < _FREE_IN_PARTS
 
     @property
     def match(self) -> Match:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import checked
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.models.joint_kinds import has_free_joint
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.prepare import start
-from pupper_analysis.prepare.passes import PassRun, prepare
+from pupper_analysis.prepare.draft import PassRun
+from pupper_analysis.prepare.passes import prepare
 from pupper_analysis.prepare.request import Request
 from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.simulable import check_simulable
@@ -26,11 +24,6 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-_HOLD = Term("fixes the base where it does not stand")
-
-_FREE_IN_PARTS = 4
-"""Joints of a base that is free by three slides and a ball joint, or more."""
 
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
@@ -167,9 +160,7 @@ def prepared(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, l
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     check_simulable(mjcf)
-    if request.fixed_base:
-        return prepare(urdf, mjcf, request)
-    return _free_if_it_stands(urdf, mjcf, request)
+    return prepare(urdf, mjcf, request)
 
 
 def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:
@@ -189,35 +180,3 @@ def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:
             raise ConfigurationError("feet", problem)
         frames[foot] = (str(pair[0]), str(pair[1]))
     return frames
-
-
-def _free_if_it_stands(
-    urdf: UrdfFile, mjcf: MjcfFile, request: Request
-) -> tuple[Robot, list[PassRun]]:
-    """Makes a robot with a free base; with its base as published where that is held, as a hand's.
-
-    Raises:
-        ModelError: If it can be made neither way.
-    """
-    tops = [len(list(body.joints)) for body in mjcf.spec.worldbody.bodies]
-    held = not has_free_joint(mjcf.spec) and max(tops, default=0) < _FREE_IN_PARTS
-
-    def kept_in_the_world(why: Diagnostic) -> tuple[Robot, list[PassRun]]:
-        robot, runs = prepare(urdf, mjcf, replace(request, fixed_base=True))
-        told = diagnose("base-kept-in-the-world", why=why)
-        return replace(robot, notes=(*robot.notes, told)), [
-            *runs,
-            PassRun("hold-base", _HOLD, (told,)),
-        ]
-
-    try:
-        robot, runs = prepare(urdf, mjcf, request)
-    except ModelError as error:
-        if not held:
-            raise
-        with contextlib.suppress(ModelError):
-            return kept_in_the_world(error.cause)
-        raise
-    if held and robot.floating and start.first_stand(robot) is None:
-        return kept_in_the_world(diagnose("stands-on-no-feet"))
-    return robot, runs

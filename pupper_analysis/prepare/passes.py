@@ -24,7 +24,7 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import drives, notes, start, touching
 from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
-from pupper_analysis.prepare.draft import Draft
+from pupper_analysis.prepare.draft import Draft, PassRun
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
 from pupper_analysis.prepare.limits import bounded, within_both
 from pupper_analysis.prepare.mimics import coupled
@@ -35,7 +35,6 @@ from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import solvable
 from pupper_analysis.prepare.start_pose import started
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
-from pupper_analysis.results import Result
 from pupper_analysis.robot.build import build_robot, like
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
@@ -60,31 +59,20 @@ class Pass:
         does: What it does, in words.
         apply: Does it; returns the draft with what was done.
         concerns: Tells whether it concerns a draft that is not ready.
+        after_refusal: Whether it is for drafts of which no robot could be made, too.
     """
 
     name: str
     does: Term
     apply: Callable[[Draft], Made]
     concerns: Callable[[Draft], bool]
+    after_refusal: bool = False
 
     def applies(self, draft: Draft) -> bool:
         """Tells whether it is to be run: none is where the files are ready."""
-        return draft.ready is None and self.concerns(draft)
-
-
-@dataclass(frozen=True)
-class PassRun(Result):
-    """A pass that was run.
-
-    Attributes:
-        name: What it is called.
-        does: What it does, in words.
-        done: What it had to do, or found; empty where the files needed nothing.
-    """
-
-    name: str
-    does: Term
-    done: tuple[Diagnostic, ...]
+        if draft.ready is not None or (draft.refused is not None and not self.after_refusal):
+            return False
+        return self.concerns(draft)
 
 
 def _any(_draft: Draft) -> bool:
@@ -297,6 +285,25 @@ def _build_whole(draft: Draft) -> Made:
     return replace(draft, built=like(built, robot)), ()
 
 
+def _stands_on_no_feet(draft: Draft) -> bool:
+    """Tells whether the base is to be as the file has it: no robot can be made of it otherwise."""
+    if not draft.may_be_held or draft.refused:
+        return draft.may_be_held
+    return draft.robot.floating and start.first_stand(draft.robot) is None
+
+
+def _hold_base(draft: Draft) -> Made:
+    refused, request = draft.refused, replace(draft.request, fixed_base=True)
+    why = diagnose("stands-on-no-feet") if refused is None else refused.cause
+    try:
+        held = _passed(Draft.of(draft.urdf, draft.mjcf, request))
+    except ModelError:
+        if refused is None:
+            raise
+        raise refused from None
+    return held, (diagnose("base-kept-in-the-world", why=why),)
+
+
 PASSES = (
     Pass("name-elements", Term("names bodies and joints that have none"), _name_elements, _any),
     Pass("free-base", Term("frees the base of a robot with limbs"), _free_base, _free),
@@ -363,6 +370,13 @@ PASSES = (
     ),
     Pass("add-servos", Term("adds position servos that bring it to rest"), _add_servos, _altered),
     Pass("build-whole", Term("builds the robot with all that is seen of it"), _build_whole, _any),
+    Pass(
+        "hold-base",
+        Term("fixes the base where it does not stand"),
+        _hold_base,
+        _stands_on_no_feet,
+        after_refusal=True,
+    ),
 )
 """In the order in which they are run."""
 
@@ -377,11 +391,28 @@ def prepare(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, li
         ModelError: If no robot can be made of them.
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
-    draft, runs = Draft.of(urdf, mjcf, request), []
+    draft = _passed(Draft.of(urdf, mjcf, request))
+    told = (note for run in draft.runs for note in run.done)
+    robot = draft.robot
+    return replace(robot, notes=tuple(dict.fromkeys((*told, *robot.notes)))), list(draft.runs)
+
+
+def _passed(draft: Draft) -> Draft:
+    """Runs the passes on a draft.
+
+    Raises:
+        ModelError: If no robot can be made of it.
+        UnknownNameError: If a foot, joint or keyframe is not there.
+    """
     for each in PASSES:
         if each.applies(draft):
-            draft, done = each.apply(draft)
-            runs.append(PassRun(each.name, each.does, tuple(done)))
-    told = (note for run in runs for note in run.done)
-    robot = draft.robot
-    return replace(robot, notes=tuple(dict.fromkeys((*told, *robot.notes)))), runs
+            try:
+                draft, done = each.apply(draft)
+            except ModelError as error:
+                if draft.refused or not draft.may_be_held:
+                    raise
+                draft = replace(draft, refused=error)
+            else:
+                run = PassRun(each.name, each.does, tuple(done))
+                draft = replace(draft, runs=(*draft.runs, run))
+    return draft

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.models.digits import SAME
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.transmission import actuator_gear, drives_of
-from pupper_analysis.sync.digits import SAME
+from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.xml_bytes import Element
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.mjcf_side import MjcfSide

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import inertia_entries, rotation_from_quaternion
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.sync.digits import Digits
+from pupper_analysis.models.mjcf_in_place import within
+from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
+from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.sync.frames import Key, mass_of
 from pupper_analysis.sync.inertia import Mass, same, total, turned_like
-from pupper_analysis.sync.mjcf_elements import within
-from pupper_analysis.sync.orientation import AngleUnits, orientation_change, stated_rotation
-from pupper_analysis.sync.xml_bytes import Element
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.mjcf_side import MjcfSide

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Source, diagnose
 from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.digits import SAME
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.sync.digits import SAME
+from pupper_analysis.models.mjcf_in_place import MjcfInPlace
+from pupper_analysis.models.orientation import orientation_change
+from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.sync.frames import Key, placement
 from pupper_analysis.sync.mjcf_anchor import move_anchors
 from pupper_analysis.sync.mjcf_effort import write_effort
-from pupper_analysis.sync.mjcf_elements import MjcfElements
 from pupper_analysis.sync.mjcf_inertials import write_inertial
-from pupper_analysis.sync.orientation import orientation_change
 from pupper_analysis.sync.side import Side
-from pupper_analysis.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class MjcfSide(Side):
     """
 
     file: MjcfFile
-    elements: MjcfElements
+    elements: MjcfInPlace
 
     def __post_init__(self) -> None:
         self.robot = self.sides.matched.robot

@@ -13,16 +13,17 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.match import match
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.models.urdf_in_place import UrdfInPlace
+from pupper_analysis.models.xml_bytes import Element, XmlDocument
 from pupper_analysis.results import Result
 from pupper_analysis.sync.absent import is_absent
-from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, MatchedRobots, sides
-from pupper_analysis.sync.mjcf_elements import MjcfElements
 from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
-from pupper_analysis.sync.xml_bytes import Element, XmlDocument, read_document
 
 _OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 
@@ -140,16 +141,11 @@ def made(
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
     both = sides(matched, align(matched.robot, tolerances))
-    elements = MjcfElements(mjcf)
-    document = read_document(files.urdf)
-    plan = Plan(files, {files.urdf: document}, elements.documents)
+    elements = MjcfInPlace(mjcf)
     theirs = list(mjcf.files)
-    into_urdf = UrdfSide(
-        document=document,
-        sides=both,
-        wanted=both.urdf,
-        digits=Digits.of(theirs, [urdf.path]),
-    )
+    in_place = UrdfInPlace(urdf, Digits.of(theirs, [urdf.path]))
+    plan = Plan(files, {files.urdf: in_place.document}, elements.documents)
+    into_urdf = UrdfSide(file=in_place, sides=both, wanted=both.urdf, digits=in_place.digits)
     into_mjcf = MjcfSide(
         file=mjcf,
         elements=elements,

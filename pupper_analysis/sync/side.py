@@ -4,8 +4,8 @@
 from dataclasses import dataclass, field
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.sync.digits import Digits
 from pupper_analysis.sync.frames import Key, MatchedRobots
 
 

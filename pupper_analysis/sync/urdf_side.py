@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
+from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.multibody import TreeJoint
-from pupper_analysis.sync.digits import SAME, Digits
+from pupper_analysis.models.orientation import origin, origin_changes
+from pupper_analysis.models.urdf_in_place import UrdfInPlace, parent_of, pose_of
+from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.sync.frames import Key, mass_of, placement
 from pupper_analysis.sync.inertia import (
     Mass,
@@ -22,9 +25,7 @@ from pupper_analysis.sync.inertia import (
     total,
     turned_like,
 )
-from pupper_analysis.sync.orientation import numbers, origin, origin_changes
 from pupper_analysis.sync.side import Side
-from pupper_analysis.sync.xml_bytes import Element, XmlDocument
 
 Array = NDArray[np.float64]
 
@@ -33,16 +34,7 @@ Changes = dict[tuple[str, str], str]
 
 _RANGE = ("lower limit", "upper limit")
 
-_NUMBERS = {
-    one.kind: one.urdf
-    for one in JOINT_ATTRIBUTES
-    if one.urdf and one.mjcf and one.kind not in _RANGE
-}
-
-
-_UNKNOWN = {"effort": "0", "velocity": "1000"}
-"""What is written where nothing is known: 0 is what exporters write, which cross-checking knows to
-be none; but a velocity of 0 would be taken for one by whoever plans a motion."""
+_NUMBERS = [one.kind for one in JOINT_ATTRIBUTES if one.in_both and one.kind not in _RANGE]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -50,16 +42,13 @@ class UrdfSide(Side):
     """A URDF that gets numbers of an MJCF.
 
     Attributes:
-        document: The file.
+        file: The file.
     """
 
-    document: XmlDocument
+    file: UrdfInPlace
 
     def __post_init__(self) -> None:
-        root = self.document.root
-        self._links = {str(e.get("name")): e for e in root.children if e.tag == "link"}
-        self._joints = {str(e.get("name")): e for e in root.children if e.tag == "joint"}
-        self._above = {_end(joint, "child"): joint for joint in self._joints.values()}
+        self._links, self._above = self.file.links, self.file.above
         self._movers = {link: mover for mover, link in self.sides.matched.urdf_link.items()}
         self._compared = self.sides.matched.urdf_tree.links
 
@@ -86,13 +75,13 @@ class UrdfSide(Side):
         pose = pin.SE3.Identity()
         while link not in self._movers and link in self._above:
             joint = self._above[link]
-            pose = origin(joint.child("origin")) * pose
-            link = _end(joint, "parent")
+            pose = pose_of(joint) * pose
+            link = parent_of(joint)
         return pose
 
     def _mover(self, link: str) -> str:
         while link not in self._movers:
-            link = _end(self._above[link], "parent")
+            link = parent_of(self._above[link])
         return self._movers[link]
 
     def _frame(self, key: Key) -> None:
@@ -102,34 +91,20 @@ class UrdfSide(Side):
             return
         owner, position = self.wanted.frames[name]
         inside = self.sides.urdf_frames[owner].inverse() * position
-        there = self._pose(_end(joint, "parent")).inverse() * inside
-        old = origin(joint.child("origin"))
-        self._set_origin(joint, pin.SE3(np.array(old.rotation), there))
+        there = self._pose(parent_of(joint)).inverse() * inside
+        self.file.set_pose(joint, pin.SE3(np.array(pose_of(joint).rotation), there))
 
     def _place(self, name: str) -> None:
         joint = self._joint(name)
-        parent = _end(joint, "parent")
+        parent = parent_of(joint)
         frame = self.sides.urdf_frames[self._mover(parent)] * self._pose(parent)
-        self._set_origin(joint, frame.inverse() * placement(self.wanted.joints[name]))
-
-    def _set_origin(self, element: Element, pose: pin.SE3) -> None:
-        changes = origin_changes(element.child("origin"), pose, self.digits)
-        for attribute, text in changes.items():
-            element.ensure("origin").set(attribute, text)
+        self.file.set_pose(joint, frame.inverse() * placement(self.wanted.joints[name]))
 
     def _joint(self, name: str) -> Element:
-        return self._joints[self.sides.matched.urdf_joint[name]]
+        return self.file.joints[self.sides.matched.urdf_joint[name]]
 
     def _axis(self, name: str) -> None:
-        joint = self._joint(name)
-        old = joint.child("axis")
-        stated = None if old is None else old.get("xyz")
-        before = numbers(stated, "1 0 0")
-        length = float(np.linalg.norm(before))
-        wanted = self.wanted.joints[name].axis
-        text = self.digits.words((stated or "1 0 0").split(), wanted, 1.0)
-        if text is not None and float(np.abs(before / length - wanted).max()) > SAME:
-            joint.ensure("axis").set("xyz", text)
+        self.file.set_axis(self._joint(name), self.wanted.joints[name].axis)
 
     def _limits(self, key: Key) -> None:
         element, joint = self._joint(key[1]), self.wanted.joints[key[1]]
@@ -146,8 +121,9 @@ class UrdfSide(Side):
         if element.get("type") == "continuous":
             element.set("type", "revolute")
             self.notes[key] = diagnose("joint-made-revolute")
-        for word, value in (("lower", joint.lower), ("upper", joint.upper)):
-            self._write(element, "limit", word, value, 1.0)
+        for kind in _RANGE:
+            attribute = BY_KIND[kind]
+            self.file.set_number(element, attribute, getattr(joint, attribute.field), 1.0)
         self._complete(key, element)
 
     def _number(self, key: Key) -> None:
@@ -160,29 +136,14 @@ class UrdfSide(Side):
         if not math.isfinite(value):
             self.left[key] = diagnose("urdf-number-unlimited", kind=Term(kind))
             return
-        self._write(self._joint(name), *_NUMBERS[kind], value, 0.0)
+        self.file.set_number(self._joint(name), BY_KIND[kind], value)
         if kind == "effort":
             self._complete(key, self._joint(name))
 
     def _complete(self, key: Key, joint: Element) -> None:
         """Gives a new <limit> what the format demands of it, though no file states it."""
-        limit = joint.child("limit")
-        if limit is None:
-            return
-        for word, value in _UNKNOWN.items():
-            if limit.get(word) is None:
-                limit.set(word, value)
-                told = diagnose("limit-completed", attribute=word, value=value)
-                self.notes[key] = told
-
-    def _write(
-        self, element: Element, tag: str, attribute: str, value: float, floor: float
-    ) -> None:
-        there = element.child(tag)
-        old = None if there is None else there.get(attribute)
-        text = self.digits.words((old or "").split(), np.array([value]), floor)
-        if text is not None:
-            element.ensure(tag).set(attribute, text)
+        for word, value in self.file.complete_limit(joint).items():
+            self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
 
     def _members(self, mover: str) -> list[str]:
         """Returns the links that move with a joint, or are the base; the moved one first."""
@@ -191,11 +152,7 @@ class UrdfSide(Side):
         while waiting:
             here = waiting.pop(0)
             members += [here] if here in self._compared else []
-            waiting += [
-                _end(joint, "child")
-                for joint in self._joints.values()
-                if _end(joint, "parent") == here and _end(joint, "child") not in self._movers
-            ]
+            waiting += [link for link in self.file.carried(here) if link not in self._movers]
         return members
 
     def _inertial(self, mover: str, keys: list[Key]) -> None:
@@ -227,12 +184,6 @@ class UrdfSide(Side):
         if len(heavy) > 1:
             told = diagnose("one-link-changed", links=len(heavy), link=link)
             self.notes.update(dict.fromkeys(keys, told))
-
-
-def _end(joint: Element, tag: str) -> str:
-    found = joint.child(tag)
-    assert found is not None
-    return str(found.get("link"))
 
 
 def _stated(link: Element) -> Mass | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import OutputError
-from pupper_analysis.sync.xml_bytes import XmlDocument
+from pupper_analysis.models.xml_bytes import XmlDocument
 
 
 def unified_diff(path: Path, before: bytes, after: bytes) -> str:

@@ -75,6 +75,23 @@ def test_a_fixed_base_is_built_and_needs_no_ground(tmp_path: Path) -> None:
     assert "level-ground" not in {run.name for run in told.passes}
 
 
+def test_a_base_that_stands_on_no_feet_is_held_as_the_file_has_it(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path, foot="", free=False, keyframe="")
+    told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+    assert not robot.floating
+    assert told.passes[-1].name == "hold-base"
+    (held,) = told.passes[-1].done
+    assert (held.code, held.values["why"].code) == ("base-kept-in-the-world", "no-feet-found")
+    assert "build-held" in {run.name for run in told.passes}
+    assert "put-feet" not in {run.name for run in told.passes}  # of the robot that was not to be
+
+
+def test_a_free_base_without_feet_is_refused(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path, foot="", free=True, keyframe="")
+    with pytest.raises(pa.ModelError, match="no feet were found"):
+        explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request())
+
+
 def test_as_it_is_nothing_is_added(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     told, robot = explain_loading(read_urdf(pair.urdf), read_mjcf(pair.mjcf), Request(as_is=True))

@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.sync.digits import Digits
+from pupper_analysis.models.digits import Digits
+from pupper_analysis.models.xml_bytes import read_document
 from pupper_analysis.sync.inertia import Mass, same
 from pupper_analysis.sync.plan import UnwrittenCause
-from pupper_analysis.sync.xml_bytes import read_document
 from tests.support.robots import (
     Files,
     Parts,

@@ -12,8 +12,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.sync.digits import Digits
-from pupper_analysis.sync.xml_bytes import Element
+from pupper_analysis.models.digits import Digits
+from pupper_analysis.models.xml_bytes import Element
 
 Array = NDArray[np.float64]
 

@@ -9,12 +9,12 @@ import mujoco
 import pinocchio as pin
 
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.orientation import AngleUnits, numbers, stated_rotation
 from pupper_analysis.models.packages import existing
-from pupper_analysis.sync.orientation import AngleUnits, numbers, stated_rotation
-from pupper_analysis.sync.xml_bytes import Element, XmlDocument, read_document
+from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 
 
-class MjcfElements:
+class MjcfInPlace:
     """The elements of an MJCF, with its includes put in.
 
     Attributes:
