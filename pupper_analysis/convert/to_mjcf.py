@@ -27,8 +27,8 @@ from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_layout import put_defaults, to_text
 from pupper_analysis.models.xml_text import element, words
-from pupper_analysis.prepare.drives import span
 from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.prepare.notes import span
 from pupper_analysis.prepare.servo_tuning import held_gains, stand_gains
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot

@@ -8,7 +8,7 @@ import numpy as np
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.transmission import is_at_one_joint
-from pupper_analysis.prepare.drives import span
+from pupper_analysis.prepare.notes import span
 
 _GRAVITY = (0.0, 0.0, -9.81)
 """That of Pinocchio, and whoever else loads a URDF (m/s^2)."""

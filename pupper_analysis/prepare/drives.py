@@ -6,14 +6,19 @@ import contextlib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
+from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.prepare import notes, start
+from pupper_analysis.prepare.notes import span
 from pupper_analysis.prepare.servo_tuning import suggested_gains
 from pupper_analysis.prepare.visuals import take_visuals_of
 from pupper_analysis.robot.build import rebuilt
@@ -118,6 +123,30 @@ def driven(robot: Robot, stand: Stand, original: mujoco.MjSpec) -> tuple[Robot, 
     return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
 
 
+def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+    """Gives a robot position servos with suggested gains, if it stands."""
+    stand = start.first_stand(robot)
+    if stand is None:
+        return robot, []
+    own = own_servos(robot)
+    built, kp, kd, rests = driven(robot, stand, mjcf.spec)
+    idle = following(robot)
+    model = mjcf.model
+    made = []
+    for index, name in enumerate(robot.joint_names):
+        if name not in own and index not in idle:
+            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+            what = Drive.NONE if joint < 0 else drive_of(model, joint)
+            made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
+    told = [*notes.made(made, len(own), built.mj_model.opt.timestep)]
+    if not rests:
+        told.append(diagnose("no-servos-bring-it-to-rest"))
+    elif rests == 1:
+        told.append(diagnose("rests-with-feed-forward-alone"))
+    described = replace(built.description, made_servos=tuple(made))
+    return replace(built, description=described), told
+
+
 def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
     """Tells so, with gains that would hold it, if a robot falls over on servos of its own.
 
@@ -205,12 +234,6 @@ def _another(robot: Robot, seen: StandVerification) -> bool:
     """Tells whether the two files are not of one robot: then no gains make them stand alike."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     return seen.mujoco_residual > ANOTHER_ROBOT * weight
-
-
-def span(values: ArrayLike, unit: str) -> Diagnostic:
-    """Tells the least and the greatest of some numbers, or the one that all are."""
-    low, high = float(np.min(values)), float(np.max(values))
-    return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)
 
 
 def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:

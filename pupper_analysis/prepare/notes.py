@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.matching.match import Match
 from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.transmission import is_at_one_joint
-from pupper_analysis.prepare.drives import span
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot
@@ -130,3 +131,9 @@ def uncommanded(robot: Robot) -> Iterator[Diagnostic]:
 def _driven(model: mujoco.MjModel, motor: int) -> str:
     kind = mujoco.mjtTrn(int(model.actuator_trntype[motor])).name.removeprefix("mjTRN_").lower()
     return "ball or free joint" if kind.startswith("joint") else kind
+
+
+def span(values: ArrayLike, unit: str) -> Diagnostic:
+    """Tells the least and the greatest of some numbers, or the one that all are."""
+    low, high = float(np.min(values)), float(np.max(values))
+    return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +17,6 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.match import match
 from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import drives, notes, start, touching
@@ -244,35 +242,11 @@ def _add_servos(draft: Draft) -> Made:
     robot = draft.robot
     idle = {robot.joint_names[joint] for joint in drives.following(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
-        robot, made = _driven(robot, draft.mjcf)
+        robot, made = drives.with_added_servos(robot, draft.mjcf)
         return replace(draft, built=robot), made
     stand = start.first_stand(robot)
     advice = None if stand is None else drives.advice(robot, stand)
     return draft, () if advice is None else (advice,)
-
-
-def _driven(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot position servos with suggested gains, if it stands."""
-    stand = start.first_stand(robot)
-    if stand is None:
-        return robot, []
-    own = own_servos(robot)
-    built, kp, kd, rests = drives.driven(robot, stand, mjcf.spec)
-    idle = drives.following(robot)
-    model = mjcf.model
-    made = []
-    for index, name in enumerate(robot.joint_names):
-        if name not in own and index not in idle:
-            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-            what = Drive.NONE if joint < 0 else drive_of(model, joint)
-            made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
-    told = [*notes.made(made, len(own), built.mj_model.opt.timestep)]
-    if not rests:
-        told.append(diagnose("no-servos-bring-it-to-rest"))
-    elif rests == 1:
-        told.append(diagnose("rests-with-feed-forward-alone"))
-    described = replace(built.description, made_servos=tuple(made))
-    return replace(built, description=described), told
 
 
 def _build_whole(draft: Draft) -> Made:
