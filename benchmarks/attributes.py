@@ -14,8 +14,8 @@ range: the wrong way round), not a number, and a word, in this order; then of ot
 * `!`: something is said that is not so; the program then ends with status 1.
 
 Sensors, `visual`, `statistic`, `custom`, cameras, lights, textures, materials and sites cannot move
-a robot: MuJoCo reads them, and no force depends on them. Not swept yet, though they can: pid and
-muscle actuators, and the defaults of general, intvelocity, cylinder, pid and muscle ones.
+a robot: MuJoCo reads them, and no force depends on them. Plugins are not swept: MuJoCo knows none
+until one is loaded.
 """
 
 from __future__ import annotations
@@ -102,8 +102,18 @@ SECTIONS = (
 ACTUATORS = {
     "general": "", "motor": "", "velocity": 'kv="0.1"', "intvelocity": 'kp="1" actrange="-1 1"',
     "damper": 'kv="0.1" ctrlrange="0 1"', "cylinder": "", "muscle": 'force="1" lengthrange="0.1 1"',
-    "pid": 'kp="1"', "dcmotor": 'motorconst="0.1" resistance="1"',
+    "pid": 'kp="1"', "dcmotor": 'motorconst="0.1" resistance="1"', "adhesion": 'ctrlrange="0 1"',
+    "orientation": 'kp="1e-6"',
 }  # fmt: skip
+
+INPUTS = {"pid": 2, "orientation": 3}
+"""Of an actuator, where they are not one."""
+
+ACTS_ON = {"adhesion": 'body="FL_calf"', "orientation": 'site="nose" refsite="eye"'}
+"""Where it is no joint."""
+
+OF_A_CLASS = ("damper", "adhesion", "dcmotor", "orientation")
+"""Actuators whose numbers, as defaults of all, would be those of the servos: a class has them."""
 
 SENSORS = {
     'site="nose"': "touch accelerometer velocimeter gyro force torque magnetometer rangefinder",
@@ -223,8 +233,13 @@ def placed(root: etree._Element, path: str) -> list[etree._Element]:
         if section is None:
             section = etree.Element("default")
             root.insert(0, section)
-        if not rest or "/" in rest or rest in ("damper", "adhesion", "dcmotor"):
-            return []  # classes that need numbers of their own are no defaults of all
+        if not rest or "/" in rest:
+            return []
+        if rest in OF_A_CLASS:
+            section = etree.SubElement(section, "default", {"class": "other"})
+            _add_actuator(root, rest, 'class="other"')
+            section.append(etree.fromstring(f"<{rest} {ACTUATORS[rest]}/>"))
+            return [section[-1]]
         return [etree.SubElement(section, rest)]
     if top == "body":
         if not rest:
@@ -239,13 +254,17 @@ def placed(root: etree._Element, path: str) -> list[etree._Element]:
             return [e for e in inside if str(e.get("name")).endswith("_foot")]
         return inside
     if top == "actuator" and rest in ACTUATORS:
-        section = root.find("actuator")
-        words = ACTUATORS[rest]
-        section.append(etree.fromstring(f'<{rest} name="other" joint="FL_roll" {words}/>'))
-        key = root.find("keyframe/key")
-        key.set("ctrl", key.get("ctrl") + " 0" * (2 if rest == "pid" else 1))
-        return [section[-1]]
+        return [_add_actuator(root, rest, ACTUATORS[rest])]
     return root.findall(path) if path else []
+
+
+def _add_actuator(root: etree._Element, kind: str, words: str) -> etree._Element:
+    """Adds an actuator beside the servos, which is asked for nothing."""
+    acts_on = ACTS_ON.get(kind, 'joint="FL_roll"')
+    section, key = root.find("actuator"), root.find("keyframe/key")
+    section.append(etree.fromstring(f'<{kind} name="other" {acts_on} {words}/>'))
+    key.set("ctrl", key.get("ctrl") + " 0" * INPUTS.get(kind, 1))
+    return section[-1]
 
 
 @quiet()

@@ -1,21 +1,28 @@
 """Slips made on purpose: do the tests notice them? Mutants by Cosmic Ray, a sample per room.
 
-Each mutant changes one operator, number or condition of one module; the tests nearest to the module
-run until one fails. A mutant that none notices has survived: a test is missing, or the code does
-not need what was changed. ::
+Each mutant changes one operator, number or condition of one module. The quick tests that run the
+changed line, as coverage has recorded, run until one fails, the module's own first; then the slow
+ones of the module's own test. A mutant that none notices has survived: a test is missing, or the
+code does not need what was changed. ::
 
     python tests/mutate.py statics robot --sample 40    # make mutate ROOM="statics robot" SAMPLE=40
+    python tests/mutate.py --survivors                  # once tests are written: those again
 
 The checkout is not touched: all of it happens in a copy, build/mutants. Which rooms, and which
-kinds of slips, says `pyproject.toml`. A test has noticed a mutant only if it passes without it.
+kinds of slips, says `pyproject.toml`. What survived and changes nothing has its reason in
+`docs/data/mutants-equivalent.csv`; `--csv` writes the scores of all rooms beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import compileall
+import csv
+import datetime
 import json
 import os
+import py_compile
 import random
 import re
 import shlex
@@ -23,113 +30,149 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build"
+FOLDER = BUILD / "mutants"
+"""The copy in which all happens."""
+
+EQUIVALENT = ROOT / "docs/data/mutants-equivalent.csv"
 PACKAGE = "pupper_analysis"
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mutate"]
 
-SECONDS = 180
-"""Of processor for the tests of a mutant: one that never ends has been noticed."""
+SECONDS = 10.0
+"""Of the tests of a mutant, as long as they take without it; the quickest are taken."""
 
-WAITING = 20 * SECONDS
-"""Of waiting: others compute, too."""
+ENDLESS = 10
+"""Times as long with the mutant: it does not end, and has been noticed."""
 
-ABOUT_THE_TEXT = {"test_architecture", "test_docs", "test_house", "test_layers"}
-"""Tests that read the code, and do not run it."""
+STARTING = 20.0
+"""Seconds more: pytest starts, and imports the engines."""
+
+SLOW = "slow and not longest"
+"""Which tests of the module's own come last."""
+
+NONE_IS_FINE = '; code=$?; [ "$code" -ne 5 ] || code=0; exit "$code"'
+"""pytest ends with 5 where no test is marked so."""
+
+WAITING = 300.0
+"""Of waiting: others compute, too, and some mutants wait for ever."""
 
 
-# ------------------------------------------------------------------------- which tests are nearest
+# ------------------------------------------------------------------- the copy, and what tests run
 
 
-def module_name(path: Path) -> str:
-    """Returns a module's name from its path in the checkout."""
-    parts = path.with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+def copied() -> None:
+    """Copies what git knows of the checkout, and what is new in it; compiles it once.
+
+    What is compiled is taken by its content, not by its time: a mutant that is as long as what it
+    replaces, within the same second, is another module.
+    """
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(listing, cwd=ROOT, capture_output=True, check=True, text=True).stdout
+    for name in filter(None, listed.split("\0")):
+        if (ROOT / name).is_file():
+            (FOLDER / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, FOLDER / name)
+    by_content = py_compile.PycInvalidationMode.CHECKED_HASH
+    compileall.compile_dir(FOLDER / PACKAGE, quiet=1, invalidation_mode=by_content)
+
+
+def pytest(*arguments: str) -> list[str]:
+    return [sys.executable, "-m", "pytest", "-n", "0", "--dist", "no", "-q", *arguments]
+
+
+def record(tests: Sequence[str], mark: str) -> None:
+    """Runs tests in the copy, and records which lines each runs and how long it takes."""
+    settings = FOLDER / "build-coverage.ini"
+    settings.write_text(f"[run]\nsource = {PACKAGE}\n")
+    options = [f"--cov={PACKAGE}", f"--cov-config={settings}", "--cov-context=test"]
+    options += ["--cov-report=", "--junitxml=build-tests.xml", "-o", "junit_family=xunit1"]
+    subprocess.run(
+        pytest("-m", mark, *options, *tests), cwd=FOLDER, stdout=subprocess.DEVNULL, check=False
+    )
 
 
 @cache
-def modules() -> Mapping[str, Path]:
-    """Returns {name of a module: its file, relative to the checkout}."""
-    files = sorted((ROOT / PACKAGE).rglob("*.py"))
-    return {module_name(p): p for p in (file.relative_to(ROOT) for file in files)}
+def seconds() -> Mapping[str, float]:
+    """Returns how long each test takes that passes without any mutant (s)."""
+    found = {}
+    for case in ET.parse(FOLDER / "build-tests.xml").getroot().iter("testcase"):
+        if not {part.tag for part in case} & {"failure", "error", "skipped"}:
+            file = case.get("file") or f"{str(case.get('classname')).replace('.', '/')}.py"
+            found[f"{file}::{case.get('name')}"] = float(case.get("time", "0"))
+    return found
 
 
 @cache
-def public() -> Mapping[str, str]:
-    """Returns {public name: the module where it is at home}."""
-    tree = ast.parse((ROOT / PACKAGE / "__init__.py").read_text())
+def lines_of(path: str) -> Mapping[int, frozenset[str]]:
+    """Returns {line of a module: the tests that run it}."""
+    from coverage import CoverageData
+
+    data = CoverageData(str(FOLDER / ".coverage"))
+    data.read()
     return {
-        alias.name: node.module
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module
-        for alias in node.names
-        if node.module.startswith(PACKAGE)
+        line: frozenset(name.rpartition("|")[0] for name in names) & seconds().keys()
+        for line, names in data.contexts_by_lineno(str(FOLDER / path)).items()
     }
 
 
-def imported(tree: ast.AST) -> Iterator[str]:
-    """Yields the package's modules that a file imports, or reaches through the package's door."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                yield inner if inner in modules() else node.module
-        elif isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("pa", PACKAGE):
-            yield public().get(node.attr, PACKAGE)
+def judges(path: str, first: int, last: int) -> list[str]:
+    """Returns the tests that run some lines of a module, those first that tell soonest.
 
-
-@cache
-def used(path: Path) -> frozenset[str]:
-    """Returns the package's modules that a file uses itself."""
-    tree = ast.parse((ROOT / path).read_text())
-    return frozenset(name for name in imported(tree) if name in modules() and name != PACKAGE)
-
-
-@cache
-def users() -> Mapping[str, frozenset[str]]:
-    """Returns {module: those that import it}."""
-    found: dict[str, set[str]] = {name: set() for name in modules()}
-    for name, path in modules().items():
-        for other in used(path):
-            found[other].add(name)
-    return {name: frozenset(those) for name, those in found.items()}
-
-
-def words_of(name: str) -> frozenset[str]:
-    """Returns the words of a dotted name, without their plurals."""
-    return frozenset(word.rstrip("s") for word in re.split(r"[._]", name))
-
-
-def nearest(module: str, most: int) -> list[Path]:
-    """Returns the test files nearest to a module, relative to the checkout.
-
-    Those of its name come first, then those that use it themselves, then those whose names share
-    the most words with its path; of several, those from which the fewest imports lead to it, and
-    which use the fewest modules.
+    What is run as the module is imported is judged by all that run anything of it.
     """
-    away, waiting = {module: 0}, deque([module])
-    while waiting:
-        name = waiting.popleft()
-        for user in users()[name] - away.keys():
-            away[user] = away[name] + 1
-            waiting.append(user)
-    words, stem, ranked = words_of(module), words_of(module.rpartition(".")[2]), []
-    for file in sorted((ROOT / "tests").rglob("test_*.py")):
-        path = file.relative_to(ROOT)
-        steps = [away[name] for name in used(path) if name in away]
-        if steps and path.stem not in ABOUT_THE_TEXT:
-            own = words_of(path.stem) - {"test"}
-            shared, direct = len(own & words), 0 in steps
-            ranked.append((own != stem, not direct, -shared, min(steps), len(used(path)), path))
-    return [path for *_, path in sorted(ranked)[:most]]
+    lines = lines_of(path)
+    own = [lines[line] for line in range(first, last + 1) if line in lines]
+    if not any(own):
+        own = list(lines.values()) if own or not _in_function(path, first) else []
+    name = f"/{test_name(path)}.py::"
+    near = sorted(frozenset().union(*own), key=lambda test: (name not in test, seconds()[test]))
+    taken, spent = [], 0.0
+    for test in near:
+        spent += seconds()[test]
+        if taken and spent > SECONDS:
+            break
+        taken.append(test)
+    return taken
+
+
+def statement(path: str, line: int) -> tuple[int, int]:
+    """Returns the first and the last line of the least statement about a line, without its body."""
+    spans = [(line, line)]
+    for node in ast.walk(_tree(path)):
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or 0):
+            body = getattr(node, "body", None)
+            last = body[0].lineno - 1 if body else node.end_lineno or line
+            if line <= last:
+                spans.append((node.lineno, last))
+    return min(spans[1:] or spans, key=lambda span: span[1] - span[0])
+
+
+@cache
+def _tree(path: str) -> ast.Module:
+    return ast.parse((FOLDER / path).read_text())
+
+
+def test_name(path: str) -> str:
+    """Returns the name of a module's own test."""
+    return f"test_{Path(path).stem}"
+
+
+def _in_function(path: str, line: int) -> bool:
+    return any(
+        node.body[0].lineno <= line <= (node.end_lineno or 0)
+        for node in ast.walk(_tree(path))
+        if isinstance(node, ast.FunctionDef)
+    )
 
 
 # ------------------------------------------------------------------------------------- the mutants
@@ -145,7 +188,8 @@ class Outcome:
         change: The changed lines, before and after.
         killed: Whether a test noticed it.
         by: The tests that failed, by their ids; none if they ended otherwise, or not in time.
-        tests: The files whose tests were run.
+        tests: How many tests were run.
+        since: Whether a test notices it that was written because it had survived.
     """
 
     path: str
@@ -153,41 +197,66 @@ class Outcome:
     change: str
     killed: bool
     by: tuple[str, ...]
-    tests: tuple[str, ...]
+    tests: int
+    since: bool = False
+
+    @property
+    def equivalent(self) -> bool:
+        return not self.killed and (self.path, self.change) in equivalents()
 
 
-def command(tests: Iterable[str], mark: str) -> str:
-    """Returns the shell's command that runs some tests within their time, in the current folder."""
-    pytest = [sys.executable, "-B", "-m", "pytest", "-n", "0", "-q", "-x", "-m", mark, *tests]
-    return shlex.join(["sh", "-c", f"ulimit -t {SECONDS}; exec {shlex.join(pytest)}"])
+@cache
+def equivalents() -> frozenset[tuple[str, str]]:
+    """Returns the mutants of which somebody has argued that they change nothing."""
+    with EQUIVALENT.open(newline="") as file:
+        return frozenset((row["module"], row["change"]) for row in csv.DictReader(file))
 
 
-def copied(folder: Path) -> None:
-    """Copies what git knows of the checkout, and what is new in it."""
-    shutil.rmtree(folder, ignore_errors=True)
-    listing = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(listing, cwd=ROOT, capture_output=True, check=True, text=True).stdout
-    for name in filter(None, listed.split("\0")):
-        if (ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
+def no_slips(path: str) -> Iterator[tuple[int, int, int, int]]:
+    """Yields where a change is no slip of what is computed, as (line, column, line, column).
+
+    Annotations, what only types are checked for, decorators, the words of an error, and whether
+    two sequences are checked for one length.
+    """
+    for node in ast.walk(_tree(path)):
+        inner: list[ast.AST | None] = []
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            inner = [*node.decorator_list]
+        if isinstance(node, ast.FunctionDef):
+            inner += [node.returns]
+        elif isinstance(node, ast.arg | ast.AnnAssign):
+            inner = [node.annotation]
+        elif isinstance(node, ast.Raise) or (
+            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        ):
+            inner = [node]
+        elif isinstance(node, ast.Call):
+            inner = [word.value for word in node.keywords if word.arg == "strict"]
+        for one in filter(None, inner):
+            yield one.lineno, one.col_offset, one.end_lineno, one.end_col_offset  # type: ignore[attr-defined]
 
 
-def drawn(paths: Sequence[Path], sample: int, seed: int) -> list[object]:
+def drawn(paths: Sequence[str], sample: int, seed: int) -> list[Any]:
     """Returns mutations drawn at random: a module by its size, then a place in it, each once."""
     import cosmic_ray.commands
     from cosmic_ray.work_db import use_db
 
     choose = random.Random(seed)
-    weights = [path.stat().st_size for path in paths]
+    weights = [(FOLDER / path).stat().st_size for path in paths]
     wanted = Counter(choose.choices(paths, weights, k=sample))
     kinds = re.compile("|".join(SETTINGS["operators"]))
-    found: list[object] = []
+    found: list[Any] = []
     for path in sorted(wanted):
         with use_db(":memory:") as db:
-            cosmic_ray.commands.init([path], db, {})
+            cosmic_ray.commands.init([Path(path)], db, {})
             items = [item.mutations[0] for item in db.work_items]
-        items = [item for item in items if kinds.fullmatch(item.operator_name)]
+        skipped = list(no_slips(path))
+        items = [
+            item
+            for item in items
+            if kinds.fullmatch(item.operator_name)
+            and not any((a, b) <= item.start_pos < (c, d) for a, b, c, d in skipped)
+        ]
         items.sort(key=lambda item: (item.start_pos, item.operator_name, item.occurrence))
         choose.shuffle(items)
         places = list({item.start_pos: item for item in items}.values())
@@ -196,85 +265,187 @@ def drawn(paths: Sequence[Path], sample: int, seed: int) -> list[object]:
     return found
 
 
-def outcome(mutation: object, most: int, mark: str) -> Outcome | None:
-    """Makes a mutant in the current folder, and runs the tests nearest to it."""
+def outcome(path: str, line: int, run: Callable[[str], tuple[bool, str]]) -> Outcome:
+    """Returns what became of a mutant.
+
+    Args:
+        path: The module.
+        line: Where it is changed.
+        run: Makes the mutant and runs words of a shell; returns whether that failed, and the
+            changed lines.
+    """
+    tests = judges(path, *statement(path, line))
+    listed, failed = Path("build-judges.txt"), Path(".pytest_cache/v/cache/lastfailed")
+    listed.write_text("".join(f"{test}\n" for test in tests))
+    failed.unlink(missing_ok=True)
+    limit = int(STARTING + ENDLESS * sum(seconds()[test] for test in tests))
+    killed, change = run(shell(pytest("-x", f"@{listed}"), limit) if tests else "true")
+    own = [str(file) for file in Path("tests", Path(path).parts[1]).rglob(f"{test_name(path)}.py")]
+    if own and not killed:
+        limit = int(STARTING + ENDLESS * SECONDS)
+        killed, change = run(shell(pytest("-x", "-m", SLOW, *own), limit) + NONE_IS_FINE)
+    by = tuple(json.loads(failed.read_text())) if killed and failed.exists() else ()
+    return Outcome(path, line, change, killed, by, len(tests))
+
+
+def shell(command: Sequence[str], limit: int) -> str:
+    """Returns a shell's words for a command that takes so many seconds of processor at most."""
+    words = ["timeout", f"{WAITING:g}", command[0], "-B", *command[1:]]
+    return f"ulimit -t {limit}; {shlex.join(words)}"
+
+
+def by_cosmic_ray(mutation: Any) -> Outcome:
+    """Makes a mutant that was drawn, in the current folder, and judges it."""
     from cosmic_ray.mutating import mutate_and_test
     from cosmic_ray.work_item import WorkerOutcome
 
-    path = Path(mutation.module_path)  # type: ignore[attr-defined]
-    tests = tuple(str(test) for test in nearest(module_name(path), most))
-    failed = Path(".pytest_cache/v/cache/lastfailed")
-    failed.unlink(missing_ok=True)
-    result = mutate_and_test([mutation], command(tests, mark), WAITING)
-    if result.worker_outcome != WorkerOutcome.NORMAL:
+    def run(command: str) -> tuple[bool, str]:
+        result = mutate_and_test([mutation], shlex.join(["sh", "-c", command]), 3 * WAITING)
+        if result.worker_outcome != WorkerOutcome.NORMAL:
+            raise RuntimeError(result.output)
+        rows = (result.diff or "").splitlines()
+        change = [row for row in rows if row[:1] in "-+" and row[:3] not in ("---", "+++")]
+        return result.is_killed, "\n".join(change)
+
+    return outcome(str(mutation.module_path), mutation.start_pos[0], run)
+
+
+def by_its_change(old: Outcome) -> Outcome | None:
+    """Makes a mutant anew that survived, and judges it; None if what it changed is gone."""
+    rows = old.change.splitlines()
+    before, after = ("\n".join(row[1:] for row in rows if row[0] == sign) for sign in "-+")
+    path = Path(old.path)
+    text = path.read_text() if path.exists() else ""
+    places = [found.start() for found in re.finditer(re.escape(before) + "\n", text)]
+    if not before or not places:
         return None
-    rows = (result.diff or "").splitlines()
-    change = [row for row in rows if row[:1] in "-+" and row[:3] not in ("---", "+++")]
-    by = tuple(json.loads(failed.read_text())) if failed.exists() else ()
-    line = mutation.start_pos[0]  # type: ignore[attr-defined]
-    return Outcome(str(path), line, "\n".join(change), result.is_killed, by, tests)
+    place = min(places, key=lambda start: abs(text.count("\n", 0, start) + 1 - old.line))
+
+    def run(command: str) -> tuple[bool, str]:
+        path.write_text(text[:place] + after + text[place + len(before) :])
+        try:
+            done = subprocess.run(["sh", "-c", command], capture_output=True, check=False)
+        finally:
+            path.write_text(text)
+        return done.returncode != 0, old.change
+
+    return outcome(old.path, text.count("\n", 0, place) + 1, run)
 
 
-def passes(tests: Sequence[str], mark: str) -> bool:
-    """Tells whether tests pass in the current folder, without a mutant."""
-    run = subprocess.run(shlex.split(command(tests, mark)), capture_output=True, check=False)
-    return run.returncode == 0
+# -------------------------------------------------------------------------------- rooms and scores
 
 
-def judged(outcomes: Sequence[Outcome], mark: str) -> list[Outcome]:
-    """Returns only those mutants whose killers are innocent: they pass without the mutant."""
-    broken = set()
-    for tests in {found.by or found.tests for found in outcomes if found.killed}:
-        if not passes(tests, mark if not any("::" in test for test in tests) else ""):
-            broken.add(tests)
-            print("fails without any mutant:", *tests, flush=True)
-    return [
-        found for found in outcomes if not (found.killed and (found.by or found.tests) in broken)
-    ]
-
-
-def mutate(room: str, sample: int, seed: int, most: int, mark: str) -> list[Outcome]:
-    """Returns what became of a sample of a room's mutants."""
-    folder = BUILD / "mutants"
-    copied(folder)
-    os.chdir(folder)
-    os.environ |= {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
-    paths = [path for path in modules().values() if path.parts[1].removesuffix(".py") == room]
-    if not paths:
+def rooms_modules(room: str) -> list[str]:
+    """Returns the modules of a room, relative to the copy."""
+    files = sorted((FOLDER / PACKAGE).rglob("*.py"))
+    names = [file.relative_to(FOLDER).as_posix() for file in files]
+    found = [name for name in names if name.split("/")[1].removesuffix(".py") == room]
+    if not found:
         sys.exit(f"there is no room {room!r}")
-    outcomes = []
-    for mutation in drawn(paths, sample, seed):
-        found = outcome(mutation, most, mark)
-        if found is not None:
-            outcomes.append(found)
-            said = "killed" if found.killed else "SURVIVED"
-            print(f"{said:8} {found.path}:{found.line}", *found.by[:1], flush=True)
-            if not found.killed:
-                print(found.change, flush=True)
-    return judged(outcomes, mark)
+    return found
+
+
+def told(found: Outcome) -> None:
+    said = "killed" if found.killed else "equal" if found.equivalent else "SURVIVED"
+    print(f"{said:8} {found.path}:{found.line} {found.tests} tests", *found.by[:1], flush=True)
+    if said == "SURVIVED":
+        print(found.change, flush=True)
+
+
+def written(room: str, seed: int, outcomes: Sequence[Outcome], date: str) -> None:
+    held = {"seed": seed, "date": date, "outcomes": [asdict(found) for found in outcomes]}
+    (BUILD / f"mutants-{room}.json").write_text(json.dumps(held, indent=1))
+
+
+def read(room: str) -> tuple[int, str, list[Outcome]]:
+    """Returns a room's seed, date and outcomes, as they were written."""
+    held = json.loads((BUILD / f"mutants-{room}.json").read_text())
+    found = [Outcome(**{**one, "by": tuple(one["by"])}) for one in held["outcomes"]]
+    return held["seed"], held["date"], found
+
+
+def mutate(room: str, sample: int, seed: int) -> None:
+    """Draws a sample of a room's mutants, and writes what became of each."""
+    outcomes: list[Outcome] = []
+    for mutation in drawn(rooms_modules(room), sample, seed):
+        outcomes.append(by_cosmic_ray(mutation))
+        told(outcomes[-1])
+        written(room, seed, outcomes, datetime.date.today().isoformat())
+
+
+def again(room: str) -> None:
+    """Judges anew what survived in a room, and writes which a test notices since."""
+    seed, date, outcomes = read(room)
+    for place, old in enumerate(outcomes):
+        if not (old.killed or old.since or old.equivalent):
+            found = by_its_change(old)
+            if found is None:
+                print(f"gone     {old.path}:{old.line}\n{old.change}", flush=True)
+                continue
+            told(found)
+            outcomes[place] = Outcome(**{**asdict(old), "since": found.killed, "by": found.by})
+            written(room, seed, outcomes, date)
+
+
+COLUMNS = ("room", "mutants", "killed", "equivalent", "killed since", "left", "seed", "date")
+
+
+def scores(rooms: Iterable[str]) -> list[tuple[object, ...]]:
+    """Returns a row of `COLUMNS` for each room, and for all of them."""
+    rows: list[tuple[object, ...]] = []
+    total: Counter[str] = Counter()
+    for room in rooms:
+        seed, date, outcomes = read(room)
+        kinds = Counter(
+            "killed"
+            if found.killed
+            else "equivalent"
+            if found.equivalent
+            else "since"
+            if found.since
+            else "left"
+            for found in outcomes
+        )
+        total += kinds
+        rows.append((room, kinds.total(), *(kinds[kind] for kind in KINDS), seed, date))
+    return [*rows, ("all", total.total(), *(total[kind] for kind in KINDS), "", "")]
+
+
+KINDS = ("killed", "equivalent", "since", "left")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("rooms", nargs="*", help="by default all that compute")
-    parser.add_argument("--sample", type=int, default=40, help="mutants of each room")
+    parser.add_argument("--sample", type=int, default=30, help="mutants of each room")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
-    parser.add_argument("--files", type=int, default=6, help="test files, of the nearest, for each")
-    parser.add_argument("--mark", default="not longest", help="which of their tests (pytest -m)")
+    parser.add_argument("--tests", nargs="+", default=SETTINGS["tests"], help="that judge")
+    parser.add_argument("--mark", default="not slow", help="which of these (pytest -m)")
+    parser.add_argument("--keep", action="store_true", help="the copy, and what tests run in it")
+    parser.add_argument("--survivors", action="store_true", help="judge anew what has survived")
+    parser.add_argument("--csv", type=Path, help="write the scores here")
     parser.add_argument("--least", type=float, default=0.0, help="share killed, or it fails")
     given = parser.parse_args()
-    scores: dict[str, Counter[bool]] = {}
-    for room in given.rooms or SETTINGS["rooms"]:
-        outcomes = mutate(room, given.sample, given.seed, given.files, given.mark)
-        scores[room] = Counter(found.killed for found in outcomes)
-        (BUILD / f"mutants-{room}.json").write_text(
-            json.dumps([found.__dict__ for found in outcomes], indent=1)
-        )
-    print("\nroom         killed  of")
-    for room, score in scores.items():
-        print(f"{room:12} {score[True]:6} {score.total():3}  {score[True] / score.total():.0%}")
-    total = sum(scores.values(), Counter())
-    sys.exit(total[True] < given.least * total.total())
+    rooms = given.rooms or SETTINGS["rooms"]
+    target = given.csv.resolve() if given.csv else None
+    os.environ |= {"PYTHONPATH": str(FOLDER), "OMP_NUM_THREADS": "1"}
+    if not given.keep:
+        copied()
+        record(given.tests, given.mark)
+    os.chdir(FOLDER)
+    for room in rooms:
+        if given.survivors:
+            again(room)
+        else:
+            mutate(room, given.sample, given.seed)
+    rows = scores(rooms)
+    for row in [COLUMNS, *rows]:
+        print(*(f"{cell!s:>12}" for cell in row))
+    if target:
+        with target.open("w", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
+    _, drawn_, killed, equivalent, since, *_ = rows[-1]
+    sys.exit(killed + equivalent + since < given.least * drawn_)  # type: ignore[operator]
 
 
 if __name__ == "__main__":

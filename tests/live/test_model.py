@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.live import export, viser_parts
-from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of
+from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of, css
 from pupper_analysis.live.documents import (
     brief_document,
     failure_document,
@@ -374,6 +374,8 @@ def test_the_words_tell_the_numbers() -> None:
     assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
     for torque in found.statics.joint_torques:
         assert f">{torque:+.4f}<" in html
+    for share in found.statics.motor_utilisation:
+        assert f"width:{3 * share:.2f}em;background:{css(colour_of(share))}" in html
     assert settled.settled is not None
     assert f">{1e3 * settled.settled.height_loss:.3f}</td><td>mm<" in html
     assert "being worked out" in panel(stance_document(found, None, None), ENGLISH)

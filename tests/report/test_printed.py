@@ -19,6 +19,7 @@ from pupper_analysis.report.documents.loaded_stance import payload_document
 from pupper_analysis.report.documents.path_there import path_document
 from pupper_analysis.report.documents.pushed_stance import push_document
 from pupper_analysis.report.documents.stance import stance_document
+from pupper_analysis.report.plots import LinePlot
 from pupper_analysis.report.words import english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge
@@ -135,6 +136,15 @@ def test_the_fastest_path() -> None:
         "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) after 37% of "
         "segment 2; 2.5 s if the acceleration could jump The path" in text
     )
+
+
+def test_the_height_along_a_path_is_drawn_in_millimetres() -> None:
+    (drawn,) = [
+        block.series[0].y
+        for block in path_document(there()).blocks
+        if isinstance(block, LinePlot) and block.y.unit == "mm"
+    ]
+    np.testing.assert_allclose(drawn, 123.0)
 
 
 def test_limits_say_that_their_servos_were_made_up() -> None:

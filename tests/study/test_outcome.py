@@ -18,7 +18,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.report.figures import study as figures
-from pupper_analysis.study.cells import mean_map, panels
+from pupper_analysis.study.cells import Cells, mean_map, panels
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.measures import MEASURES
@@ -88,6 +88,20 @@ def colours(path: Path, share: tuple[float, float]) -> tuple[float, float, float
     height, width, _ = image.shape
     red, green, blue = image[int((1 - share[1]) * height), int(share[0] * width), :3]
     return float(red), float(green), float(blue)
+
+
+def test_cells_lie_about_their_middles() -> None:
+    """Many values: cells of one width, each about its middle, with the designs that are in it."""
+    values = np.random.default_rng(0).uniform(2.0, 5.0, 400)
+    cells = Cells(values)
+    assert not cells.levels
+    width = (values.max() - values.min()) / len(cells.centres)
+    np.testing.assert_allclose(np.diff(cells.edges), width)
+    assert (np.abs(values - cells.centres[cells.index]) <= width / 2 * (1 + 1e-9)).all()
+    few = Cells(np.array([1.0, 4.0, 1.0, 2.0]))
+    assert few.levels
+    np.testing.assert_allclose(few.centres[few.index], [1.0, 4.0, 1.0, 2.0])
+    np.testing.assert_allclose(few.edges, [0.5, 1.5, 3.0, 5.0])
 
 
 def test_a_heat_map_has_the_measure_where_it_is(table: pd.DataFrame, tmp_path: Path) -> None:

@@ -1,0 +1,30 @@
+"""Servos put in place of torque motors hold the robot as predicted, whatever the motors' gears."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import pupper_analysis as pa
+from pupper_analysis.robot.servos import servos
+from tests.support.legged import quadruped
+
+
+def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
+    """At the joint they are what is said; the file's own motors, told by their law, hold it too."""
+    pair = quadruped(tmp_path, floor=True)
+    text = pair.mjcf.read_text()
+    pair.mjcf.write_text(text.replace('ctrlrange="-30 30"', 'gear="3" ctrlrange="-10 10"'))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+    made = {servo.joint: servo for servo in robot.description.made_servos}
+    assert set(made) == set(robot.joint_names)
+    drive = servos(robot)
+    np.testing.assert_allclose(drive.kp, [made[name].kp for name in robot.joint_names])
+    np.testing.assert_allclose(drive.kd, [made[name].kd for name in robot.joint_names])
+    np.testing.assert_allclose(robot.effort_limits, 30.0)
+    assert robot.published is not None
+    assert not robot.published.differs
+    for run in robot.published.runs:
+        assert abs(run.height_error) < 1e-8
+        assert run.torque_error < 1e-5
