@@ -43,7 +43,7 @@ test: $(VENV)/.ready ## run the tests, without the long proofs
 test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m "slow and not longest"
 
-test-longest: $(VENV)/.ready ## run the longest proofs: some four minutes
+test-longest: $(VENV)/.ready-mutation ## run the longest proofs, with a few mutants: some six minutes
 	$(BIN)/python -m pytest -m longest
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
@@ -52,7 +52,7 @@ test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that a
 durations: $(VENV)/.ready ## run all but the longest, and write how long each takes: sets what is slow
 	$(BIN)/python -m pytest -m "not longest" --record-durations
 
-mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each ROOM; does a test notice?
+mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each ROOM: does a test notice?
 	$(BIN)/python tests/mutate.py $(ROOM) --sample $(SAMPLE) $(MUTATE)
 
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it

@@ -8,7 +8,8 @@ code does not need what was changed. ::
     python tests/mutate.py statics robot --sample 40    # make mutate ROOM="statics robot" SAMPLE=40
     python tests/mutate.py --survivors                  # once tests are written: those again
 
-The checkout is not touched: all of it happens in a copy, build/mutants. Which rooms, and which
+The checkout is not touched: all of it happens in a copy, build/mutants (or in the folder that
+``MUTANTS`` names). Which rooms, and which
 kinds of slips, says `pyproject.toml`. What survived and changes nothing has its reason in
 `docs/data/mutants-equivalent.csv`; `--csv` writes the scores of all rooms beside it.
 """
@@ -39,7 +40,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
-BUILD = ROOT / "build"
+BUILD = Path(os.environ.get("MUTANTS", ROOT / "build")).resolve()
 FOLDER = BUILD / "mutants"
 """The copy in which all happens."""
 
