@@ -127,16 +127,11 @@ def effort_of(
     )
 
 
-def stated_efforts(model: mujoco.MjModel, joint: int) -> tuple[EffortStatement, ...]:
+def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[EffortStatement]:
     """Returns what an MJCF states of a joint's effort, each worked out at the joint.
 
     Several actuators at a joint add up: what bounds their sum is one statement.
     """
-    return tuple(_stated(model, joint, drives_of(model, joint)))
-
-
-def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[EffortStatement]:
-    """Returns ``stated_efforts`` of a joint with some actuators."""
     found, name = [], str(model.joint(joint).name)
     if model.jnt_actfrclimited[joint]:
         found.append(

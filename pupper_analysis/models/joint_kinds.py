@@ -26,11 +26,6 @@ class JointKind(IntEnum):
 FREE, BALL, SLIDE, HINGE = JointKind
 
 
-def joint_kind(model: mujoco.MjModel, joint: int) -> JointKind:
-    """Returns the kind of a joint of a model."""
-    return JointKind(int(model.jnt_type[joint]))
-
-
 def spec_kind(joint: mujoco.MjsJoint) -> JointKind:
     """Returns the kind of a joint of a spec."""
     return JointKind(int(joint.type))

@@ -74,6 +74,21 @@ def is_usd(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
+class PrimPlaces:
+    """The places of what stands for a USD in another format: its prims.
+
+    Attributes:
+        usd: The file.
+    """
+
+    usd: UsdFile | None
+
+    def place(self, kind: str, name: str, child: str | None = None) -> Place:
+        """Finds a prim; see `UsdFile.place`."""
+        assert self.usd is not None
+        return self.usd.place(kind, name, child)
+
+
 def read_usd(path: str | Path) -> UsdFile:
     """Opens a USD file.
 

@@ -19,6 +19,7 @@ from pupper_analysis.models.mjcf import compile_spec, quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
+from pupper_analysis.prepare.visuals import leave_out_visuals
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -72,13 +73,16 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
 
     It has a floor and names if it has none: nothing else is put into it.
     """
-    model = mjcf.compile()
-    if not _has(model, robot) or (_ground(model) is None and not len(_fixed_geoms(model))):
-        spec = mjcf.spec.copy()
-        name_all(spec, set())
-        if _ground(model) is None and not len(_fixed_geoms(model)):
-            SpecTree(spec).add_floor()
-        model = compile_spec(spec, mjcf.path)
+    model = mjcf.model
+    grounded = _ground(model) is not None or len(_fixed_geoms(model)) > 0
+    if grounded and _has(model, robot):
+        return mjcf.compile()
+    spec = mjcf.spec.copy()
+    name_all(spec, set())
+    if not grounded:
+        leave_out_visuals(spec)
+        SpecTree(spec).add_floor()
+    model = compile_spec(spec, mjcf.path)
     return model if _has(model, robot) else None
 
 

@@ -16,6 +16,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
 from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.notes import span
@@ -243,7 +244,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     not shake light joints.
     """
     spec, own = spec.copy(), own_servos(robot)
-    tree = SpecTree(spec)
+    tree: MjcfEdits = SpecTree(spec)
     idle = {robot.joint_names[joint] for joint in following(robot)}
     for name, stiffness, damping, limit in zip(
         robot.joint_names, kp, kd, robot.efforts, strict=True

@@ -19,7 +19,6 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.transition import STEP, copied, transition
 
 Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LASTING = 12.0
 """How long what is said to hold must hold (s). Regularised friction creeps, and what is carried by

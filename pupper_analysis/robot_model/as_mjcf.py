@@ -15,7 +15,7 @@ from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refusal
-from pupper_analysis.models.usd_file import UsdFile, read_usd
+from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.robot_model.mjcf import KINDS
 from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Inertial, Link
 from pupper_analysis.robot_model.pose import Array, Pose
@@ -26,7 +26,7 @@ _TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in KINDS.items()}
 
 
 @dataclass(frozen=True, eq=False)
-class UsdAsMjcf(MjcfFile):
+class UsdAsMjcf(PrimPlaces, MjcfFile):
     """A USD that can be asked what an MJCF is asked.
 
     Attributes:
@@ -34,11 +34,6 @@ class UsdAsMjcf(MjcfFile):
     """
 
     usd: UsdFile | None = None
-
-    def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds a prim; see `UsdFile.place`."""
-        assert self.usd is not None
-        return self.usd.place(kind, name, child)
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
         """Returns the prim of a joint: what it states, it states itself."""

@@ -14,10 +14,10 @@ from lxml import etree
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.places import refusal
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
-from pupper_analysis.models.usd_file import UsdFile, read_usd
+from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot_model.as_mjcf import notes_of, unstated
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link
@@ -26,7 +26,7 @@ from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 
 
 @dataclass(frozen=True, eq=False)
-class UsdAsUrdf(UrdfFile):
+class UsdAsUrdf(PrimPlaces, UrdfFile):
     """A USD that can be asked what a URDF is asked.
 
     Attributes:
@@ -34,11 +34,6 @@ class UsdAsUrdf(UrdfFile):
     """
 
     usd: UsdFile | None = None
-
-    def place(self, kind: str, name: str, child: str | None = None) -> Place:
-        """Finds a prim; see `UsdFile.place`."""
-        assert self.usd is not None
-        return self.usd.place(kind, name, child)
 
 
 def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
