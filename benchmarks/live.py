@@ -28,7 +28,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.live import viser_parts
 from pupper_analysis.live.documents import stance_document
-from pupper_analysis.live.model import Answer, Model, sag
+from pupper_analysis.live.model import Answer, Model, predict_sag
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.server import LOOPBACK, Page
@@ -47,7 +47,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
     """Returns the times (s) of the parts of each move."""
     model = Model(Variants(pa.VARIANTS[variant]))
     port = viser_parts.free_port(LOOPBACK, None)
-    server = viser_parts.started(LOOPBACK, port, "benchmark")
+    server = viser_parts.start_server(LOOPBACK, port, "benchmark")
     taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
     wall = taken["all, by the clock"] = []
     try:
@@ -70,10 +70,10 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
             ):
                 taken[name].append(took)
         since = time.thread_time()
-        sag(answer)
+        predict_sag(answer)
         taken["sag, once it is still"] = [time.thread_time() - since]
     finally:
-        viser_parts.stopped(server)
+        viser_parts.stop_server(server)
     return taken
 
 

@@ -162,7 +162,7 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
         FONT,
         GREY,
         ORANGE,
-        save,
+        save_figure,
         title_panel,
     )
 
@@ -184,7 +184,7 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
         f"Statics and sag of v3 on {workers} processes: {each:.0f} ms of processor a design",
         size=FONT + 1,
     )
-    save(figure, Path(__file__).parents[1] / "build" / "study_growth.png")
+    save_figure(figure, Path(__file__).parents[1] / "build" / "study_growth.png")
 
 
 def batched(count: int) -> None:

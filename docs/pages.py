@@ -22,7 +22,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.checks.audit.registry import FORMATS, RULES
 from pupper_analysis.diagnostics.catalogue import LINED
-from pupper_analysis.report.formats import visible
+from pupper_analysis.report.formats import escape_control
 
 PACKAGE = Path(pa.__file__).parent
 DATA = Path(__file__).resolve().parent / "data"
@@ -69,7 +69,7 @@ def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 def _cell(text: str) -> str:
     """Returns a text as the cell of a Markdown table holds it."""
-    return visible(" ".join(text.split())).replace("|", "\\|").replace("<", "&lt;")
+    return escape_control(" ".join(text.split())).replace("|", "\\|").replace("<", "&lt;")
 
 
 def _plain(text: str) -> str:

@@ -17,9 +17,9 @@ from playwright.sync_api import Browser, sync_playwright
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.live.export import link
+from pupper_analysis.live.export import write_link
 from pupper_analysis.live.server import Page
-from pupper_analysis.live.state import parse
+from pupper_analysis.live.state import parse_state
 from pupper_analysis.pupper.live import Variants
 
 IMAGES = Path(__file__).resolve().parent / "images"
@@ -34,7 +34,7 @@ def live(browser: Browser, path: Path) -> None:
     served = Page(Variants(pa.VARIANTS["v3"]))
     page = browser.new_page(viewport={"width": 1240, "height": 840})
     page.set_default_timeout(PATIENCE)
-    page.goto(link(served.address.removeprefix("http://").rstrip("/"), parse(STATE)))
+    page.goto(write_link(served.address.removeprefix("http://").rstrip("/"), parse_state(STATE)))
     page.add_style_tag(content=".mantine-Notification-root {visibility: hidden}")
     page.get_by_text("leg_back_l_3").first.wait_for()
     page.locator("[role=tab]", has_text="MuJoCo").first.click()

@@ -37,7 +37,7 @@ _MADE_BY = {
 """How those who have none get one."""
 
 
-def finite(name: str, value: object) -> float:
+def check_finite(name: str, value: object) -> float:
     """Returns a finite number.
 
     Args:
@@ -92,7 +92,7 @@ def _is_real(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, _TRUTHS)
 
 
-def vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
+def check_vector(name: str, values: ArrayLike, size: int) -> NDArray[np.float64]:
     """Returns a vector (size,) of finite numbers.
 
     Args:
@@ -119,7 +119,7 @@ FARTHEST = 1000.0
 """m: beyond, what is given is no length of a robot; beyond all measure, numbers overflow."""
 
 
-def length(name: str, value: object) -> float:
+def check_length(name: str, value: object) -> float:
     """Returns a length or a coordinate (m).
 
     Args:
@@ -129,7 +129,7 @@ def length(name: str, value: object) -> float:
     Raises:
         ConfigurationError: If it is no finite number, or farther than 1000 m.
     """
-    number = finite(name, value)
+    number = check_finite(name, value)
     if abs(number) > FARTHEST:
         told = diagnose(
             "length-beyond", length=Quantity(number, "m"), farthest=Quantity(FARTHEST, "m")
@@ -138,7 +138,7 @@ def length(name: str, value: object) -> float:
     return number
 
 
-def checked(function: Callable[_P, _T]) -> Callable[_P, _T]:
+def check_arguments(function: Callable[_P, _T]) -> Callable[_P, _T]:
     """Lets a public function refuse arguments that are not of the types it says.
 
     What it says no type of (arrays, literals) it has to check itself, and so the values.

@@ -53,7 +53,7 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     return rotation
 
 
-def crosses(vectors: Array) -> Array:
+def cross_matrices(vectors: Array) -> Array:
     """Returns the matrices (n, 3, 3) that take x to v x x, of vectors v (n, 3)."""
     matrices: Array = (vectors @ _CROSSES).reshape(-1, 3, 3)
     return matrices
@@ -61,7 +61,7 @@ def crosses(vectors: Array) -> Array:
 
 _CROSSES = np.zeros((3, 9))
 _CROSSES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1
-"""What ``crosses`` takes unit vectors to: one product is quicker than six columns."""
+"""What ``cross_matrices`` takes unit vectors to: one product is quicker than six columns."""
 
 
 def angle_between(one: Sequence[float], other: Sequence[float]) -> float:

@@ -31,7 +31,7 @@ class PupperAnalysisError(Exception):
     where: str = ""
 
     def __init__(self, problem: Problem) -> None:
-        self.diagnostic = diagnosed(problem)
+        self.diagnostic = as_diagnostic(problem)
         super().__init__(str(self.diagnostic))
 
     def at(self, where: Problem) -> Self:
@@ -46,7 +46,7 @@ class PupperAnalysisError(Exception):
         return _restore, (type(self), self.args, vars(self))
 
 
-def diagnosed(problem: Problem) -> Diagnostic:
+def as_diagnostic(problem: Problem) -> Diagnostic:
     """Returns what is wrong as a diagnostic, which words of another program's become, too."""
     return problem if isinstance(problem, Diagnostic) else diagnose("problem", problem=problem)
 
@@ -85,7 +85,7 @@ class ModelError(PupperAnalysisError):
     def __init__(self, source: str | PathLike[str], problem: Problem) -> None:
         self.source = str(source)
         self.problem = str(problem)
-        self.cause = diagnosed(problem)
+        self.cause = as_diagnostic(problem)
         super().__init__(
             diagnose("model-unusable", source=self.source, problem=problem, sources=self.source)
         )

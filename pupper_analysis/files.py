@@ -52,7 +52,7 @@ def whole_file(path: Path) -> Iterator[io.BytesIO]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise OutputError(path, reason(error)) from error
+        raise OutputError(path, reason_of(error)) from error
 
 
 def check_writable(path: Path) -> None:
@@ -70,10 +70,10 @@ def check_writable(path: Path) -> None:
             raise OutputError(path, diagnose("output-is-a-folder"))
         if there is not None and not os.access(target, os.W_OK):
             raise OutputError(path, diagnose("output-not-writable"))
-        if there is None or replaceable(there):
+        if there is None or is_replaceable(there):
             check_folder(target.parent)
     except (OSError, ValueError) as error:
-        raise OutputError(path, reason(error)) from error
+        raise OutputError(path, reason_of(error)) from error
 
 
 def check_folder(folder: Path) -> None:
@@ -85,14 +85,14 @@ def check_folder(folder: Path) -> None:
     try:
         existing = _nearest(folder)
     except (OSError, ValueError) as error:
-        raise OutputError(folder, reason(error)) from error
+        raise OutputError(folder, reason_of(error)) from error
     if not existing.is_dir():
         raise OutputError(folder, diagnose("no-folder", folder=existing))
     if not os.access(existing, os.W_OK | os.X_OK):
         raise OutputError(folder, diagnose("folder-not-writable", folder=existing))
 
 
-def replaceable(there: os.stat_result) -> bool:
+def is_replaceable(there: os.stat_result) -> bool:
     """Whether a file is one to be replaced: regular, and not where standard output goes to."""
     if not stat.S_ISREG(there.st_mode):
         return False
@@ -100,7 +100,7 @@ def replaceable(there: os.stat_result) -> bool:
 
 
 @contextmanager
-def readable(content: bytes) -> Iterator[Path]:
+def open_as_path(content: bytes) -> Iterator[Path]:
     """Yields the path of a file with this content, for libraries that read nothing but files.
 
     On Linux it is in memory: nothing is left behind, whenever the process is killed.
@@ -162,7 +162,7 @@ def _write(path: Path, data: bytes) -> None:
         _print(_standard_output(), data)
         return
     target, there = target_of(path)
-    if there is not None and not replaceable(there):
+    if there is not None and not is_replaceable(there):
         number = _standard_stream(there)
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
@@ -240,6 +240,6 @@ def _print(stream: TextIO, data: bytes) -> None:
     stream.flush()
 
 
-def reason(error: Exception) -> object:
+def reason_of(error: Exception) -> object:
     """Returns what an error of the operating system says, without its number and path."""
     return getattr(error, "strerror", None) or error

@@ -23,16 +23,16 @@ class FrozenDict(dict[_K, _V]):
         return hash(frozenset(self.items()))
 
     def __reduce__(self) -> tuple[Callable[[Any], Any], tuple[dict[_K, _V]]]:
-        return frozen, (dict(self),)  # arrays that were pickled can be written to
+        return freeze, (dict(self),)  # arrays that were pickled can be written to
 
 
-def frozen(value: Any) -> Any:
+def freeze(value: Any) -> Any:
     """Returns an array or a dictionary that cannot be written to, with the same content.
 
     Of an array it is a view: whoever made it may go on with its own.
     """
     if type(value) is dict:
-        return FrozenDict({name: frozen(one) for name, one in value.items()})
+        return FrozenDict({name: freeze(one) for name, one in value.items()})
     numpy = sys.modules.get("numpy")  # without it there are no arrays, and it is slow to import
     if numpy is not None and type(value) is numpy.ndarray:
         view = value.view()
@@ -41,7 +41,7 @@ def frozen(value: Any) -> Any:
     return value
 
 
-def lasting(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
+def freeze_arrays(arrays: Mapping[str, Any]) -> FrozenDict[str, Any]:
     """Returns copies of arrays by names that many results may share: nobody can make them writable.
 
     Of what cannot be written to a view cannot be made writable either.

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
-from pupper_analysis.frozen import frozen
+from pupper_analysis.frozen import freeze
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -82,7 +82,7 @@ class Result:
         own = vars(self)
         for name, value in own.items():
             if type(value) in (np.ndarray, dict):
-                own[name] = frozen(value)
+                own[name] = freeze(value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
@@ -101,7 +101,7 @@ class Result:
         return f"<b>{type(self).__name__}</b><table>{rows}</table>"
 
     def _shown(self) -> list[tuple[str, str]]:
-        return [(f.name, short(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
+        return [(f.name, shorten(getattr(self, f.name))) for f in fields(self)]  # type: ignore[arg-type]
 
     def to_json(self) -> str:
         """Returns the result as indented JSON."""
@@ -133,7 +133,7 @@ class Tabular(Result):
         return pd.DataFrame({name: list(values) for name, values in self._columns().items()})  # type: ignore[arg-type]
 
 
-def short(value: object) -> str:
+def shorten(value: object) -> str:
     """Returns a value in few words: numbers with 6 digits, what is long by its size."""
     if isinstance(value, Enum):
         return repr(value.value)
@@ -143,14 +143,14 @@ def short(value: object) -> str:
         return repr(value if len(value) <= 60 else f"{value[:57]}...")
     if isinstance(value, np.ndarray):
         if value.ndim == 1 and value.size <= _FEW:
-            return f"[{', '.join(short(item) for item in value.tolist())}]"
+            return f"[{', '.join(shorten(item) for item in value.tolist())}]"
         return f"<array {' x '.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
         names = ", ".join(map(str, list(value)[:_FEW])) + (", ..." if len(value) > _FEW else "")
         return f"<{len(value)}: {names}>" if value else "{}"
     if isinstance(value, tuple | list):
         if len(value) <= _FEW and all(isinstance(item, str | float | int) for item in value):
-            return f"({', '.join(short(item) for item in value)})"
+            return f"({', '.join(shorten(item) for item in value)})"
         return f"<{len(value)} {type(value[0]).__name__}>"
     if isinstance(value, Result):
         return f"{type(value).__name__}(...)"

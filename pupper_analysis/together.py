@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import OutputError
-from pupper_analysis.files import hidden_beside, reason, replaceable, target_of, write_new
+from pupper_analysis.files import hidden_beside, is_replaceable, reason_of, target_of, write_new
 
 
 @dataclass(frozen=True)
@@ -103,10 +103,10 @@ class _File:
             self.new = hidden_beside(self.target)
             write_new(self.new, self.writing.content, like=self.there)
         except (OSError, ValueError) as error:
-            raise self._error(reason(error)) from error
+            raise self._error(reason_of(error)) from error
 
     def _check(self, there: os.stat_result) -> None:
-        if not replaceable(there):
+        if not is_replaceable(there):
             raise self._error(diagnose("output-no-regular-file"))
         if not os.access(self.target, os.W_OK):
             raise self._error(diagnose("output-not-writable"))
@@ -127,7 +127,7 @@ class _File:
             try:
                 write_new(self.old, self.target.read_bytes(), like=self.there)
             except OSError as error:
-                raise self._error(reason(error)) from error
+                raise self._error(reason_of(error)) from error
 
     def backed_up(self) -> Path:
         """Copies what is there to a name that is not taken, and returns that."""
@@ -140,7 +140,7 @@ class _File:
                 number += 1
             except OSError as error:
                 path.unlink(missing_ok=True)
-                told = diagnose("copy-not-written", file=path.name, problem=reason(error))
+                told = diagnose("copy-not-written", file=path.name, problem=reason_of(error))
                 raise self._error(told) from error
             else:
                 if self.there is not None:
@@ -154,7 +154,7 @@ class _File:
             self._compare()
             self.new.replace(self.target)
         except OSError as error:
-            raise self._error(reason(error)) from error
+            raise self._error(reason_of(error)) from error
 
     def put_back(self) -> None:
         """Puts what was there in its place again, if the new content has taken it."""

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.arguments import check_type, checked, finite, length
+from pupper_analysis.arguments import check_arguments, check_finite, check_length, check_type
 from tests.support.names import public, public_modules
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
@@ -213,7 +213,7 @@ def test_types_are_told() -> None:
 
 
 def test_a_function_stays_what_it_is() -> None:
-    @checked
+    @check_arguments
     def twice(number: float, *, times: int = 2) -> float:
         """Documented."""
         return number * times
@@ -226,12 +226,12 @@ def test_a_function_stays_what_it_is() -> None:
 
 
 def test_lengths_are_lengths() -> None:
-    assert length("x", -1000) == -1000.0
+    assert check_length("x", -1000) == -1000.0
     for value in (1000.1, float("inf"), 10**400):
         with pytest.raises(pa.ConfigurationError):
-            length("x", value)
+            check_length("x", value)
     with pytest.raises(pa.ConfigurationError, match="not finite"):
-        finite("x", 10**400)
+        check_finite("x", 10**400)
 
 
 def test_a_message_stays_short() -> None:
@@ -306,6 +306,6 @@ def test_numbers_beyond_measure_are_refused() -> None:
 
 @pytest.mark.parametrize("far", [1000.5, -1000.5])
 def test_lengths_end_a_kilometre_away_on_either_side(far: float) -> None:
-    assert length("height", far / 1.001) == far / 1.001
+    assert check_length("height", far / 1.001) == far / 1.001
     with pytest.raises(pa.ConfigurationError, match="height"):
-        length("height", far)
+        check_length("height", far)

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.arrays import angle_between, crosses, rotation_from_quaternion
+from pupper_analysis.arrays import angle_between, cross_matrices, rotation_from_quaternion
 
 
 def test_crosses_are_numpys() -> None:
     vectors, others = np.random.default_rng(0).normal(size=(2, 5, 3))
     np.testing.assert_allclose(
-        np.einsum("nij,nj->ni", crosses(vectors), others), np.cross(vectors, others), atol=1e-15
+        np.einsum("nij,nj->ni", cross_matrices(vectors), others),
+        np.cross(vectors, others),
+        atol=1e-15,
     )
 
 

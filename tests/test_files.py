@@ -130,8 +130,8 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
 def test_only_a_regular_file_is_replaced(kind: int) -> None:
     special = SimpleNamespace(st_mode=kind | 0o666, st_dev=-1, st_ino=-1)
     regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o666, st_dev=-1, st_ino=-1)
-    assert not files.replaceable(special)  # type: ignore[arg-type]
-    assert files.replaceable(regular)  # type: ignore[arg-type]
+    assert not files.is_replaceable(special)  # type: ignore[arg-type]
+    assert files.is_replaceable(regular)  # type: ignore[arg-type]
 
 
 def test_the_file_of_standard_output_is_not_replaced(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.analysis.stance import verdict_of
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
@@ -158,7 +158,7 @@ class Analysis(Result):
     failures: tuple[Diagnostic, ...]
 
 
-@checked
+@check_arguments
 def analyze_variant(
     robot: Robot, task: StandTask | None = None, *, progress: bool = False
 ) -> Analysis:
@@ -242,7 +242,7 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
         summaries.append(
             JointSummary(
                 name=name,
-                motion=_motion(axis, slides=slides(robot, name)),
+                motion=_motion(axis, is_slide=is_slide(robot, name)),
                 axis=axis,
                 lower=float(robot.lower_limits[index]),
                 upper=float(robot.upper_limits[index]),
@@ -257,17 +257,17 @@ def joint_summaries(robot: Robot) -> tuple[JointSummary, ...]:
     return tuple(summaries)
 
 
-def slides(robot: Robot, joint: str) -> bool:
+def is_slide(robot: Robot, joint: str) -> bool:
     """Tells whether a joint slides."""
     kind = robot.mj_model.jnt_type[robot.mj_model.joint(joint).id]
     return bool(kind == JointKind.SLIDE)
 
 
-def _motion(axis: Array, *, slides: bool) -> str:
+def _motion(axis: Array, *, is_slide: bool) -> str:
     """Returns the word for what a joint does; see ``JointSummary``."""
     direction = int(np.argmax(np.abs(axis)))
     aligned = abs(axis[direction]) > np.cos(np.radians(1.0))
-    if slides:
+    if is_slide:
         return f"along {'xyz'[direction]}" if aligned else _OBLIQUE[1]
     return ("roll", "pitch", "yaw")[direction] if aligned else _OBLIQUE[0]
 

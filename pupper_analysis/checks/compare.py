@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.attribution import EXPLAINED, align, explain
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
@@ -96,7 +96,7 @@ class Comparison(Tabular):
         return {name: [getattr(found, name) for found in self.differences] for name in names}
 
 
-@checked
+@check_arguments
 @quiet()
 def compare_models(
     urdf: str | Path,

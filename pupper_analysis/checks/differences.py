@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, fill, phrase
+from pupper_analysis.diagnostics import Diagnostic, fill_template, phrase
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
@@ -264,7 +264,7 @@ class RelativeError:
 def about_kind(kind: str) -> str:
     """Returns what remarks of a kind are about, in a few words; by default that files differ."""
     key = _ABOUT.get(kind, "about-difference")
-    return fill(phrase(key, "en"), {"kind": kind}, "en")
+    return fill_template(phrase(key, "en"), {"kind": kind}, "en")
 
 
 _ABOUT = {

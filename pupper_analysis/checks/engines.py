@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
 from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
 from pupper_analysis.checks.backends.quantities import Evaluation, QuantityValues
@@ -140,7 +140,7 @@ class CrossCheck(Result):
     notes: tuple[Diagnostic, ...]
 
 
-@checked
+@check_arguments
 @quiet()
 def cross_check(
     robot: Robot,

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, bound, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, describe_bound, diagnose
 from pupper_analysis.frozen import FrozenDict
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def with_names_of_models(told: Diagnostic, names: Mapping[str, Term]) -> Diagnos
 
 def pair(one: float, two: float, unit: str) -> dict[str, Any]:
     """Returns the first's number and the second's, as values of a diagnostic."""
-    return {"one": bound(one, unit), "two": bound(two, unit)}
+    return {"one": describe_bound(one, unit), "two": describe_bound(two, unit)}
 
 
 def vectors(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:

@@ -17,7 +17,7 @@ from pupper_analysis.cli.live import live_command
 from pupper_analysis.cli.load import load
 from pupper_analysis.cli.models import audit_command, crosscheck
 from pupper_analysis.cli.motions import path, push
-from pupper_analysis.cli.process import Ended, endings, go_on, patient_output
+from pupper_analysis.cli.process import Ended, ending_signals, go_on, patient_output
 from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, INTERNAL, VERIFIED
 from pupper_analysis.cli.stances import best, payload, stand, workspace
 from pupper_analysis.cli.study import study_command
@@ -26,7 +26,7 @@ from pupper_analysis.cli.variants import analyze
 from pupper_analysis.cli.windows import drop, view
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models import standard_input
-from pupper_analysis.report.formats import visible
+from pupper_analysis.report.formats import escape_control
 
 __all__ = ["BAD_INPUT", "analyze", "drop", "group", "main", "run", "view"]
 
@@ -46,7 +46,7 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
     given = [argument for argument in given if argument != DEBUG]
     status = BAD_INPUT
     with patient_output() as streams:
-        with endings() as ending:
+        with ending_signals() as ending:
             try:
                 status = _status(command, given, debug=debug)
             except (Ended, KeyboardInterrupt):
@@ -117,7 +117,7 @@ def _lack(error: Exception) -> str:
 
 def _say(text: str) -> None:
     go_on()  # what went wrong may be what a library made of the signal
-    click.echo(f"error: {visible(text)}", err=True)
+    click.echo(f"error: {escape_control(text)}", err=True)
 
 
 def _without_color(_context: click.Context, _option: click.Parameter, given: bool) -> None:

@@ -101,14 +101,14 @@ def convert_command(
         raise OutputError(output, diagnose("converted-needs-a-name"))
     folders = shared.package_folders(packages)
     shared.check_outputs(output, json_path)
-    named = dict(shared.assignment("foot", foot) for foot in feet if "=" in foot)
+    named = dict(shared.parse_assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}
     rotors = {}
     if armature:
         joints = read_urdf(source, folders).tree.joints.values()
         moving = [joint.name for joint in joints if not joint.is_fixed]
         rotors = _by_pattern(armature, moving)
-    with shared.working("converting, and standing it for 12 s"):
+    with shared.show_progress("converting, and standing it for 12 s"):
         result = convert_model(
             source,
             output,
@@ -123,17 +123,19 @@ def convert_command(
             packages=folders,
             force=force,
         )
-    shared.show([("", result)], style, everything=everything)
+    shared.show_results([("", result)], style, everything=everything)
     for path in result.written:
-        shared.written(path)
-    shared.finish(json_path, result, passed=result.passed)
+        shared.confirm_written(path)
+    shared.finish_command(json_path, result, passed=result.passed)
 
 
 def _by_pattern(texts: tuple[str, ...], joints: list[str]) -> dict[str, float]:
     """Returns {joint: value} of [JOINTS=]VALUE; the last that fits a joint counts."""
     values = {}
     for text in texts:
-        pattern, value = shared.number("armature", text if "=" in text else f"*={text}")
+        pattern, value = shared.parse_number_assignment(
+            "armature", text if "=" in text else f"*={text}"
+        )
         chosen = [name for name in joints if fnmatchcase(name, pattern)]
         if not chosen:
             told = diagnose("no-joint-like", pattern=pattern, known=joints)

@@ -81,17 +81,19 @@ def check_command(
         return
     result = check_repository(config, update_baseline=update_baseline)
     if style in ("text", "markdown"):
-        shared.show([("", result)], style, everything=everything)
+        shared.show_results([("", result)], style, everything=everything)
     else:
-        found = report.remarks(result, in_a_change=style == "github")
+        found = report.check_remarks(result, in_a_change=style == "github")
         if style == "github":
-            found = report.unknown(found)
+            found = report.new_remarks(found)
         suite = f"check of {Path(result.config).name}"
-        text = formats.for_machines(style, suite, found, report.cases(result))
+        text = formats.for_machines(style, suite, found, report.check_cases(result))
         click.echo(text, nl=bool(text))
         if style == "github":
-            click.echo(f"{'passed' if result.passed else 'failed'}: {report.summary(result).en}")
-    shared.finish(json_path, result, passed=result.passed)
+            click.echo(
+                f"{'passed' if result.passed else 'failed'}: {report.summarise_check(result).en}"
+            )
+    shared.finish_command(json_path, result, passed=result.passed)
 
 
 def _begin(config: Path | None) -> None:
@@ -155,11 +157,11 @@ def diff_command(
     from pupper_analysis.checks.versions.compare import diff_models
     from pupper_analysis.matching.tolerances import Tolerances
 
-    names = dict(shared.assignment("map", text) for text in pairs)
+    names = dict(shared.parse_assignment("map", text) for text in pairs)
     tolerances = models.with_changes(Tolerances.strict(), changes)
     shared.check_outputs(json_path)
     result = diff_models(
         old, new, names=names, packages=shared.package_folders(packages), tolerances=tolerances
     )
-    shared.show([("", result)], style, everything=everything)
-    shared.finish(json_path, result, passed=result.same)
+    shared.show_results([("", result)], style, everything=everything)
+    shared.finish_command(json_path, result, passed=result.same)

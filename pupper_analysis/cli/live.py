@@ -15,8 +15,8 @@ from pupper_analysis.cli.stance_options import (
     derived_variant,
     files_given,
     name_argument,
-    options,
     print_notes,
+    stance_options,
 )
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @click.command("live", context_settings=shared.CONTEXT, short_help="A page to play with stances.")
 @name_argument
-@options(OWN, VARIANT)
+@stance_options(OWN, VARIANT)
 @click.option("--state", default="", metavar="STATE", help="How it begins; a page shows its own.")
 @click.option(
     "--language",
@@ -75,11 +75,11 @@ def live_command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.live.door import is_loopback
     from pupper_analysis.live.server import Page, serve
-    from pupper_analysis.live.state import parse
-    from pupper_analysis.live.viser_parts import viser
+    from pupper_analysis.live.state import parse_state
+    from pupper_analysis.live.viser_parts import import_viser
 
-    viser()  # before anything is loaded
-    begin = parse(state)
+    import_viser()  # before anything is loaded
+    begin = parse_state(state)
     derived = derived_variant(base, leg_scale, torso_mass_scale)
     source: Source
     if urdf or mjcf or feet or pairs or keyframe or packages:
@@ -87,7 +87,7 @@ def live_command(
             raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
         from pupper_analysis.live.source import Pair
 
-        with shared.working("preparing the robot: feet, start pose, servos"):
+        with shared.show_progress("preparing the robot: feet, start pose, servos"):
             source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe, packages))
         print_notes(source.robot({}))
     else:
@@ -97,7 +97,7 @@ def live_command(
         if name is not None and derived is not None:
             raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
         source = Variants(derived if derived is not None else variant_spec(name or "v3"))
-    with shared.working("making the page"):
+    with shared.show_progress("making the page"):
         page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")
     if not is_loopback(host):

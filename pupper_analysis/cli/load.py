@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import AS_IS, FOUND, files_given, options
+from pupper_analysis.cli.stance_options import AS_IS, FOUND, files_given, stance_options
 
 
 @click.command(
@@ -15,7 +15,7 @@ from pupper_analysis.cli.stance_options import AS_IS, FOUND, files_given, option
 )
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
-@options(FOUND)
+@stance_options(FOUND)
 @click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF has it.")
 @AS_IS
 @click.option("--explain", is_flag=True, help="Print each pass that was run, and what it did.")
@@ -59,7 +59,7 @@ def load(
 
     shared.check_outputs(json_path)
     given = files_given(urdf, mjcf, feet, pairs, keyframe, packages)
-    with shared.working("preparing the robot: feet, start pose, servos"), quiet():
+    with shared.show_progress("preparing the robot: feet, start pose, servos"), quiet():
         request = Request(
             feet=feet_frames(given["feet"]) if given["feet"] else None,
             fixed_base=fixed_base,
@@ -71,4 +71,4 @@ def load(
         told, _ = explain_loading(read_urdf(urdf, folders), read_mjcf(mjcf), request)
     document = preparation_document(told, explained=explain)
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
-    shared.finish(json_path, told, passed=True)
+    shared.finish_command(json_path, told, passed=True)

@@ -47,7 +47,9 @@ fine_tolerance_option = click.option(
 
 def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances:
     """Returns tolerances with the changes of --tolerance KIND=VALUE."""
-    return tolerances.changed(dict(shared.number("tolerance", text) for text in changes))
+    return tolerances.changed(
+        dict(shared.parse_number_assignment("tolerance", text) for text in changes)
+    )
 
 
 @click.command(
@@ -147,13 +149,13 @@ def crosscheck(
         same_mount=same_mount or strict,
     )
     if style in ("text", "markdown"):
-        shared.show([("", comparison)], style, everything=everything)
+        shared.show_results([("", comparison)], style, everything=everything)
     else:
         suite = f"{urdf.name} against {mjcf.name}"
-        remarks, cases = comparison_report.remarks, comparison_report.cases
+        remarks, cases = comparison_report.comparison_remarks, comparison_report.comparison_cases
         click.echo(formats.for_machines(style, suite, remarks(comparison), cases(comparison)))
     shared.write_page(report_path, comparison)
-    shared.finish(json_path, comparison, passed=comparison.agree)
+    shared.finish_command(json_path, comparison, passed=comparison.agree)
 
 
 @click.command(
@@ -219,21 +221,21 @@ def audit_command(
     shared.check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style in ("text", "markdown"):
-        shared.show([("", result)], style, everything=everything)
+        shared.show_results([("", result)], style, everything=everything)
     else:
         suite = f"audit of {file.name}"
-        remarks, cases = audit_report.remarks, audit_report.cases
+        remarks, cases = audit_report.audit_remarks, audit_report.audit_cases
         click.echo(formats.for_machines(style, suite, remarks(result), cases(result)))
-    passed = audit_report.worst_rank(result) > audit_report.rank(fail_on)
+    passed = audit_report.worst_rank(result) > audit_report.rank_severity(fail_on)
     shared.write_page(report_path, result)
-    shared.finish(json_path, result, passed=passed)
+    shared.finish_command(json_path, result, passed=passed)
 
 
 def _list_rules() -> None:
     from pupper_analysis.report.documents.audit import rules_table
-    from pupper_analysis.report.terminal import console, print_table
+    from pupper_analysis.report.terminal import make_console, print_table
 
-    print_table(console(), rules_table())
+    print_table(make_console(), rules_table())
 
 
 def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str]:
@@ -242,7 +244,7 @@ def mapped_names(pairs: tuple[str, ...], map_file: Path | None) -> dict[str, str
 
     names = read_mapping(map_file) if map_file is not None else {}
     for text in pairs:
-        old, new = shared.assignment("map", text)
+        old, new = shared.parse_assignment("map", text)
         if names.setdefault(old, new) != new:
             told = diagnose("mapped-twice", joint=old, one=names[old], two=new)
             raise ConfigurationError("map", told)

@@ -61,17 +61,17 @@ def path(
     shared.check_outputs(csv, npz, json_path, report_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with shared.working("solving the path, and simulating it"):
+    with shared.show_progress("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd)
     asked.show(result, robot)
     if csv is not None:
         result.path.to_csv(csv)
-        shared.written(csv)
+        shared.confirm_written(csv)
     if npz is not None:
         result.path.to_npz(npz)
-        shared.written(npz)
+        shared.confirm_written(npz)
     shared.write_page(report_path, result, [robot])
-    shared.finish(json_path, result, passed=result.passed)
+    shared.finish_command(json_path, result, passed=result.passed)
 
 
 @click.command(context_settings=shared.CONTEXT, short_help="Push robots over: how hard, which way?")
@@ -118,7 +118,7 @@ def push(
     shared.check_outputs(figure, json_path, report_path)
     robots = asked.robots(names, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
-    with shared.working(
+    with shared.show_progress(
         f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"
     ):
         results = study_pushes(
@@ -129,11 +129,13 @@ def push(
             directions=directions,
             resolution=resolution,
         )
-    shared.show(results.items(), asked.style, robots=robots, everything=asked.everything)
+    shared.show_results(results.items(), asked.style, robots=robots, everything=asked.everything)
     if figure is not None:
         from pupper_analysis.report.figures.push import push_figure
 
         push_figure({name: result.recovery for name, result in results.items()}, figure)
-        shared.written(figure)
+        shared.confirm_written(figure)
     shared.write_page(report_path, results, robots)
-    shared.finish(json_path, results, passed=all(result.passed for result in results.values()))
+    shared.finish_command(
+        json_path, results, passed=all(result.passed for result in results.values())
+    )

@@ -147,7 +147,7 @@ def go_on() -> None:
 
 
 @contextlib.contextmanager
-def endings() -> Iterator[ProcessEnding]:
+def ending_signals() -> Iterator[ProcessEnding]:
     """Turns the signals that end a process into an exception, and remembers them.
 
     What a library makes of the exception, or whether it swallows it, does not matter then. A second

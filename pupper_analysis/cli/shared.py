@@ -143,12 +143,12 @@ class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since 
         if isinstance(value, float | int):
             return float(value)
         try:
-            return quantity(self.name, str(value))
+            return parse_quantity(self.name, str(value))
         except ValueError:
             self.fail(str(_no_quantity(self.name, str(value))), param, ctx)
 
 
-def quantity(kind: str, text: str) -> float:
+def parse_quantity(kind: str, text: str) -> float:
     """Returns a number in SI units; its unit may follow it.
 
     Raises:
@@ -160,7 +160,7 @@ def quantity(kind: str, text: str) -> float:
     return float(text)
 
 
-def assignment(option: str, text: str) -> tuple[str, str]:
+def parse_assignment(option: str, text: str) -> tuple[str, str]:
     """Returns name and value of NAME=VALUE, or raises ConfigurationError for the option."""
     name, separator, value = text.partition("=")
     if not (name and separator and value):
@@ -168,9 +168,9 @@ def assignment(option: str, text: str) -> tuple[str, str]:
     return name, value
 
 
-def number(option: str, text: str) -> tuple[str, float]:
+def parse_number_assignment(option: str, text: str) -> tuple[str, float]:
     """Returns name and number of NAME=NUMBER, or raises ConfigurationError for the option."""
-    name, value = assignment(option, text)
+    name, value = parse_assignment(option, text)
     try:
         return name, float(value)
     except ValueError as error:
@@ -178,7 +178,7 @@ def number(option: str, text: str) -> tuple[str, float]:
         raise ConfigurationError(option, told) from error
 
 
-def measured(option: str, kind: str, text: str, given: str = "") -> float:
+def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
     """Returns a number in SI units, or raises ConfigurationError for the option.
 
     Args:
@@ -188,7 +188,7 @@ def measured(option: str, kind: str, text: str, given: str = "") -> float:
         given: In what: the whole of the option's value.
     """
     try:
-        return quantity(kind, text)
+        return parse_quantity(kind, text)
     except ValueError as error:
         raise ConfigurationError(option, _no_quantity(kind, text, given)) from error
 
@@ -198,14 +198,14 @@ def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
     return diagnose("part-is-no-quantity", part=text, given=given, kind=Term(kind), units=units)
 
 
-def working(what: str) -> Status:
+def show_progress(what: str) -> Status:
     """Shows on a terminal's standard error that work is going on, and on which."""
     from rich.console import Console
 
     return Console(stderr=True).status(what)
 
 
-def show(
+def show_results(
     results: Iterable[tuple[str, Result]],
     style: str = "text",
     *,
@@ -222,32 +222,34 @@ def show(
         overview: What compares the results.
         everything: Print what the short view leaves out.
     """
-    from pupper_analysis.report.documents.registry import report
+    from pupper_analysis.report.documents.registry import build_report
 
     markdown = style == "markdown"
-    show_report(report(results, robots if markdown else (), overview), style, everything=everything)
+    show_report(
+        build_report(results, robots if markdown else (), overview), style, everything=everything
+    )
 
 
 def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
-    """Shows a report on the terminal, or as Markdown; the arguments are those of ``show``."""
+    """Shows a report on the terminal, or as Markdown; its arguments are ``show_results``'s."""
     if style == "markdown":
-        from pupper_analysis.report.markdown import markdown
+        from pupper_analysis.report.markdown import write_markdown
 
-        click.echo(markdown(report), nl=False)
+        click.echo(write_markdown(report), nl=False)
     else:
-        from pupper_analysis.report.terminal import console, print_report
+        from pupper_analysis.report.terminal import make_console, print_report
 
-        print_report(console(), report, everything=everything)
+        print_report(make_console(), report, everything=everything)
 
 
-def written(path: Path | str) -> None:
+def confirm_written(path: Path | str) -> None:
     """Confirms a file that was written; on standard error, where standard output has data."""
     from pupper_analysis.files import STANDARD_OUTPUT
-    from pupper_analysis.report.formats import visible
+    from pupper_analysis.report.formats import escape_control
 
     if Path(path) != STANDARD_OUTPUT:
         style = click.get_current_context().params.get("style", "text")
-        click.echo(f"written: {visible(str(path))}", err=style != "text")
+        click.echo(f"written: {escape_control(str(path))}", err=style != "text")
 
 
 def write_json(path: Path | None, content: object) -> None:
@@ -260,7 +262,7 @@ def write_json(path: Path | None, content: object) -> None:
     if path is not None:
         with whole_file(path) as file:
             file.write(f"{to_json(content)}\n".encode())
-        written(path)
+        confirm_written(path)
 
 
 def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = ()) -> None:
@@ -272,20 +274,20 @@ def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = (
         from pupper_analysis.report.html.write import write_report
 
         write_report(results, path, robots=robots)
-        written(path)
+        confirm_written(path)
 
 
-def finish(json_path: Path | None, content: object, *, passed: bool) -> None:
+def finish_command(json_path: Path | None, content: object, *, passed: bool) -> None:
     """Writes results as JSON, if there is a file to write to; leaves with the exit status."""
     write_json(json_path, content)
     if not passed:
         click.get_current_context().exit(FAILED)
 
 
-def point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
+def parse_point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
     """Returns the numbers of X,Y (or X,Y,Z), or raises ConfigurationError for the option."""
     try:
-        numbers = tuple(quantity("length", part.strip()) for part in text.split(","))
+        numbers = tuple(parse_quantity("length", part.strip()) for part in text.split(","))
     except ValueError:
         numbers = ()
     if len(numbers) != size:
@@ -298,7 +300,9 @@ def point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
 
 def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:
     """Returns {package: folder} of NAME=DIR."""
-    folders = {name: Path(value) for name, value in (assignment("package", p) for p in packages)}
+    folders = {
+        name: Path(value) for name, value in (parse_assignment("package", p) for p in packages)
+    }
     for name, folder in folders.items():
         if not folder.is_dir():
             told = diagnose("package-is-no-folder", package=name, folder=folder)

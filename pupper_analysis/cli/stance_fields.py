@@ -52,13 +52,15 @@ def task_of(values: Mapping[str, Any]) -> StandTask:
     """
     from pupper_analysis.stance.task import StandTask
 
-    return StandTask().having({name: typed(TYPED[name], value) for name, value in values.items()})
+    return StandTask().having(
+        {name: to_task_value(TYPED[name], value) for name, value in values.items()}
+    )
 
 
-def typed(field: Field, value: Any) -> Any:
+def to_task_value(field: Field, value: Any) -> Any:
     """Returns an option's value as the task has it."""
     if field.per_foot:
-        given = [(shared.assignment(field.option, text), text) for text in value]
+        given = [(shared.parse_assignment(field.option, text), text) for text in value]
         return {foot: _one(field, text, whole) for (foot, text), whole in given}
     if value is None or value in field.choices or not (field.axes or field.choices):
         return value
@@ -67,5 +69,5 @@ def typed(field: Field, value: Any) -> Any:
 
 def _one(field: Field, text: str, given: str) -> Any:
     if field.axes or field.choices:
-        return shared.point(field.option, text, len(field.axes or "xy"))
-    return shared.measured(field.option, field.kind, text, given)
+        return shared.parse_point(field.option, text, len(field.axes or "xy"))
+    return shared.parse_measure(field.option, field.kind, text, given)

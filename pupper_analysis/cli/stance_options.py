@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of, typed
+from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of, to_task_value
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.stance.fields import ROBOT_FIELDS
@@ -90,7 +90,9 @@ LOOK = (shared.look_option, shared.verbose_option)
 name_argument = click.argument("name", required=False)
 
 
-def options(*groups: tuple[Callable[[Command], Command], ...]) -> Callable[[Command], Command]:
+def stance_options(
+    *groups: tuple[Callable[[Command], Command], ...],
+) -> Callable[[Command], Command]:
     """Returns what gives a command the options of these groups, in this order."""
 
     def add(command: Command) -> Command:
@@ -144,7 +146,7 @@ class RobotAndTask:
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_integrator
 
-        place = typed(ROBOT_FIELDS["payload_at"], self.payload_at) or (0.0, 0.0, 0.0)
+        place = to_task_value(ROBOT_FIELDS["payload_at"], self.payload_at) or (0.0, 0.0, 0.0)
         return with_integrator(with_payload(robot, self.payload, place), self.integrator)
 
     def _bare(self, names: tuple[str, ...], default: tuple[str, ...]) -> list[Robot]:
@@ -164,7 +166,7 @@ class RobotAndTask:
         given = files_given(
             self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe, self.packages
         )
-        with shared.working("preparing the robot: feet, start pose, servos"):
+        with shared.show_progress("preparing the robot: feet, start pose, servos"):
             robot = load_robot(**given, as_is=self.as_is, self_check=self.self_check)
         if self.style == "text":  # Markdown has them in its document
             print_notes(robot, everything=self.everything)
@@ -173,7 +175,7 @@ class RobotAndTask:
     def show(self, result: Result, robot: Robot) -> None:
         """Shows a result of that robot as it was asked for."""
         named = [(robot.name, result)]
-        shared.show(named, self.style, robots=[robot], everything=self.everything)
+        shared.show_results(named, self.style, robots=[robot], everything=self.everything)
 
     @property
     def own(self) -> bool:
@@ -207,14 +209,14 @@ def files_given(
         raise ConfigurationError("--urdf, --mjcf", diagnose("both-files-needed"))
     named = [foot if "=" in foot else f"{foot}={foot}" for foot in feet]
     frames: dict[str, str | tuple[str, str]] = {}
-    for foot, frame in (shared.assignment("foot", text) for text in named):
+    for foot, frame in (shared.parse_assignment("foot", text) for text in named):
         link, colon, place = frame.partition(":")
         frames[foot] = (link, place) if colon else frame
     return {
         "urdf": urdf,
         "mjcf": mjcf,
         "feet": frames or None,
-        "joints": dict(shared.assignment("map", text) for text in pairs),
+        "joints": dict(shared.parse_assignment("map", text) for text in pairs),
         "keyframe": keyframe,
         "packages": {name: str(path) for name, path in shared.package_folders(packages).items()},
     }
@@ -222,11 +224,11 @@ def files_given(
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
     """Prints what was assumed of a robot of two files, and what its MJCF does by itself."""
-    from pupper_analysis.report.documents.standing import assumptions
-    from pupper_analysis.report.terminal import console
+    from pupper_analysis.report.documents.standing import assumption_texts
+    from pupper_analysis.report.terminal import make_console
     from pupper_analysis.report.terminal import print_notes as print_lines
 
-    print_lines(console(), assumptions(robot), everything=everything)
+    print_lines(make_console(), assumption_texts(robot), everything=everything)
 
 
 def robot_and_task(command: Command) -> Command:
@@ -239,7 +241,7 @@ def robot_and_task(command: Command) -> Command:
         asked = RobotAndTask(stance=stance, **{name: values.pop(name) for name in names})
         command(asked, **values)
 
-    return options(OWN, AS_PUBLISHED, VARIANT, LOAD, options_of(), SERVOS, LOOK)(gathered)
+    return stance_options(OWN, AS_PUBLISHED, VARIANT, LOAD, options_of(), SERVOS, LOOK)(gathered)
 
 
 def derived_variant(
@@ -264,7 +266,10 @@ def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None
     from pupper_analysis.errors import UnknownNameError
     from pupper_analysis.robot.servos import servos
 
-    values = [shared.number(option, text if "=" in text else f"*={text}") for text in texts]
+    values = [
+        shared.parse_number_assignment(option, text if "=" in text else f"*={text}")
+        for text in texts
+    ]
     if not values:
         return None
     if values[-1][0] == "*":

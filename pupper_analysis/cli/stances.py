@@ -71,12 +71,12 @@ def stand(
     shared.check_outputs(figure, json_path, report_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with shared.working("solving the stance, and simulating it"):
+    with shared.show_progress("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
     asked.show(result, robot)
     _draw(robot, result, figure)
     shared.write_page(report_path, result, [robot])
-    shared.finish(json_path, result, passed=result.passed)
+    shared.finish_command(json_path, result, passed=result.passed)
 
 
 @click.command(
@@ -108,15 +108,15 @@ def workspace(
     task = asked.task()
     shared.check_outputs(figure, json_path)
     robot = asked.robot(name)
-    with shared.working("searching how far the base can go"):
+    with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
     asked.show(result, robot)
     if figure is not None:
         from pupper_analysis.report.figures.workspace import workspace_figure
 
         workspace_figure(robot, result, figure)
-        shared.written(figure)
-    shared.finish(json_path, result, passed=True)
+        shared.confirm_written(figure)
+    shared.finish_command(json_path, result, passed=True)
 
 
 @click.command(
@@ -149,10 +149,10 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
     shared.check_outputs(json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with shared.working("searching for the payload, and simulating it"):
+    with shared.show_progress("searching for the payload, and simulating it"):
         result = study_payload(robot, task, place, kp=kp, kd=kd)
     asked.show(result, robot)
-    shared.finish(json_path, result, passed=result.passed)
+    shared.finish_command(json_path, result, passed=result.passed)
 
 
 @click.command(context_settings=shared.CONTEXT, short_help="Search for the best stance.")
@@ -194,11 +194,11 @@ def best(
     shared.check_outputs(figure, json_path)
     robot = asked.robot(name)
     kp, kd = asked.gains(robot)
-    with shared.working("searching for the best stance, and simulating it"):
+    with shared.show_progress("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
     asked.show(result, robot)
     _draw(robot, result.stance, figure)
-    shared.finish(json_path, result, passed=result.passed)
+    shared.finish_command(json_path, result, passed=result.passed)
 
 
 def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
@@ -207,9 +207,9 @@ def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
         from pupper_analysis.report.figures.pose import pose_figure
 
         pose_figure(robot, stance.stand, stance.statics, path)
-        shared.written(path)
+        shared.confirm_written(path)
 
 
 def _at(text: str) -> tuple[float, float, float]:
-    x, y, z = shared.point("at", text, 3)
+    x, y, z = shared.parse_point("at", text, 3)
     return x, y, z

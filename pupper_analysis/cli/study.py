@@ -84,7 +84,7 @@ def study_command(
     from pupper_analysis.files import check_folder
     from pupper_analysis.pupper.studies import Study
     from pupper_analysis.report import study as report
-    from pupper_analysis.study.estimate import estimate
+    from pupper_analysis.study.estimate import estimate_study
     from pupper_analysis.study.outcome import check_objectives, study_outcome
 
     shared.check_outputs(json_path, report_path)
@@ -92,13 +92,13 @@ def study_command(
     study = Study.read(file, own_measures=not dry_run)
     check_objectives(study, minimise, maximise)
     if dry_run:
-        expected = estimate(study, folder)
+        expected = estimate_study(study, folder)
         from pupper_analysis.report.documents.estimate import estimate_document
 
         _show(estimate_document(expected, workers=workers), style, everything)
-        shared.finish(json_path, expected, passed=True)
+        shared.finish_command(json_path, expected, passed=True)
         return
-    with _executor(dask, scheduler, workers) as executor, report.bar() as show:
+    with _executor(dask, scheduler, workers) as executor, report.progress_bar() as show:
         _run(study, folder, executor, workers, show)
     table = study.table(folder)
     if style == "text":
@@ -111,11 +111,11 @@ def study_command(
             from pupper_analysis.report.figures.study import draw_study
 
             for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
-                shared.written(path)
+                shared.confirm_written(path)
         if style == "markdown":
-            shared.show([("", outcome)], style)
+            shared.show_results([("", outcome)], style)
         shared.write_page(report_path, outcome)
-    shared.finish(json_path, table.to_dict(orient="list"), passed=True)
+    shared.finish_command(json_path, table.to_dict(orient="list"), passed=True)
 
 
 def _show(document: Document, style: str, everything: bool) -> None:

@@ -83,7 +83,7 @@ def sync_command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.matching.tolerances import Tolerances
     from pupper_analysis.report.document import Report
-    from pupper_analysis.report.documents.sync import question, sync_document
+    from pupper_analysis.report.documents.sync import question_text, sync_document
     from pupper_analysis.sync.models import FINE, sync_models
 
     names, folders = models.mapped_names(pairs, map_file), shared.package_folders(packages)
@@ -108,12 +108,12 @@ def sync_command(
 
     result = run(take, dry_run or not take)
     if not take and result.differences and _is_terminal():
-        take = _asked(result, question)
+        take = _asked(result, question_text)
         if take:
             result = run(take, dry_run)
     document = sync_document(result, chosen=bool(take), dry_run=dry_run)
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
-    shared.finish(json_path, result, passed=result.agree)
+    shared.finish_command(json_path, result, passed=result.agree)
 
 
 def _is_terminal() -> bool:

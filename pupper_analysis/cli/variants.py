@@ -9,7 +9,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.stance_fields import options_of, task_of
-from pupper_analysis.cli.stance_options import VARIANT, derived_variant, options
+from pupper_analysis.cli.stance_options import VARIANT, derived_variant, stance_options
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
-@options(VARIANT, options_of("Base"))
+@stance_options(VARIANT, options_of("Base"))
 @click.option(
     "-o",
     "--output",
@@ -113,7 +113,7 @@ def analyze(
         from pupper_analysis.pupper import comparison
 
         overview = [comparison.comparison_table(rows)]
-        shared.show(_named(analyses), style, robots=robots, overview=overview)
+        shared.show_results(_named(analyses), style, robots=robots, overview=overview)
     if folder is not None:
         _draw(robots, analyses, folder)
     _write(robots, analyses, rows, json_path, report_path)
@@ -122,7 +122,7 @@ def analyze(
     if write_folder is not None:
         for spec in specs:
             for path in write_variant(spec, write_folder):
-                shared.written(path)
+                shared.confirm_written(path)
     if not all(analysis.verified for analysis in analyses):
         click.get_current_context().exit(shared.FAILED)
 
@@ -134,13 +134,13 @@ def _analyze_all(
     from pupper_analysis.analysis.robot import analyze_variant
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.report.documents.analysis import analysis_document
-    from pupper_analysis.report.terminal import console, print_document, print_summary
+    from pupper_analysis.report.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
 
     robots = [load_variant(spec) for spec in specs]
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
-    out = console()
+    out = make_console()
     analyses = []
     for robot in robots:
         analyses.append(analyze_variant(robot, task, progress=out.is_terminal))
@@ -169,16 +169,16 @@ def _compared(specs: list[VariantSpec], analyses: list[Analysis]) -> list[Compar
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
     return [
-        comparison.compare(analysis, spec.base, references[spec.base])
+        comparison.compare_with_base(analysis, spec.base, references[spec.base])
         for spec, analysis in zip(specs, analyses, strict=True)
     ]
 
 
 def _print_comparison(rows: list[ComparisonRow]) -> None:
     from pupper_analysis.pupper.comparison import comparison_table
-    from pupper_analysis.report.terminal import console, print_table
+    from pupper_analysis.report.terminal import make_console, print_table
 
-    print_table(console(), comparison_table(rows))
+    print_table(make_console(), comparison_table(rows))
 
 
 def _write(
@@ -215,7 +215,7 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     picture = render.render_variants(
         list(zip(robots, stands, strict=True)), folder / "variants.png"
     )
-    shared.written(f"{folder}/")
+    shared.confirm_written(f"{folder}/")
     if picture.note:
         click.echo(f"note: {picture.note}", err=True)
 
@@ -223,7 +223,7 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
 def _print_list(specs: list[VariantSpec]) -> None:
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
-    from pupper_analysis.report.terminal import console, print_table
+    from pupper_analysis.report.terminal import make_console, print_table
 
     variants = [(spec, load_variant(spec)) for spec in specs]
-    print_table(console(), comparison.variants_table(variants))
+    print_table(make_console(), comparison.variants_table(variants))

@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import VARIANT, derived_variant, name_argument, options
+from pupper_analysis.cli.stance_options import (
+    VARIANT,
+    derived_variant,
+    name_argument,
+    stance_options,
+)
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -18,7 +23,7 @@ if TYPE_CHECKING:
 
 @click.command(context_settings=shared.CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
 @name_argument
-@options(VARIANT)
+@stance_options(VARIANT)
 @click.option(
     "--fixed-base", is_flag=True, help="Fix the base in the air; else it falls and lands."
 )
@@ -42,14 +47,14 @@ def view(
     from pupper_analysis.pupper import viewer
 
     variant = _variant(name, base, leg_scale, torso_mass_scale)
-    viewer.view(variant, fixed=fixed_base, headless=headless)
+    viewer.view_variant(variant, fixed=fixed_base, headless=headless)
 
 
 @click.command(
     context_settings=shared.CONTEXT, short_help="Drop a variant, and see that it stands."
 )
 @name_argument
-@options(VARIANT)
+@stance_options(VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
 @click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
@@ -83,7 +88,7 @@ def drop(
         from pupper_analysis.pupper.drop import DEFAULT_SECONDS
 
         seconds = DEFAULT_SECONDS if seconds is None else seconds
-        good = viewer.stand(variant, headless=headless, seconds=seconds)
+        good = viewer.drop_and_report(variant, headless=headless, seconds=seconds)
     else:
         if seconds is not None:
             raise ConfigurationError("--seconds", diagnose("demo-has-its-duration"))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import OF_INERTIALS
 from pupper_analysis.convert.conversion import Conversion, Draft
@@ -29,7 +29,7 @@ from pupper_analysis.sync.models import FINE
 from pupper_analysis.together import Writing, write_together
 
 
-@checked
+@check_arguments
 @quiet()
 def convert_model(
     source: str | Path,

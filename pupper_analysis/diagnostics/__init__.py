@@ -25,10 +25,10 @@ from pupper_analysis.diagnostics.diagnostic import (
     Value,
     Vector,
     diagnose,
-    grouped,
+    merge_diagnostics,
 )
-from pupper_analysis.diagnostics.templates import fill
-from pupper_analysis.diagnostics.values import UNLIMITED, Phrase, bound
+from pupper_analysis.diagnostics.templates import fill_template
+from pupper_analysis.diagnostics.values import UNLIMITED, Phrase, describe_bound
 
 __all__ = [
     "LANGUAGES",
@@ -44,14 +44,14 @@ __all__ = [
     "Term",
     "Value",
     "Vector",
-    "bound",
     "codes",
+    "describe_bound",
     "diagnose",
     "entry",
-    "fill",
-    "grouped",
+    "fill_template",
     "is_term",
     "meaning",
+    "merge_diagnostics",
     "phrase",
     "term",
 ]

@@ -72,12 +72,12 @@ def entry(code: str) -> Entry:
 
 def term(name: str, language: str) -> str:
     """Returns a word for a kind of thing; the name itself where the catalogue has none."""
-    return _line(_TERMS, name)[language] if name in lines(_TERMS) else name
+    return _line(_TERMS, name)[language] if name in list_entries(_TERMS) else name
 
 
 def is_term(name: str) -> bool:
     """Tells whether the catalogue has a word for a kind of thing."""
-    return name in lines(_TERMS)
+    return name in list_entries(_TERMS)
 
 
 @cache
@@ -87,7 +87,7 @@ def phrase(key: str, language: str) -> str:
     Raises:
         KeyError: If the catalogue has neither.
     """
-    return _line(_TEXTS if key in lines(_TEXTS) else _TERMS, key)[language]
+    return _line(_TEXTS if key in list_entries(_TEXTS) else _TERMS, key)[language]
 
 
 def meaning(kind: type, field: str, language: str) -> str:
@@ -100,7 +100,7 @@ def meaning(kind: type, field: str, language: str) -> str:
     """
     for owner in kind.__mro__:
         key = f"{owner.__name__}.{field}"
-        if key in lines(_MEANINGS):
+        if key in list_entries(_MEANINGS):
             return _line(_MEANINGS, key)[language]
     return ""
 
@@ -121,7 +121,7 @@ def _tables() -> Mapping[str, str]:
 
 
 @cache
-def lines(file: str) -> Mapping[str, str]:
+def list_entries(file: str) -> Mapping[str, str]:
     """Returns {key: its entry as TOML} of a file with a line per entry."""
     text = files(__package__).joinpath("catalogue", file).read_text(encoding="utf-8")
     return MappingProxyType(dict(_LINE.findall(text)))
@@ -129,5 +129,5 @@ def lines(file: str) -> Mapping[str, str]:
 
 @cache
 def _line(file: str, key: str) -> Mapping[str, str]:
-    words: dict[str, str] = tomllib.loads(f"entry = {lines(file)[key]}")["entry"]
+    words: dict[str, str] = tomllib.loads(f"entry = {list_entries(file)[key]}")["entry"]
     return MappingProxyType(words)

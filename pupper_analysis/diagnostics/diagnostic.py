@@ -9,8 +9,8 @@ from os import PathLike
 from typing import Any, TypeAlias
 
 from pupper_analysis.diagnostics.catalogue import entry
-from pupper_analysis.diagnostics.templates import fill
-from pupper_analysis.diagnostics.values import Phrase, Quantity, Term, Vector, readable
+from pupper_analysis.diagnostics.templates import fill_template
+from pupper_analysis.diagnostics.values import Phrase, Quantity, Term, Vector, to_unicode
 from pupper_analysis.frozen import FrozenDict
 
 __all__ = [
@@ -24,7 +24,7 @@ __all__ = [
     "Term",
     "Vector",
     "diagnose",
-    "grouped",
+    "merge_diagnostics",
 ]
 
 
@@ -72,7 +72,7 @@ class Subject:
     name: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", readable(self.name))
+        object.__setattr__(self, "name", to_unicode(self.name))
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Source:
     attribute: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "file", readable(self.file))
+        object.__setattr__(self, "file", to_unicode(self.file))
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Diagnostic:
         values: dict[str, Any] = dict(self.values)
         if self.subject is not None:
             values.update(subject=self.subject, name=self.subject.name)
-        return fill(entry(self.code).templates[language], values, language)
+        return fill_template(entry(self.code).templates[language], values, language)
 
     def __str__(self) -> str:
         return self.text()
@@ -213,7 +213,7 @@ def diagnose(
     )
 
 
-def grouped(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
+def merge_diagnostics(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Returns diagnostics in the order in which they are shown, each once.
 
     What is wrong first, then what was assumed, then what was found; of each the worst first.
@@ -246,7 +246,7 @@ def _plain(value: Any) -> Any:
     ):
         return value
     if isinstance(value, str | PathLike):
-        return readable(str(value))
+        return to_unicode(str(value))
     if isinstance(value, Iterable):
         return tuple(_plain(one) for one in value)
     raise TypeError(f"{type(value).__name__} is no value of a diagnostic")

@@ -19,8 +19,8 @@ from pupper_analysis.diagnostics.diagnostic import (
 from pupper_analysis.frozen import FrozenDict
 
 
-def record(told: Diagnostic) -> dict[str, Any]:
-    """Returns a diagnostic as JSON can hold it, from which ``restored`` makes it again."""
+def to_record(told: Diagnostic) -> dict[str, Any]:
+    """Returns a diagnostic as JSON can hold it, from which ``from_record`` makes it again."""
     subject, sources = told.subject, told.sources
     return {
         "code": told.code,
@@ -31,7 +31,7 @@ def record(told: Diagnostic) -> dict[str, Any]:
     }
 
 
-def restored(kept: dict[str, Any]) -> Diagnostic:
+def from_record(kept: dict[str, Any]) -> Diagnostic:
     """Returns the diagnostic of a record.
 
     Raises:
@@ -52,7 +52,7 @@ def _recorded(value: Value) -> Any:
     if isinstance(value, tuple):
         return [_recorded(one) for one in value]
     if isinstance(value, Diagnostic):
-        return {"told": record(value)}
+        return {"told": to_record(value)}
     if isinstance(value, Quantity):
         return {"quantity": [value.value, value.unit]}
     if isinstance(value, Vector):
@@ -69,7 +69,7 @@ def _restored(kept: Any) -> Value:
         return kept  # type: ignore[no-any-return]  # a number, a text, true or false, None
     ((kind, value),) = kept.items()
     if kind == "told":
-        return restored(value)
+        return from_record(value)
     if kind == "quantity":
         return Quantity(*value)
     if kind == "phrase":

@@ -39,7 +39,7 @@ _BETWEEN = {
 _MORE = {"en": "{listed} and {left} more", "zh": "{listed}，另有 {left} 个"}  # noqa: RUF001
 
 
-def fill(template: str, values: Mapping[str, Any], language: str) -> str:
+def fill_template(template: str, values: Mapping[str, Any], language: str) -> str:
     """Returns a template with its values.
 
     Args:

@@ -134,11 +134,11 @@ class Phrase(str):
 UNLIMITED = Term("unlimited")
 
 
-def bound(value: float, unit: str) -> Quantity | Term:
+def describe_bound(value: float, unit: str) -> Quantity | Term:
     """Returns a limit with its unit, or that there is none."""
     return Quantity(value, unit) if math.isfinite(value) else UNLIMITED
 
 
-def readable(text: str) -> str:
+def to_unicode(text: str) -> str:
     """Returns a text as Unicode has it: other bytes of a file's name become hexadecimal."""
     return text.encode("utf-8", "backslashreplace").decode()

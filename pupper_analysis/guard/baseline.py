@@ -60,7 +60,7 @@ class BaselineEntry(Result):
         """Whether it has the values of a remark of its identity."""
         if self.outdated:
             return bool(self.values["message"] == str(remark.diagnostic))
-        return same(self.values, remark.values)
+        return is_same(self.values, remark.values)
 
     def __str__(self) -> str:
         check, pair, file, kind, element = self.identity
@@ -126,7 +126,7 @@ def entry_of(remark: Remark) -> BaselineEntry:
     return BaselineEntry(remark.identity, remark.values, str(remark.diagnostic))
 
 
-def judged(
+def judge_remarks(
     remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
 ) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
     """Tells which remarks are known, which have changed, and which are new.
@@ -155,14 +155,14 @@ def judged(
     return tuple(result), tuple(entry for here in waiting.values() for entry in here)
 
 
-def same(one: Any, two: Any) -> bool:
+def is_same(one: Any, two: Any) -> bool:
     """Whether two values are the same but for rounding."""
     if isinstance(one, Mapping) and isinstance(two, Mapping):
-        return one.keys() == two.keys() and all(same(one[key], two[key]) for key in one)
+        return one.keys() == two.keys() and all(is_same(one[key], two[key]) for key in one)
     if isinstance(one, list | tuple) and isinstance(two, list | tuple):
         here, there = _numbers(one), _numbers(two)
         if here is None or there is None:
-            return len(one) == len(two) and all(map(same, one, two))
+            return len(one) == len(two) and all(map(is_same, one, two))
         return _near(here, there)
     numbers = _numbers([one]), _numbers([two])
     if numbers[0] is None or numbers[1] is None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.audit import audit_model
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.diagnostics import Diagnostic
@@ -15,7 +15,7 @@ from pupper_analysis.files import check_writable
 from pupper_analysis.guard.baseline import (
     BaselineEntry,
     entry_of,
-    judged,
+    judge_remarks,
     read_baseline,
     write_baseline,
 )
@@ -27,7 +27,7 @@ from pupper_analysis.guard.remarks import (
     of_audit,
     of_comparison,
     of_error,
-    relative,
+    relative_path,
 )
 from pupper_analysis.results import Result
 
@@ -84,7 +84,7 @@ class RepositoryCheck(Result):
     passed: bool
 
 
-@checked
+@check_arguments
 def check_repository(
     config: str | Path | None = None, *, update_baseline: bool = False
 ) -> RepositoryCheck:
@@ -112,7 +112,7 @@ def check_repository(
         done, remarks = _check_pair(pair, settings.path.parent)
         pairs.append(done)
         found += remarks
-    known, left = judged(_distinct(found), before)
+    known, left = judge_remarks(_distinct(found), before)
     unseen = _unseen(settings, known, left)
     if update_baseline:
         taken = [entry_of(remark) for remark in known if remark.kind != REFUSED]
@@ -182,7 +182,7 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
         else:
             agree, notes = comparison.agree, comparison.notes
             remarks = [*of_comparison(comparison, pair, folder), *remarks]
-    names = tuple(relative(file, folder) for file in files)
+    names = tuple(relative_path(file, folder) for file in files)
     return PairCheck(pair.name, names, agree, 0, 0, pair.disabled, notes), remarks
 
 
@@ -207,7 +207,7 @@ def _unseen(
     folder = config.path.parent
     refused = {remark.pair for remark in remarks if remark.kind == REFUSED}
     files = {
-        relative(file, folder)
+        relative_path(file, folder)
         for pair in config.pairs
         if pair.name in refused
         for file in (pair.urdf, pair.mjcf)

@@ -109,7 +109,7 @@ class Remark(Result):
 
 def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
     """Yields a remark per difference, per joint in one file only, and per objection."""
-    file = relative(comparison.urdf, folder)
+    file = relative_path(comparison.urdf, folder)
     for difference in comparison.differences:
         values = {"urdf": difference.urdf, "mjcf": difference.mjcf}
         yield Remark(
@@ -118,7 +118,7 @@ def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> It
             difference.kind,
             difference.element,
             file,
-            {side: plain(value) for side, value in values.items() if value is not None},
+            {side: to_plain(value) for side, value in values.items() if value is not None},
             Severity.ERROR,
             difference.diagnostic,
             about_kind(difference.kind),
@@ -147,7 +147,7 @@ def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> It
             kind,
             element,
             file,
-            remembered(diagnostic),
+            to_baseline(diagnostic),
             Severity.ERROR,
             diagnostic,
             about_kind(kind),
@@ -163,8 +163,8 @@ def of_audit(audit: Audit, folder: Path) -> Iterator[Remark]:
             "",
             finding.rule,
             finding.element,
-            relative(finding.file, folder),
-            remembered(finding.diagnostic),
+            relative_path(finding.file, folder),
+            to_baseline(finding.diagnostic),
             finding.severity,
             finding.diagnostic,
             RULES[finding.rule].title,
@@ -184,8 +184,8 @@ def of_error(
         pair.name,
         REFUSED,
         pair.name,
-        relative(path, folder),
-        remembered(error.diagnostic),
+        relative_path(path, folder),
+        to_baseline(error.diagnostic),
         Severity.ERROR,
         error.diagnostic,
         about_kind("refused"),
@@ -193,7 +193,7 @@ def of_error(
     )
 
 
-def remembered(diagnostic: Diagnostic) -> dict[str, Any]:
+def to_baseline(diagnostic: Diagnostic) -> dict[str, Any]:
     """Returns what a baseline keeps of a diagnostic: its code and its values, in SI units."""
     values = {name: _bare(value) for name, value in diagnostic.values.items()}
     kept = {name: value for name, value in values.items() if value is not None}
@@ -203,17 +203,17 @@ def remembered(diagnostic: Diagnostic) -> dict[str, Any]:
 def _bare(value: Any) -> Any:
     """Returns a value of a diagnostic as numbers, texts, lists and tables of them."""
     if isinstance(value, Diagnostic):
-        return remembered(value)
+        return to_baseline(value)
     if isinstance(value, Quantity):
-        return plain(value.value)
+        return to_plain(value.value)
     if isinstance(value, Vector):
-        return plain(np.array(value.values))
+        return to_plain(np.array(value.values))
     if isinstance(value, tuple):
         return [_bare(one) for one in value]
-    return None if value is None else plain(value)
+    return None if value is None else to_plain(value)
 
 
-def relative(file: str | Path, folder: Path) -> str:
+def relative_path(file: str | Path, folder: Path) -> str:
     """Returns a file's path relative to a folder, with ``/``; also if it is not in it."""
     path, start = Path(file).resolve(), folder.resolve()
     try:
@@ -222,18 +222,18 @@ def relative(file: str | Path, folder: Path) -> str:
         return path.as_posix()
 
 
-def plain(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
     """Returns a value as numbers, texts, lists and tables of them, without digits of rounding."""
     if isinstance(value, np.ndarray):
         largest = float(np.abs(value).max(initial=0.0))
         # What is 1e-12 of the largest is nothing; its digits are those of some machine.
-        return plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
+        return to_plain(np.where(np.abs(value) > 1e-12 * largest, value, 0.0).tolist())
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return to_plain(value.item())
     if isinstance(value, Mapping):
-        return {str(key): plain(each) for key, each in value.items()}
+        return {str(key): to_plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(each) for each in value]
+        return [to_plain(each) for each in value]
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") + 0.0
     return value if isinstance(value, bool | int | str) else str(value)

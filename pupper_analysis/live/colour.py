@@ -37,6 +37,6 @@ def colour_of(utilisation: float | None) -> Colour:
     return BEYOND
 
 
-def css(colour: Colour) -> str:
+def to_css(colour: Colour) -> str:
     """Returns a colour as pages write it."""
     return f"rgb({colour[0]},{colour[1]},{colour[2]})"

@@ -13,8 +13,8 @@ from pupper_analysis.diagnostics import term
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.sliders import CONTROLS, Control, Range, ranges_of
 from pupper_analysis.live.state import State, on_page
-from pupper_analysis.live.viser_parts import mark
-from pupper_analysis.report.formats import visible
+from pupper_analysis.live.viser_parts import mark_slider
+from pupper_analysis.report.formats import escape_control
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.task import StandTask
@@ -53,7 +53,7 @@ class Controls:
         self._lock = threading.RLock()
         self._state = State()
         self._ranges = ranges_of(robot, scales)
-        self._feet = {visible(foot): foot for foot in robot.soles}
+        self._feet = {escape_control(foot): foot for foot in robot.soles}
         self.sliders: dict[str, Any] = {}
 
     def stance(self) -> None:
@@ -243,7 +243,7 @@ class Controls:
             found = self._say.either(f"{value:g}" for value in dict.fromkeys(places.get(name, ())))
             far = self._say("label-values-possible", label=label, values=found)
             handle.label = far if marked else label
-            mark(handle, places.get(name, ()))
+            mark_slider(handle, places.get(name, ()))
 
 
 def slider_values(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.analysis.robot import slides
+from pupper_analysis.analysis.robot import is_slide
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.controls import slider_values
@@ -24,8 +24,8 @@ from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.simulated import SAG, run_rows, simulated_table
 from pupper_analysis.report.documents.standing import stand_table
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import clause_text, clauses
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.verdict import clause_text, verdict_clauses
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.simulation.push_trial import PushTrial
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 
@@ -70,7 +70,7 @@ def _judged(answer: Answer, judged: Verdict | None, blocks: Iterable[doc.Block])
     """Returns a document with the verdict: whether it stands, and why or why not."""
     told: tuple[doc.Words, ...] = ()
     if judged is not None:
-        told = tuple(map(clause_text, clauses(judged)))
+        told = tuple(map(clause_text, verdict_clauses(judged)))
     elif answer.unreachable:
         told = (text("out-of-reach"),)
     elif answer.refusal is not None:
@@ -123,14 +123,14 @@ def refusal_document(
 def _explained(answer: Answer, error: StanceUnreachableError) -> Iterable[doc.Block]:
     """Yields what is in the way, what would be possible, and where feet and joints end."""
     if error.possible:
-        demands = joined(
-            [joined(map(word, fields), "and") for fields in error.limits.values()], "or"
+        demands = join_words(
+            [join_words(map(word, fields), "and") for fields in error.limits.values()], "or"
         )
         listed = (_possible(answer.state, one) for one in error.limits.values())
         lines = (text("possible-with-all-else"), *(_spaced(doc.Name("•"), one) for one in listed))
         yield doc.Lines(lines, title=text("in-the-way-demands", demands=demands))
     missing = tuple(
-        (doc.Name(foot), doc.number(gap, ".1f", scale=1e3), doc.Name("mm"))
+        (doc.Name(foot), doc.number_cell(gap, ".1f", scale=1e3), doc.Name("mm"))
         for foot, gap in error.shortfall.items()
         if gap > 0
     )
@@ -156,7 +156,7 @@ def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:
         for foot in feet
         for name, value in slider_values(state, task, fields, foot).items()
     }
-    return joined(
+    return join_words(
         text("name-note", name=_label(name, foot), note=value) for name, foot, value in told
     )
 
@@ -183,7 +183,7 @@ def _at_limits(answer: Answer, joints: Mapping[str, float]) -> str:
     robot = answer.robot
     return ", ".join(
         f"{name} ({1e3 * limit:+.1f} mm)"
-        if slides(robot, name)
+        if is_slide(robot, name)
         else f"{name} ({math.degrees(limit):+.1f}°)"
         for name, limit in joints.items()
     )
@@ -203,10 +203,10 @@ def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
     title = "simulation-with-feed-forward" if feedforward else "simulation-without-feed-forward"
     headed = text(title, time=f"{run.duration:.0f}")
     table = replace(simulated_table(run), title=NOWHERE)
-    predicted = (text("base-at-predicted"), doc.number(expected, ".5f"), doc.Name("m"))
+    predicted = (text("base-at-predicted"), doc.number_cell(expected, ".5f"), doc.Name("m"))
     blocks = (replace(table, rows=(predicted, *table.rows)), _AS_SIMULATED)
     good = stance.verdict.passed
-    told = tuple(map(clause_text, clauses(stance.verdict)))
+    told = tuple(map(clause_text, verdict_clauses(stance.verdict)))
     return doc.Document(text("stance"), headed, blocks, passed=good, told=told)
 
 

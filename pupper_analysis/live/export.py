@@ -8,8 +8,8 @@ from typing import Any
 from urllib.parse import quote
 
 from pupper_analysis.live.model import Answer, Sag
-from pupper_analysis.live.source import Source, spoken
-from pupper_analysis.live.state import SHOWN, State, in_si, plain
+from pupper_analysis.live.source import Source, quote_words
+from pupper_analysis.live.state import SHOWN, State, format_number, in_si
 from pupper_analysis.results import to_json
 from pupper_analysis.stance.fields import Field
 
@@ -38,7 +38,7 @@ print("verified" if report.passed else report.failures)
 """
 
 
-def python(source: Source, state: State) -> str:
+def write_python(source: Source, state: State) -> str:
     """Returns a script that makes the same stand."""
     robot = source.python(state.scales())
     if state.payload:
@@ -61,7 +61,7 @@ def _task(state: State) -> str:
 def _python(field: Field, value: Any) -> str:
     """Returns a value of a page as Python has it."""
     if field.kind == "angle" and not isinstance(value, dict):
-        return f"math.radians({plain(value)})"
+        return f"math.radians({format_number(value)})"
     if field.kind == "angle":
         return (
             "{" + ", ".join(f"{foot!r}: {_python(field, one)}" for foot, one in value.items()) + "}"
@@ -69,16 +69,16 @@ def _python(field: Field, value: Any) -> str:
     return repr(in_si(field, value))
 
 
-def command(source: Source, state: State) -> str:
+def write_command(source: Source, state: State) -> str:
     """Returns the command that solves and simulates the same stand."""
-    return spoken([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
+    return quote_words([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
 
 
 def live_command(source: Source, state: State, language: str = "en") -> str:
     """Returns the command that opens a page with the same state."""
     words = [PROGRAM, "live", *source.arguments({})]
     words += [] if language == "en" else ["--language", language]
-    return spoken([*words, "--state", str(state)] if str(state) else words)
+    return quote_words([*words, "--state", str(state)] if str(state) else words)
 
 
 def _options(state: State) -> list[str]:
@@ -98,13 +98,13 @@ def _options(state: State) -> list[str]:
 def _typed(field: Field, value: Any) -> str:
     """Returns how one types a value of a page."""
     if field.kind == "angle":
-        return f"{plain(value)}deg"
+        return f"{format_number(value)}deg"
     if isinstance(value, tuple):
         return ",".join(map(repr, in_si(field, value)))
     return value if isinstance(value, str) else repr(in_si(field, value))
 
 
-def json(source: Source, answer: Answer, sag: Sag | None) -> str:
+def write_json(source: Source, answer: Answer, sag: Sag | None) -> str:
     """Returns all that is known of a stance."""
     content: dict[str, Any] = {
         "robot": source.python(answer.state.scales()),
@@ -118,7 +118,7 @@ def json(source: Source, answer: Answer, sag: Sag | None) -> str:
     return to_json(content) + "\n"
 
 
-def table(answer: Answer) -> str:
+def write_table(answer: Answer) -> str:
     """Returns the joints as CSV: angles (rad), torques and limits (N m), utilisation."""
     assert answer.robot is not None
     assert answer.stand is not None
@@ -138,7 +138,7 @@ def table(answer: Answer) -> str:
     return text.getvalue()
 
 
-def link(address: str, state: State, language: str = "en") -> str:
+def write_link(address: str, state: State, language: str = "en") -> str:
     """Returns the address of a page with the same state, of a server as a browser reaches it.
 
     What viser's page takes to be its server's address is, with a state behind it, what the server

@@ -136,7 +136,7 @@ class Model:
         return Answer(state, robot, task, stand, statics, None)
 
 
-def explained(answer: Answer) -> StanceUnreachableError | None:
+def explain_refusal(answer: Answer) -> StanceUnreachableError | None:
     """Returns why a stance is out of reach, and how far it can go (a second, or some).
 
     None if it is in reach after all.
@@ -149,7 +149,7 @@ def explained(answer: Answer) -> StanceUnreachableError | None:
     return None
 
 
-def sag(answer: Answer) -> Sag:
+def predict_sag(answer: Answer) -> Sag:
     """Predicts where the stand settles without feed-forward."""
     assert answer.robot is not None
     assert answer.stand is not None
@@ -163,7 +163,7 @@ def sag(answer: Answer) -> Sag:
         return Sag(None, error.diagnostic)
 
 
-def expected(answer: Answer, *, closely: bool) -> Verdict | None:
+def expect_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
     """Returns the verdict of a stance that is not simulated; None of one without balance.
 
     Args:
@@ -181,7 +181,7 @@ def expected(answer: Answer, *, closely: bool) -> Verdict | None:
     return expect(answer.statics, servos_used(robot, state.kp, state.kd), stability)
 
 
-def simulated(answer: Answer) -> Stance:
+def simulate_stance(answer: Answer) -> Stance:
     """Simulates the stance, as ``pupper-analysis stand`` does, and judges it.
 
     Args:

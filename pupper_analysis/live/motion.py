@@ -27,10 +27,10 @@ class Motion:
 
     def at(self, seconds: float) -> Any:
         """Returns the configuration (nq,) at a time (s) after its begin."""
-        return between(self.times - self.times[0], self.motion, seconds)
+        return interpolate_motion(self.times - self.times[0], self.motion, seconds)
 
 
-def between(times: Any, motion: Any, at: float) -> Any:
+def interpolate_motion(times: Any, motion: Any, at: float) -> Any:
     """Returns a configuration (nq,) of a motion (n, nq) at a time, between its samples."""
     after = int(np.clip(np.searchsorted(times, at), 1, len(times) - 1))
     before = after - 1

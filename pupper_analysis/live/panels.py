@@ -12,7 +12,7 @@ from pupper_analysis.live.model import Answer, Model, Sag
 from pupper_analysis.live.state import State
 from pupper_analysis.live.viser_parts import clear_but_tabs, named_tabs
 from pupper_analysis.report.document import Document
-from pupper_analysis.report.formats import visible
+from pupper_analysis.report.formats import escape_control
 from pupper_analysis.report.words import text
 
 
@@ -82,7 +82,7 @@ class Panels:
             clear_but_tabs(gui, before.tabs)
         left = gui.add_panel()
         with left.add_tab(say("what-it-takes")):
-            self._numbers = gui.add_html(render.waiting(text("solving"), say))
+            self._numbers = gui.add_html(render.render_waiting(text("solving"), say))
         left.dock_left()
         left.set_width(330)
         self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
@@ -126,7 +126,7 @@ class Panels:
         labels = gui.add_checkbox(say("torques-at-all-joints"), False)
         self._time = gui.add_slider(say("time-s"), 0.0, 1.0, 0.01, 0.0, visible=False)
         self._again = gui.add_button(say("play-again"), visible=False, color="gray")
-        self._result = gui.add_html(render.hint(text("not-simulated-yet"), say))
+        self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
         simulate.on_click(lambda _: acts.simulate())
         push.on_click(lambda _: acts.push())
         labels.on_update(lambda event: acts.draw_again(bool(event.target.value)))
@@ -165,9 +165,9 @@ class Panels:
             self.notify("nothing-to-save", self.say("there-is-no-stance"))
             return
         content = {
-            "stance.py": lambda: export.python(source, answer.state),
-            "stance.json": lambda: export.json(source, answer, sag),
-            "torques.csv": lambda: export.table(answer),
+            "stance.py": lambda: export.write_python(source, answer.state),
+            "stance.json": lambda: export.write_json(source, answer, sag),
+            "torques.csv": lambda: export.write_table(answer),
         }[name]()
         self._client.send_file_download(name, content.encode(), save_immediately=True)
 
@@ -198,25 +198,25 @@ class Panels:
             told: All of it.
             brief: The verdict alone, for a screen that has no room for it beside the sliders.
         """
-        self._numbers.content = render.panel(told, self.say)
-        self._brief.content = "" if brief is None else render.brief(brief, self.say)
+        self._numbers.content = render.render_panel(told, self.say)
+        self._brief.content = "" if brief is None else render.render_brief(brief, self.say)
 
     def making(self) -> None:
         """Shows that a robot is made."""
-        self._numbers.content = render.waiting(text("making-the-robot"), self.say)
+        self._numbers.content = render.render_waiting(text("making-the-robot"), self.say)
         self._brief.content = ""
 
     def result(self, told: Document) -> None:
         """Shows what came of a simulation."""
-        self._result.content = render.panel(told, self.say)
+        self._result.content = render.render_panel(told, self.say)
 
     def wait(self, key: str) -> None:
         """Shows that a simulation is under way."""
-        self._result.content = render.waiting(text(key), self.say)
+        self._result.content = render.render_waiting(text(key), self.say)
 
     def hint(self, key: str) -> None:
         """Shows why there is no result of a simulation."""
-        self._result.content = render.hint(text(key), self.say)
+        self._result.content = render.render_hint(text(key), self.say)
 
     def simulated(self, duration: float) -> None:
         """Offers to look at what was simulated, for so long (s); at nothing for 0."""
@@ -238,10 +238,10 @@ class Panels:
         self.hint("not-simulated-yet")
         self.simulated(0.0)
         self._state.value = str(state)
-        self._link.value = export.link(self._address, state, self.say.code)
-        self._live.value = visible(export.live_command(source, state, self.say.code))
-        self._command.value = visible(export.command(source, state))
-        self._python.value = export.python(source, state)
+        self._link.value = export.write_link(self._address, state, self.say.code)
+        self._live.value = escape_control(export.live_command(source, state, self.say.code))
+        self._command.value = escape_control(export.write_command(source, state))
+        self._python.value = export.write_python(source, state)
 
     def limits(self, error: Any) -> None:
         """Shows how far sliders can go, and a way to the nearest stance; nothing for None."""
@@ -255,4 +255,4 @@ class Panels:
             title: A text of the catalogue.
             words: What there is to say.
         """
-        self._client.add_notification(self.say(title), visible(words), color="red")
+        self._client.add_notification(self.say(title), escape_control(words), color="red")

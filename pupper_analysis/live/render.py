@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import singledispatch
 from html import escape
 
-from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, css
+from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, to_css
 from pupper_analysis.live.language import Language
 from pupper_analysis.report.document import Cell, Column, Document, Lines, Number, Table, Words
-from pupper_analysis.report.formats import visible
+from pupper_analysis.report.formats import escape_control
 from pupper_analysis.report.words import text
 
 STYLE = """<style>
@@ -44,19 +44,19 @@ _BOXES = {"good": "good", "bad": "bad", "warn": "wait"}
 """{emphasis: the class of a box}."""
 
 
-def panel(document: Document, say: Language) -> str:
+def render_panel(document: Document, say: Language) -> str:
     """Returns a document: whose it is, its verdict and the reasons, and its blocks."""
-    parts = [_headed(document.title, say), verdict(document, say)]
+    parts = [_headed(document.title, say), render_verdict(document, say)]
     parts += [_block(block, say) for block in document.blocks]
-    return page(*parts)
+    return render_page(*parts)
 
 
-def brief(document: Document, say: Language) -> str:
+def render_brief(document: Document, say: Language) -> str:
     """Returns a document's verdict alone, for a screen that has no room for more."""
-    return f'<div class="pa-page">{page(verdict(document, say))}</div>'
+    return f'<div class="pa-page">{render_page(render_verdict(document, say))}</div>'
 
 
-def verdict(document: Document, say: Language) -> str:
+def render_verdict(document: Document, say: Language) -> str:
     """Returns a document's verdict with its reasons, in one remark; nothing where it has none."""
     if document.passed is None:
         return ""
@@ -66,19 +66,19 @@ def verdict(document: Document, say: Language) -> str:
     return _box(document.mark, "; ".join(say.words(one) for one in told))
 
 
-def page(*parts: str) -> str:
+def render_page(*parts: str) -> str:
     """Returns parts as one piece of a page."""
     return f'{STYLE}<div class="pa">{"".join(parts)}</div>'
 
 
-def waiting(words: Words, say: Language) -> str:
+def render_waiting(words: Words, say: Language) -> str:
     """Returns that something is under way."""
-    return page(_box("warn", say.words(words)))
+    return render_page(_box("warn", say.words(words)))
 
 
-def hint(words: Words, say: Language) -> str:
+def render_hint(words: Words, say: Language) -> str:
     """Returns a hint where there is no result."""
-    return page(f"<div>{_said(say.words(words))}</div>")
+    return render_page(f"<div>{_said(say.words(words))}</div>")
 
 
 def _headed(words: Words, say: Language) -> str:
@@ -88,7 +88,7 @@ def _headed(words: Words, say: Language) -> str:
 
 def _said(told: str) -> str:
     """Returns a text as it is shown: nothing in it acts."""
-    return escape(visible(told))
+    return escape(escape_control(told))
 
 
 def _box(mark: str, told: str) -> str:
@@ -139,17 +139,17 @@ def _cell(cell: Cell, say: Language) -> str:
     number = f'<td class="n">{_said(cell.text)}</td>'
     if cell.share is None:
         return number
-    width, colour = 3.0 * cell.share, css(colour_of(cell.value / 100))  # a share is in percent
+    width, colour = 3.0 * cell.share, to_css(colour_of(cell.value / 100))  # a share is in percent
     bar = f'<span class="bar" style="width:{width:.2f}em;background:{colour}"></span>'
     return f'{number}<td style="width:3.1em">{bar}</td>'
 
 
 def _scale(say: Language) -> str:
     """Returns which colour is which part of a limit."""
-    stops = ",".join(f"{css(colour)} {100 * share:.0f}%" for share, colour in SCALE)
+    stops = ",".join(f"{to_css(colour)} {100 * share:.0f}%" for share, colour in SCALE)
     return (
         f'<div class="scale" style="background:linear-gradient(90deg,{stops})"></div>'
         '<div style="display:flex;justify-content:space-between"><span>0</span>'
-        f'<span>50 %</span><span>100 % <b style="color:{css(BEYOND)}">'
+        f'<span>50 %</span><span>100 % <b style="color:{to_css(BEYOND)}">'
         f"■ {_said(say.words(text('above')))}</b></span></div>"
     )

@@ -14,8 +14,8 @@ from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.live.colour import colour_of
 from pupper_analysis.live.model import Answer
 from pupper_analysis.live.shapes import Colour, Part, parts_of
-from pupper_analysis.report.formats import visible
-from pupper_analysis.report.scene import Contact, Standing, standing
+from pupper_analysis.report.formats import escape_control
+from pupper_analysis.report.scene import Contact, Standing, describe_scene
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -140,7 +140,7 @@ class Scene:
         self.hide("ghost")
         self._figure("stand").pose(stand.qpos)
         self._figure("stand").show(True)
-        seen = standing(robot, stand, answer.statics)
+        seen = describe_scene(robot, stand, answer.statics)
         self._steps(seen)
         self._support(seen, held=answer.statics is not None and seen.inside)
         self._com(seen)
@@ -233,7 +233,7 @@ class Scene:
             shadow_opacity=0.25,
         )
         turn = ground.rotation()
-        grid.wxyz = quaternion(turn)
+        grid.wxyz = to_quaternion(turn)
         grid.position = -1e-3 * turn[:, 2]  # beneath what lies on it
 
     def _steps(self, seen: Standing) -> None:
@@ -300,7 +300,7 @@ class Scene:
             if one.torque is None:
                 continue
             disc.color = colour_of(one.share)
-            disc.position, disc.wxyz = one.place, along(one.direction)
+            disc.position, disc.wxyz = one.place, quaternion_along(one.direction)
             if label.visible:
                 label.text = joint_text(one.name, one.torque, one.share)
                 label.position = one.place + np.array([0.0, 0.0, 0.2 * self._size])
@@ -334,10 +334,10 @@ def force_arrows(robot: Robot, contacts: Sequence[Contact]) -> Array:
 def joint_text(name: str, torque: float, share: float | None) -> str:
     """Returns what stands at a joint: its name, torque (N m) and utilisation."""
     used = "" if share is None else f", {100 * share:.0f} %"
-    return f"{visible(name)}: {torque:+.3f} N m{used}"
+    return f"{escape_control(name)}: {torque:+.3f} N m{used}"
 
 
-def along(axis: Array) -> Array:
+def quaternion_along(axis: Array) -> Array:
     """Returns the quaternion (w, x, y, z) that turns z into an axis (3,)."""
     x, y, z = (float(value) for value in axis)
     if z < -1.0 + 1e-9:
@@ -347,7 +347,7 @@ def along(axis: Array) -> Array:
     return unit
 
 
-def quaternion(turn: Array) -> Array:
+def to_quaternion(turn: Array) -> Array:
     """Returns the quaternion (w, x, y, z) of a rotation (3, 3)."""
     found = np.zeros(4)
     mujoco.mju_mat2Quat(found, turn.ravel())

@@ -15,7 +15,7 @@ from pupper_analysis.live.language import NAMES, Language
 from pupper_analysis.live.model import Model
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.source import Source
-from pupper_analysis.live.state import State, parse
+from pupper_analysis.live.state import State, parse_state
 
 LOOPBACK = "127.0.0.1"
 
@@ -59,19 +59,19 @@ class Page:
         host: str = LOOPBACK,
         port: int | None = None,
     ) -> None:
-        viser_parts.viser()  # before the work
+        viser_parts.import_viser()  # before the work
         self._language = Language(language)
         self._model, self._state = Model(source), state or State()
         robot = self._model.robot(self._state)
         self._model.robot(State())
-        check(self._model, self._state)
+        check_state(self._model, self._state)
         free = viser_parts.free_port(host, port)
         self.sessions: dict[int, Session] = {}
         self._came: dict[int, Hashable] = {}
         self._gone: dict[Hashable, tuple[float, State, Language]] = {}
         self._lock = threading.Lock()
         door = Door(host)
-        self._server = viser_parts.started(host, free, f"{robot.name}, live", door)
+        self._server = viser_parts.start_server(host, free, f"{robot.name}, live", door)
         shown = "localhost" if host in ("0.0.0.0", "::") else host
         shown = f"[{shown}]" if ":" in shown else shown
         self.address = f"http://{shown}:{self._server.get_port()}/"
@@ -90,8 +90,8 @@ class Page:
         state, problem = self._state, None
         if words:
             try:
-                state = parse(words)
-                check(self._model, state)
+                state = parse_state(words)
+                check_state(self._model, state)
             except PupperAnalysisError as error:
                 state, problem = self._state, error.diagnostic
         came = (*viser_parts.browser_of(self._server, client.client_id), words)
@@ -136,10 +136,10 @@ class Page:
         for session in sessions:
             for thread in session.threads:
                 thread.join(_LEAVE)
-        viser_parts.stopped(self._server)
+        viser_parts.stop_server(self._server)
 
 
-def check(model: Model, state: State) -> None:
+def check_state(model: Model, state: State) -> None:
     """Checks that a state is one of a robot.
 
     Raises:

@@ -32,7 +32,7 @@ from pupper_analysis.live.model import Answer, Model, Sag
 from pupper_analysis.live.motion import Motion
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
-from pupper_analysis.live.state import State, halfway, parse
+from pupper_analysis.live.state import State, halfway_state, parse_state
 from pupper_analysis.report.document import Document
 from pupper_analysis.simulation.verdict import Verdict
 
@@ -142,7 +142,7 @@ class Session:
     def go_to(self, words: str) -> None:
         """Goes to a state that is given as a text."""
         try:
-            self._panels.controls.put(parse(words), told=True)
+            self._panels.controls.put(parse_state(words), told=True)
         except PupperAnalysisError as error:
             self._panels.notify("this-is-no-state", self._panels.say.sentence(error.diagnostic))
 
@@ -215,7 +215,7 @@ class Session:
         state, now = self._panels.controls.state, time.monotonic()
         moving, self._told = now - self._told < MOVING, now
         if moving and self._answer is not None:
-            between = halfway(self._answer.state, state)
+            between = halfway_state(self._answer.state, state)
             if between is not None:
                 self._show(self._model.answer(between), passing=True)
                 if self._asked.wait(max(0.0, now + BETWEEN - time.monotonic())):
@@ -246,7 +246,7 @@ class Session:
             return
         with self._lock, self._client.atomic():
             self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
-            self._verdict = answers.expected(answer, closely=False)
+            self._verdict = answers.expect_verdict(answer, closely=False)
             self._job, self._motion, self._result = None, None, None
             self._since = time.monotonic()
             self._scene.show(answer)
@@ -309,7 +309,7 @@ class Session:
     def _look(self, answer: Answer) -> None:
         """Finds out what takes longer."""
         if answer.unreachable:
-            error = answers.explained(answer)
+            error = answers.explain_refusal(answer)
             assert answer.robot is not None
             robot = answer.robot
 
@@ -321,7 +321,7 @@ class Session:
 
             self._if_shown(answer, show_refusal)
         elif answer.statics is not None:
-            sag, verdict = answers.sag(answer), answers.expected(answer, closely=True)
+            sag, verdict = answers.predict_sag(answer), answers.expect_verdict(answer, closely=True)
 
             def show_sag() -> None:
                 self._sag, self._verdict = sag, verdict
@@ -331,7 +331,7 @@ class Session:
 
     def _simulate(self, answer: Answer) -> None:
         feedforward = self._panels.feedforward
-        stance = answers.simulated(answer)
+        stance = answers.simulate_stance(answer)
         shown = stance.verification if feedforward else stance.sagging
 
         def judged() -> None:

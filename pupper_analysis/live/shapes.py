@@ -43,7 +43,7 @@ def parts_of(model: mujoco.MjModel) -> list[Part]:
     found: dict[tuple[int, Colour], list[tuple[Array, Integers]]] = {}
     for shape in shapes:
         if shape.mesh is None:
-            vertices, faces = primitive(shape.kind, shape.size)
+            vertices, faces = mesh_of_primitive(shape.kind, shape.size)
         else:
             vertices, faces = meshes[shape.mesh].vertices, meshes[shape.mesh].faces
         turn = rotation_from_quaternion(shape.quaternion)
@@ -59,7 +59,7 @@ def _joined(shapes: list[tuple[Array, Integers]]) -> tuple[Array, Integers]:
     return np.concatenate([vertices for vertices, _ in shapes]), np.concatenate(faces)
 
 
-def primitive(name: str, size: Array) -> tuple[Array, Integers]:
+def mesh_of_primitive(name: str, size: Array) -> tuple[Array, Integers]:
     """Returns a shape of MuJoCo's as triangles, along z about its centre.
 
     Args:

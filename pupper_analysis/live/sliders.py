@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pupper_analysis.diagnostics import Term
-from pupper_analysis.diagnostics.templates import fill
+from pupper_analysis.diagnostics.templates import fill_template
 from pupper_analysis.live.state import PAGE_UNITS, SHOWN
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
@@ -41,7 +41,7 @@ class Control:
     def hint(self, language: str) -> str:
         """Returns what it is about."""
         way = {} if self.axis is None else {"axis": _WAYS[self.field.axes[self.axis]]}
-        return fill(self.field.words(language).hint, way, language)
+        return fill_template(self.field.words(language).hint, way, language)
 
     def of(self, value: float | tuple[float, ...]) -> float:
         """Returns its number of the field's value."""
@@ -106,7 +106,7 @@ def _span(field: Field, slider: Slider, robot: Robot) -> Range:
     whole = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
     low, high = (math.copysign(round_up(abs(end) * whole), end) if end else 0.0
                  for end in (slider.low, slider.high))  # fmt: skip
-    step = fine((slider.high - max(slider.low, 0.0)) * whole)
+    step = fine_step((slider.high - max(slider.low, 0.0)) * whole)
     value = 0.0 if field.nominal == "zero" else 1e3 * getattr(robot, field.nominal)
     if slider.start is not None:
         value = min(1e3 * slider.start, high)
@@ -124,11 +124,11 @@ def _gain(field: Field, slider: Slider, robot: Robot) -> Range:
     middle = float(np.median(values)) if values else 0.0
     middle = middle or slider.start or 1.0
     high = round_up(8 * middle)
-    low = fine(high) if field.kind == "stiffness" else 0.0
-    return Range(low, high, fine(high), middle)
+    low = fine_step(high) if field.kind == "stiffness" else 0.0
+    return Range(low, high, fine_step(high), middle)
 
 
-def fine(span: float) -> float:
+def fine_step(span: float) -> float:
     """Returns a step of which a span has some hundreds: 1, 2 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(span / 200))
     return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= span / 400)

@@ -104,6 +104,6 @@ class Pair:
         return words
 
 
-def spoken(words: list[str]) -> str:
+def quote_words(words: list[str]) -> str:
     """Returns words as one types them."""
     return shlex.join(words)

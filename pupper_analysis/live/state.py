@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import quote, unquote
 
-from pupper_analysis.arguments import finite
+from pupper_analysis.arguments import check_finite
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
@@ -133,7 +133,7 @@ class State:
         return self.having(**found)
 
     def __str__(self) -> str:
-        """Returns what differs from a page just opened, as ``parse`` reads it."""
+        """Returns what differs from a page just opened, as ``parse_state`` reads it."""
         parts, feet = [], []
         for name, value in self.values.items():
             field = SHOWN[name]
@@ -173,8 +173,8 @@ def _finite(field: Field, value: Any) -> Any:
 
 def _finite_one(name: str, value: Any) -> float | tuple[float, ...]:
     if isinstance(value, tuple):
-        return tuple(finite(name, number) for number in value)
-    return finite(name, value)
+        return tuple(check_finite(name, number) for number in value)
+    return check_finite(name, value)
 
 
 def _numbers(value: Any) -> Iterator[tuple[str, float]]:
@@ -193,7 +193,7 @@ def in_si(field: Field, value: Any) -> Any:
     unit, _ = PAGE_UNITS[field.kind]
     if isinstance(value, str) or unit not in ("mm", "°"):
         return value
-    return metres(value) if unit == "mm" else radians(value)
+    return parse_length(value) if unit == "mm" else parse_angle(value)
 
 
 def on_page(field: Field, value: Any) -> Any:
@@ -206,7 +206,7 @@ def on_page(field: Field, value: Any) -> Any:
     return round(factor * value, 9)
 
 
-def halfway(one: State, other: State) -> State | None:
+def halfway_state(one: State, other: State) -> State | None:
     """Returns the state in the middle of two, as a hand passes it that moves a slider.
 
     None where there is no middle: of two robots, or where something else than a number differs.
@@ -239,26 +239,26 @@ def _middle(one: Any, other: Any) -> Any:
     return 0.5 * (one + other)
 
 
-def metres(millimetres: float) -> float:
+def parse_length(millimetres: float) -> float:
     """Returns a length in m: the number that is typed with as many digits, not its neighbour."""
     return float(f"{millimetres!r}e-3") if "e" not in repr(millimetres) else millimetres * 1e-3
 
 
-def radians(degrees: float) -> float:
+def parse_angle(degrees: float) -> float:
     """Returns an angle in rad, as the command line reads ``5deg``."""
     return degrees * (math.pi / 180)
 
 
-def plain(number: float) -> str:
+def format_number(number: float) -> str:
     """Returns a number in as few letters as say it exactly."""
     return repr(number).removesuffix(".0")
 
 
 def _plainly(value: Any) -> str:
-    return ",".join(plain(number) for _, number in _numbers(value))
+    return ",".join(format_number(number) for _, number in _numbers(value))
 
 
-def parse(text: str) -> State:
+def parse_state(text: str) -> State:
     """Returns the state that a text says, as ``str(state)`` writes it.
 
     ``height:120;roll:5;place:offset;offset:10,0;move:FR,10,0;lift:FL,20``: names and numbers, in mm
@@ -303,7 +303,7 @@ def _value(name: str, texts: list[str]) -> float | tuple[float, ...]:
 
 def _number(name: str, text: str) -> float:
     try:
-        return finite(name, float(text))
+        return check_finite(name, float(text))
     except ValueError:
         told = diagnose("part-is-no-number", part=text, given=name)
         raise ConfigurationError("state", told) from None

@@ -18,7 +18,7 @@ from pupper_analysis.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.live.door import HEADERS, MOST_BYTES, Door, problem_of
 
 
-def viser() -> Any:
+def import_viser() -> Any:
     """Returns the package.
 
     Raises:
@@ -55,13 +55,13 @@ def free_port(host: str, port: int | None) -> int:
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def silence_viser() -> Iterator[None]:
     """Keeps what viser prints about itself off the terminal."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield
 
 
-def started(host: str, port: int, label: str, door: Door | None = None) -> Any:
+def start_server(host: str, port: int, label: str, door: Door | None = None) -> Any:
     """Returns a server of viser's, that nobody can open to the internet from the page.
 
     Args:
@@ -73,8 +73,8 @@ def started(host: str, port: int, label: str, door: Door | None = None) -> Any:
     # What knocks at the port and says nothing, or nonsense, is no error of this program.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
-    with quiet(), _behind(door or Door(host)):
-        server = viser().ViserServer(host=host, port=port, label=label, verbose=False)
+    with silence_viser(), _behind(door or Door(host)):
+        server = import_viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
     server._websock_server.on_client_connect(partial(_heed, server))
     server.gui.configure_theme(show_logo=False, show_share_button=False, brand_color=(51, 86, 122))
@@ -112,7 +112,7 @@ def _behind(door: Door) -> Iterator[None]:
 
 def _heed(server: Any, connection: Any) -> None:
     """Lets a browser that has connected move the controls of its page, and send no files."""
-    messages = viser()._messages
+    messages = import_viser()._messages
     handlers = connection._incoming_handlers
     for kind in (messages.FileTransferStartUpload, messages.FileTransferPart):
         handlers.pop(kind, None)
@@ -134,9 +134,9 @@ def _heed(server: Any, connection: Any) -> None:
     handlers[messages.GuiUpdateMessage] = [moved]
 
 
-def stopped(server: Any) -> None:
+def stop_server(server: Any) -> None:
     """Stops a server."""
-    with quiet():
+    with silence_viser():
         server.stop()
 
 
@@ -163,10 +163,10 @@ def browser_of(server: Any, client_id: int) -> tuple[str, str]:
         return "", str(client_id)
 
 
-def mark(slider: Any, values: tuple[float, ...]) -> None:
+def mark_slider(slider: Any, values: tuple[float, ...]) -> None:
     """Marks places of a slider's track; viser takes marks only when a slider is made."""
     with contextlib.suppress(AttributeError):
-        kind = viser()._messages.GuiSliderMark
+        kind = import_viser()._messages.GuiSliderMark
         slider._marks = tuple(kind(value=float(value), label="◆") for value in values) or None
 
 

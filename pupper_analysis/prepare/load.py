@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.mjcf import quiet
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
 
-@checked
+@check_arguments
 @quiet()
 def load_robot(
     *,

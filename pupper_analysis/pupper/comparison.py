@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.report.document import Cell, Column, Name, Table, number
+from pupper_analysis.report.document import Cell, Column, Name, Table, number_cell
 from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -34,10 +34,10 @@ def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
             (
                 Name(spec.name),
                 Name(spec.base),
-                number(spec.leg_scale, "g"),
-                number(spec.torso_mass_scale, "g"),
-                number(robot.total_mass, ".3f"),
-                number(robot.stand_height, ".4f"),
+                number_cell(spec.leg_scale, "g"),
+                number_cell(spec.torso_mass_scale, "g"),
+                number_cell(robot.total_mass, ".3f"),
+                number_cell(robot.stand_height, ".4f"),
             )
             for spec, robot in variants
         ),
@@ -100,7 +100,7 @@ class RatioReference:
     thigh_shape_length: float | None
 
 
-def compare(analysis: Analysis, base: str, reference: RatioReference) -> ComparisonRow:
+def compare_with_base(analysis: Analysis, base: str, reference: RatioReference) -> ComparisonRow:
     """Puts an analysis beside its base model.
 
     Args:
@@ -159,7 +159,8 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
     cells: list[tuple[Cell, ...]] = []
     for row in rows:
         numbers = [
-            number(getattr(row, field), form, scale=scale) for _, _, field, form, scale in columns
+            number_cell(getattr(row, field), form, scale=scale)
+            for _, _, field, form, scale in columns
         ]
         stands = text("stands") if row.stands_without else text("FAILS").marked("bad")
         verdict = text(_verdict(row)).marked("good" if row.verified else "bad")

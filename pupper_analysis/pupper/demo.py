@@ -9,9 +9,9 @@ import numpy as np
 
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import check_display, show
+from pupper_analysis.pupper.window import check_display, show_window
 from pupper_analysis.report.documents.path_there import tracking_document
-from pupper_analysis.report.terminal import console, print_document
+from pupper_analysis.report.terminal import make_console, print_document
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.path_commands import path_commands
@@ -90,7 +90,7 @@ def demo(
         _show(robot, path)
     tracking = track_path(robot, path)
     print(f"{name}: {DEMOS[name]}")
-    print_document(console(), tracking_document(name, path, tracking), everything=True)
+    print_document(make_console(), tracking_document(name, path, tracking), everything=True)
     if csv is not None:
         path.to_csv(csv)
         print(f"path: {csv}")
@@ -107,4 +107,4 @@ def _show(robot: Robot, path: StancePath) -> None:
         data.ctrl[:] = next(rows)
         mujoco.mj_step(model, data)
 
-    show(model, data, step, len(plan.ctrl))
+    show_window(model, data, step, len(plan.ctrl))

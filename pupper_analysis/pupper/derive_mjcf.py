@@ -16,7 +16,7 @@ from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
 Array = NDArray[np.float64]
 
 
-def derive(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
+def derive_mjcf(spec: mujoco.MjSpec, variant: VariantSpec) -> None:
     """Turns the spec of a base model, in place, into that of a variant.
 
     A leg's last joint is its knee; the bodies on its two sides are thigh and calf. Both are

@@ -17,7 +17,7 @@ from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
 Array = NDArray[np.float64]
 
 
-def derive(text: str, variant: VariantSpec, *, source: Path) -> str:
+def derive_urdf(text: str, variant: VariantSpec, *, source: Path) -> str:
     """Derives the URDF of a variant from that of its base model.
 
     What is scaled, and how, is told in ``mjcf.derive``; this is the other, independent route.

@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import show
+from pupper_analysis.pupper.window import show_window
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -106,7 +106,7 @@ def drop(
     timestep = float(model.opt.timestep)
     count = round(seconds / timestep)
     if window:
-        show(model, data, step, count)
+        show_window(model, data, step, count)
     while len(samples) <= count:
         step()
 

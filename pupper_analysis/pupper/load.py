@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type
-from pupper_analysis.pupper.variant_files import describe
+from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
@@ -34,6 +34,6 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     check_type("fixed_base", fixed_base, bool)
     base = BASES[spec.base]
     robot = build_robot(
-        describe(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
+        describe_variant(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
     )
     return replace(robot, notes=(*base.remarks(), *robot.notes))

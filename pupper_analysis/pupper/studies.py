@@ -9,12 +9,12 @@ from typing import Any
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.pupper.scaled import Scaled
-from pupper_analysis.pupper.variant_files import describe
+from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study import study
-from pupper_analysis.study.numbers import plain
+from pupper_analysis.study.numbers import without_visuals
 from pupper_analysis.study.source import RobotSource
 
 
@@ -29,7 +29,7 @@ class Variants(Scaled):
         """
         spec = self.scaled(scales)
         depth = BASES[spec.base].foot_depth(spec.leg_scale)
-        return build_robot(plain(describe(spec)), foot_depth=depth)
+        return build_robot(without_visuals(describe_variant(spec)), foot_depth=depth)
 
     def asked(self) -> dict[str, Any]:
         """Returns the spec."""

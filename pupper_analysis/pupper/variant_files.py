@@ -21,7 +21,7 @@ _USUAL = 20.0
 """Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""
 
 
-def describe(variant: str | VariantSpec) -> Description:
+def describe_variant(variant: str | VariantSpec) -> Description:
     """Derives a variant's URDF from the base URDF and its MJCF from the base MJCF, in memory.
 
     The two derivations share no code but the numbers of the spec.
@@ -71,8 +71,8 @@ def _derived(
 
         scales = spec.leg_scale, spec.torso_mass_scale
         try:
-            urdf_text = derive_urdf.derive(urdf_text, spec, source=urdf_source)
-            derive_mjcf.derive(mjcf_spec, spec)
+            urdf_text = derive_urdf.derive_urdf(urdf_text, spec, source=urdf_source)
+            derive_mjcf.derive_mjcf(mjcf_spec, spec)
             if max(*scales, *(1 / scale for scale in scales)) > _USUAL:
                 mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
         except (ArithmeticError, ValueError, ModelError) as error:
@@ -104,7 +104,7 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
         VariantError: If the name is unknown.
         OutputError: If a file cannot be written.
     """
-    description = describe(variant)
+    description = describe_variant(variant)
     check_type("folder", folder, str | Path)
     folder = Path(folder)
     urdf_path = folder / "urdf" / f"{description.name}.urdf"

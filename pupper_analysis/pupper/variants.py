@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
-from pupper_analysis.arguments import finite
+from pupper_analysis.arguments import check_finite
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError, VariantError
 
@@ -112,7 +112,7 @@ class VariantSpec:
         for what in ("leg_scale", "torso_mass_scale"):
             value = getattr(self, what)
             try:
-                number = finite(what, value)
+                number = check_finite(what, value)
             except ConfigurationError:
                 number = 0.0
             if number <= 0:

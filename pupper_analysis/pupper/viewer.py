@@ -9,12 +9,12 @@ import numpy as np
 
 from pupper_analysis.pupper.drop import DEFAULT_SECONDS, at_home, check_seconds, drop
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import check_display, opened_window, play
+from pupper_analysis.pupper.window import check_display, opened_window, play_steps
 from pupper_analysis.pupper.words import print_imu, print_joints, print_readings
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 
-def view(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bool) -> None:
+def view_variant(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bool) -> None:
     """Shows a variant with its joints as in its keyframe ``home``, until the window is closed.
 
     With a fixed base nothing moves by itself; the viewer's sliders under "Control" set the joints.
@@ -50,10 +50,10 @@ def view(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bool) -> N
             mujoco.mj_step(model, data)
 
     with contextlib.suppress(KeyboardInterrupt), opened_window(model, data) as handle:
-        play(handle, model.opt.timestep, step)
+        play_steps(handle, model.opt.timestep, step)
 
 
-def stand(
+def drop_and_report(
     variant: str | VariantSpec = "v3", *, headless: bool, seconds: float = DEFAULT_SECONDS
 ) -> bool:
     """Drops a variant and prints how steadily it stands at the end.

@@ -91,13 +91,17 @@ def _no_interrupt() -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def show(model: mujoco.MjModel, data: mujoco.MjData, step: Callable[[], None], count: int) -> None:
+def show_window(
+    model: mujoco.MjModel, data: mujoco.MjData, step: Callable[[], None], count: int
+) -> None:
     """Opens a window and calls ``step`` in it, ``count`` times in real time, until it is closed."""
     with opened_window(model, data) as handle:
-        play(handle, float(model.opt.timestep), step, count)
+        play_steps(handle, float(model.opt.timestep), step, count)
 
 
-def play(handle: Any, timestep: float, step: Callable[[], None], count: int | None = None) -> None:
+def play_steps(
+    handle: Any, timestep: float, step: Callable[[], None], count: int | None = None
+) -> None:
     """Calls ``step`` in real time, ``count`` times or without end, while the window is open."""
     done, start = 0, time.perf_counter()
     limit = math.inf if count is None else count

@@ -9,7 +9,7 @@ LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "
 """Of annotations."""
 
 
-def remarks(audit: Audit) -> list[Annotation]:
+def audit_remarks(audit: Audit) -> list[Annotation]:
     """Returns the findings as annotations."""
     return [
         Annotation(
@@ -25,7 +25,7 @@ def remarks(audit: Audit) -> list[Annotation]:
     ]
 
 
-def cases(audit: Audit) -> list[CheckedItem]:
+def audit_cases(audit: Audit) -> list[CheckedItem]:
     """Returns one case per rule; errors and warnings are its failures."""
     failures: dict[str, list[Finding]] = {}
     for finding in audit.findings:
@@ -39,7 +39,7 @@ def _case(rule: str, found: list[Finding]) -> CheckedItem:
     return CheckedItem(rule, "\n".join(lines) or None, tuple(one.diagnostic for one in found))
 
 
-def rank(severity: str) -> int:
+def rank_severity(severity: str) -> int:
     """Returns the rank of a severity by name; 0 is the worst."""
     return Severity(severity).rank
 

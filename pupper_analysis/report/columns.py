@@ -15,8 +15,8 @@ from rich.cells import cell_len
 from rich.text import Text
 
 from pupper_analysis.report.document import Cell, Column, Name, Number, Table
-from pupper_analysis.report.formats import visible
-from pupper_analysis.report.words import english
+from pupper_analysis.report.formats import escape_control
+from pupper_analysis.report.words import in_english
 
 GAP = 2
 """Characters between columns."""
@@ -112,9 +112,9 @@ def _fitted(
 def _column(column: Column, cells: Sequence[Cell]) -> _Column:
     texts = [_shown(cell) for cell in cells]
     wide = max(map(cell_len, texts), default=0)
-    head = _wrapped(visible(english(column.name)), max(wide, _HEADER))
+    head = _wrapped(escape_control(in_english(column.name)), max(wide, _HEADER))
     if column.unit not in ("", "1"):
-        unit = f"({visible(column.unit)})"
+        unit = f"({escape_control(column.unit)})"
         together = f"{head[-1]} {unit}" if head else unit
         head = [*head[:-1], together] if cell_len(together) <= wide else [*head, unit]
     shares = [cell.share if isinstance(cell, Number) else None for cell in cells]
@@ -136,7 +136,7 @@ def _turned(
     turned: list[tuple[Cell, ...]] = []
     for index, column in enumerate(columns[1:], start=1):
         unit = f" ({column.unit})" if column.unit not in ("", "1") else ""
-        name = Name(f"{english(column.name)}{unit}")
+        name = Name(f"{in_english(column.name)}{unit}")
         turned.append((name, *(row[index] for row in rows)))
     return [Column(columns[0].name, left=True), *heads], turned
 
@@ -209,7 +209,7 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 
 def _shown(cell: Cell) -> str:
-    return visible(cell.text if isinstance(cell, Number) else english(cell))
+    return escape_control(cell.text if isinstance(cell, Number) else in_english(cell))
 
 
 def _wide(columns: Sequence[_Column]) -> int:

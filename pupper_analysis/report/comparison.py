@@ -87,7 +87,7 @@ def effects_told(difference: Difference) -> Diagnostic:
     return diagnose("effects", effects=effects)
 
 
-def remarks(comparison: Comparison) -> list[Annotation]:
+def comparison_remarks(comparison: Comparison) -> list[Annotation]:
     """Returns a remark per difference, at its place in the URDF, and one per joint left over."""
     urdf, mjcf = comparison.urdf, comparison.mjcf
     found = [_remark("part", "part", part, urdf) for part in comparison.parts]
@@ -135,7 +135,7 @@ def _remark(
     return Annotation("error", title, message, place, rule=rule, about=about, diagnostic=told)
 
 
-def cases(comparison: Comparison) -> list[CheckedItem]:
+def comparison_cases(comparison: Comparison) -> list[CheckedItem]:
     """Returns one case per kind of number of each joint and body, and one per quantity."""
     missing = [told for _, told, _ in _left_over(comparison)]
     result = [_case("the same joints", missing)]

@@ -321,7 +321,7 @@ class Report:
     overview: tuple[Block, ...] = ()
 
 
-def number(value: float | None, form: str, mark: str = "", scale: float = 1.0) -> Number:
+def number_cell(value: float | None, form: str, mark: str = "", scale: float = 1.0) -> Number:
     """Returns a number as a cell.
 
     Args:
@@ -339,6 +339,6 @@ def number(value: float | None, form: str, mark: str = "", scale: float = 1.0) -
     return Number(text, shown, mark)
 
 
-def vector(values: Sequence[float] | Array, form: str) -> Name:
+def vector_cell(values: Sequence[float] | Array, form: str) -> Name:
     """Returns a vector as a cell."""
-    return Name(" ".join(number(value, form).text for value in values))
+    return Name(" ".join(number_cell(value, form).text for value in values))

@@ -9,14 +9,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
-from pupper_analysis.diagnostics import Diagnostic, fill, phrase
-from pupper_analysis.report.sarif import SarifResult, SarifRule, code_and_values, from_root, sarif
+from pupper_analysis.diagnostics import Diagnostic, fill_template, phrase
+from pupper_analysis.report.sarif import (
+    SarifResult,
+    SarifRule,
+    code_and_values,
+    from_root,
+    write_sarif,
+)
 
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's categories of what is not seen but acts: controls, directions, ends of lines."""
 
 
-def visible(text: str) -> str:
+def escape_control(text: str) -> str:
     """Returns a text with what would act on a terminal, or begin a line, shown as its number.
 
     Names in model files, and names of files, are anybody's.
@@ -71,7 +77,7 @@ Source: GitHub documentation, "Limitations" of annotations of workflow commands.
 """
 
 
-def grouped(annotations: Iterable[Annotation], most: int = SHOWN) -> list[Annotation]:
+def group_remarks(annotations: Iterable[Annotation], most: int = SHOWN) -> list[Annotation]:
     """Puts annotations together until no level has more than GitHub shows.
 
     Those of one rule, in one file, become one, at the place of the first; if there are still too
@@ -100,16 +106,16 @@ def _together(group: Sequence[Annotation], how: str) -> Annotation:
         other.title if other.place is None else f"{other.title} ({other.place})" for other in others
     )
     told = {"message": first.message, "count": len(others), "names": named}
-    return replace(first, message=fill(phrase(how, "en"), told, "en"))
+    return replace(first, message=fill_template(phrase(how, "en"), told, "en"))
 
 
-def github(annotations: Iterable[Annotation]) -> str:
+def write_github(annotations: Iterable[Annotation]) -> str:
     """Returns workflow commands, one a line, that GitHub shows beside the files.
 
     Source: GitHub documentation, "Workflow commands for GitHub Actions".
     """
     lines = []
-    for annotation in grouped(annotations):
+    for annotation in group_remarks(annotations):
         file, line = annotation.file_and_line
         parameters = [f"file={_property(from_root(file))}"] if file else []
         parameters += [f"line={line}"] if line is not None else []
@@ -124,7 +130,7 @@ def github(annotations: Iterable[Annotation]) -> str:
 def _data(text: str) -> str:
     # Ends of lines have words of their own there; what else would act on a log is shown.
     told = text.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
-    return visible(told)
+    return escape_control(told)
 
 
 def _property(text: str) -> str:
@@ -146,7 +152,7 @@ class CheckedItem:
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
-def junit(suite: str, cases: Iterable[CheckedItem]) -> str:
+def write_junit(suite: str, cases: Iterable[CheckedItem]) -> str:
     """Returns the XML that test reports are made of.
 
     Args:
@@ -193,10 +199,10 @@ def for_machines(
         cases: What is said in the report.
     """
     if style == "github":
-        return github(annotations)
+        return write_github(annotations)
     if style == "sarif":
-        return sarif(_result(annotation) for annotation in annotations)
-    report = "\n".join(visible(line) for line in junit(suite, cases).split("\n"))
+        return write_sarif(_result(annotation) for annotation in annotations)
+    report = "\n".join(escape_control(line) for line in write_junit(suite, cases).split("\n"))
     # A name's own line must not become a workflow command of GitHub's ("::error::", "##[error]").
     return re.sub(r"(?m)^(\s*)([:#])(?=[:#])", lambda at: f"{at[1]}&#{ord(at[2])};", report)
 

@@ -12,10 +12,10 @@ from pupper_analysis.report.audit import LEVELS
 from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.formats import Annotation, CheckedItem
 from pupper_analysis.report.sarif import from_root
-from pupper_analysis.report.words import joined, text
+from pupper_analysis.report.words import join_words, text
 
 
-def summary(check: RepositoryCheck) -> Text:
+def summarise_check(check: RepositoryCheck) -> Text:
     """Returns how much was found, in a line."""
     counts = {state: sum(r.state is state for r in check.remarks) for state in RemarkState}
     minor = sum(r.state is not RemarkState.KNOWN and not r.fails for r in check.remarks)
@@ -26,7 +26,7 @@ def summary(check: RepositoryCheck) -> Text:
         parts.append(text("count-known", count=counts[RemarkState.KNOWN]))
     if check.stale:
         parts.append(text("count-stale", count=len(check.stale)))
-    found = joined(parts)
+    found = join_words(parts)
     if check.updated:
         baseline = Name(str(check.baseline))
         return text("found-the-baseline-is-written", found=found, file=baseline)
@@ -55,7 +55,7 @@ def from_the_root(place: str | None) -> str:
     return from_root(file) if line is None else f"{from_root(file)}:{line}"
 
 
-def remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annotation]:
+def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annotation]:
     """Returns the remarks as annotations; what fails is an error, whatever its severity.
 
     Args:
@@ -69,9 +69,9 @@ def remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annota
         for remark in check.remarks
         for place in (_places(remark) if in_a_change else [remark.place])
     ]
-    found += [_of_baseline("stale", told, check) for told in stale(check)]
+    found += [_of_baseline("stale", told, check) for told in stale_entries(check)]
     if check.outdated:
-        found.append(_of_baseline("outdated", outdated(check), check))
+        found.append(_of_baseline("outdated", renewal_hint(check), check))
     return found
 
 
@@ -88,7 +88,7 @@ def _of_baseline(kind: str, told: Diagnostic, check: RepositoryCheck) -> Annotat
     )
 
 
-def stale(check: RepositoryCheck) -> list[Diagnostic]:
+def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
     """Returns the entries of the baseline that do not occur any more."""
     return [
         diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
@@ -96,7 +96,7 @@ def stale(check: RepositoryCheck) -> list[Diagnostic]:
     ]
 
 
-def outdated(check: RepositoryCheck) -> Diagnostic:
+def renewal_hint(check: RepositoryCheck) -> Diagnostic:
     """Returns how to renew a baseline that an older version wrote."""
     return diagnose("baseline-outdated", count=check.outdated)
 
@@ -128,12 +128,12 @@ def _annotation(remark: Remark, place: str | None) -> Annotation:
     )
 
 
-def unknown(annotations: list[Annotation]) -> list[Annotation]:
+def new_remarks(annotations: list[Annotation]) -> list[Annotation]:
     """Leaves out what the baseline has: nobody is reminded of it at every change."""
     return [annotation for annotation in annotations if not annotation.known]
 
 
-def cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
+def check_cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
     """Yields a case per pair that was compared, and per file that was audited."""
     for pair in check.pairs:
         if len(pair.files) > 1:

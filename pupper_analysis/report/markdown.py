@@ -24,8 +24,8 @@ from pupper_analysis.report.document import (
     Table,
     Words,
 )
-from pupper_analysis.report.formats import visible
-from pupper_analysis.report.words import english
+from pupper_analysis.report.formats import escape_control
+from pupper_analysis.report.words import in_english
 
 SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """Before a verdict."""
@@ -48,7 +48,7 @@ _JOINER = "\u2060"
 """Takes no room, and keeps letters from being read as one word."""
 
 
-def markdown(report: Report) -> str:
+def write_markdown(report: Report) -> str:
     """Returns documents as Markdown.
 
     Args:
@@ -148,20 +148,20 @@ def _sides(block: Sides) -> list[str]:
 
 
 def _place(place: Place) -> str:
-    quoted = _code(english(place.line).replace("\n", " "))
+    quoted = _code(in_english(place.line).replace("\n", " "))
     return f"{_escape(place.path) or _escaped(place.place)}: {quoted}"
 
 
 @_block.register
 def _listing(block: Listing) -> list[str]:
-    text = "\n".join(map(visible, block.text.rstrip("\n").split("\n")))
+    text = "\n".join(map(escape_control, block.text.rstrip("\n").split("\n")))
     fence = "`" * max(3, _longest(text) + 1)
     return [f"**{_escaped(block.title)}**", f"{fence}{block.language}\n{text}\n{fence}"]
 
 
 def _code(text: str) -> str:
     """Returns a text in which nothing is markup, letter by letter."""
-    shown = visible(text).replace("|", "¦")
+    shown = escape_control(text).replace("|", "¦")
     marks = "`" * (_longest(shown) + 1)
     return f"{marks} {shown} {marks}" if shown.strip() else ""
 
@@ -172,12 +172,12 @@ def _longest(text: str) -> int:
 
 
 def _escaped(words: Words) -> str:
-    return _escape(english(words))
+    return _escape(in_english(words))
 
 
 def _escape(text: str) -> str:
     """Returns a text in which nothing acts: no markup, no mention, no reference, no link."""
-    return _ACTS.sub(_tamed, _REFERS.sub(_JOINER, visible(text)))
+    return _ACTS.sub(_tamed, _REFERS.sub(_JOINER, escape_control(text)))
 
 
 def _tamed(found: re.Match[str]) -> str:

@@ -68,7 +68,7 @@ def _model(tile: Tile) -> mujoco.MjModel:
     return compile_spec(spec, robot.description.mjcf_source)
 
 
-def rendered(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
+def render_tiles(tiles: Sequence[Tile]) -> tuple[list[Image], str, str | None]:
     """Returns an image per tile, from which backend, and no note; or none, ``lines`` and why."""
     reasons = []
     for backend in _backends():

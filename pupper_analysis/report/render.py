@@ -16,8 +16,8 @@ from pupper_analysis.analysis.robot import leg_lengths
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.figures.skeleton import BOX_FACES, hull_corners
-from pupper_analysis.report.figures.style import save
-from pupper_analysis.report.opengl import GROUND, rendered
+from pupper_analysis.report.figures.style import save_figure
+from pupper_analysis.report.opengl import GROUND, render_tiles
 from pupper_analysis.report.tiles import LABEL, Tile, tiles_of
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -96,7 +96,7 @@ def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, colum
     if columns < 1:
         raise ConfigurationError("columns", diagnose("not-positive", value=columns))
     tiles = tiles_of(poses, width, min(columns, len(poses)))
-    images, method, note = rendered(tiles)
+    images, method, note = render_tiles(tiles)
     width = max(tile.left + tile.width for tile in tiles)
     height = max(tile.top + tile.height for tile in tiles)
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=GROUND)
@@ -111,7 +111,7 @@ def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, colum
         if not images:
             _draw_lines(canvas, tile)
         _write_label(canvas, tile)
-    save(figure, path)
+    save_figure(figure, path)
     return Picture(path, method, note)
 
 

@@ -80,7 +80,7 @@ def from_root(file: str | Path) -> str:
     return path.as_posix()
 
 
-def sarif(results: Iterable[SarifResult]) -> str:
+def write_sarif(results: Iterable[SarifResult]) -> str:
     """Returns a log of one run, as indented JSON."""
     listed = list(results)
     rules = {result.rule.id: result.rule for result in listed}

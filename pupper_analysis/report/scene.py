@@ -176,7 +176,7 @@ class Standing:
         return found
 
 
-def standing(robot: Robot, stand: Stand, statics: GravityCompensation | None) -> Standing:
+def describe_scene(robot: Robot, stand: Stand, statics: GravityCompensation | None) -> Standing:
     """Returns what is seen of a robot that stands, but for its shapes.
 
     Args:
@@ -192,7 +192,7 @@ def standing(robot: Robot, stand: Stand, statics: GravityCompensation | None) ->
     return Standing(
         ground=ground,
         points=points,
-        polygon=polygon(points),
+        polygon=polygon_corners(points),
         steps=tuple(Step(foot, ground.heights[foot], *box) for foot, box in steps.items()),
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),
@@ -223,7 +223,7 @@ def _touched(robot: Robot, stand: Stand) -> Array:
     )
 
 
-def polygon(points: Array) -> Array:
+def polygon_corners(points: Array) -> Array:
     """Returns the support polygon's corners (m, 3), each as high as the point that it is (m)."""
     hull = shapely.MultiPoint(points[:, :2]).convex_hull
     wide = hull.geom_type == "Polygon"  # and no line, nor a point
@@ -305,12 +305,12 @@ def _mesh(model: mujoco.MjModel, mesh: int, share: float) -> Mesh:
     faces = np.asarray(model.mesh_face[start : start + number], dtype=np.int64)
     wanted, cells = max(int(share * number), _FEWEST), _COARSEST
     while len(faces) > wanted and cells > 4:
-        vertices, faces = coarser(vertices, faces, cells)
+        vertices, faces = coarsen_mesh(vertices, faces, cells)
         cells = int(0.75 * cells)
     return Mesh(vertices, faces)
 
 
-def coarser(vertices: Array, triangles: Integers, cells: int) -> tuple[Array, Integers]:
+def coarsen_mesh(vertices: Array, triangles: Integers, cells: int) -> tuple[Array, Integers]:
     """Returns a mesh whose vertices within a cell of a grid are one.
 
     Args:

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from pupper_analysis.report.documents.estimate import duration
-from pupper_analysis.report.terminal import console
+from pupper_analysis.report.documents.estimate import duration_text
+from pupper_analysis.report.terminal import make_console
 
 if TYPE_CHECKING:
     from pupper_analysis.study.running import Progress as Done
 
 
 @contextmanager
-def bar() -> Iterator[Callable[[Done], None]]:
+def progress_bar() -> Iterator[Callable[[Done], None]]:
     """Yields what shows how far a run has come: designs, rate, time left, failures by kind."""
     columns = (
         TextColumn("designs"),
@@ -25,23 +25,23 @@ def bar() -> Iterator[Callable[[Done], None]]:
         TextColumn("{task.fields[rate]}"),
         TextColumn("{task.fields[failures]}"),
     )
-    with Progress(*columns, console=console()) as shown:
+    with Progress(*columns, console=make_console()) as shown:
         task = shown.add_task("", total=None, rate="", failures="")
 
         def show(done: Done) -> None:
-            rate = f"{done.rate:.1f}/s, {duration(done.left)} left" if done.done else ""
+            rate = f"{done.rate:.1f}/s, {duration_text(done.left)} left" if done.done else ""
             shown.update(
                 task,
                 total=done.total,
                 completed=done.there + done.done,
                 rate=rate,
-                failures=counted(done.failures),
+                failures=count_failures(done.failures),
             )
 
         yield show
 
 
-def counted(failures: Mapping[str, int]) -> str:
+def count_failures(failures: Mapping[str, int]) -> str:
     """Returns failures by kind, the most frequent first."""
     ordered = sorted(failures.items(), key=lambda item: (-item[1], item[0]))
     return ", ".join(f"{count} {kind}" for kind, count in ordered)

@@ -24,8 +24,8 @@ from pupper_analysis.report.document import (
     Table,
     Words,
 )
-from pupper_analysis.report.formats import visible
-from pupper_analysis.report.words import english
+from pupper_analysis.report.formats import escape_control
+from pupper_analysis.report.words import in_english
 
 MOST_NOTES = 8
 """Lines of notes in a short view: what is read before a table."""
@@ -55,10 +55,10 @@ class SafeConsole(Console):
 
     def render_str(self, text: str, **_: Any) -> Text:
         """Returns what is shown of a text, its own lines apart; nothing in it is markup."""
-        return Text("\n".join(map(visible, text.split("\n"))))
+        return Text("\n".join(map(escape_control, text.split("\n"))))
 
 
-def console() -> Console:
+def make_console() -> Console:
     """Returns a console on standard output."""
     return SafeConsole(highlight=False, emoji=False, markup=False)
 
@@ -182,11 +182,11 @@ def _of_sides(block: Sides, view: _View) -> list[_Line]:
     head = Text(f"\n{view.place}. ")
     if block.tag is not None:
         head.append(f"{_plain(block.tag)} ", STYLES.get(block.tag.mark, "cyan"))
-    files = "   ".join(visible(one.path) or _plain(one.place) for one in block.columns)
+    files = "   ".join(escape_control(one.path) or _plain(one.place) for one in block.columns)
     rows = [f"   {files}"]
     if view.everything:
-        quoted = (row for one in block.columns for row in english(one.line).split("\n") if row)
-        rows += [f"   | {visible(row)}" for row in quoted]
+        quoted = (row for one in block.columns for row in in_english(one.line).split("\n") if row)
+        rows += [f"   | {escape_control(row)}" for row in quoted]
     return [
         _Line(head.append(_plain(block.title)), 3),
         *(_Line(Text(row, "dim"), wrap=False) for row in rows),
@@ -206,7 +206,7 @@ def _of_lines(block: Lines, _: _View) -> list[_Line]:
 @_lines_of.register
 def _of_listing(block: Listing, _: _View) -> list[_Line]:
     rows = block.text.rstrip("\n").split("\n")
-    return [_Line(Text(visible(row)), wrap=False) for row in rows]
+    return [_Line(Text(escape_control(row)), wrap=False) for row in rows]
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
@@ -241,7 +241,7 @@ def _say(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> Non
 
 def _plain(words: Words) -> str:
     """Returns words in a line that does nothing to a terminal."""
-    return visible(english(words))
+    return escape_control(in_english(words))
 
 
 def _marked(words: Words) -> Text:

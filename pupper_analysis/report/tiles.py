@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures.skeleton import Skeleton, skeleton
+from pupper_analysis.report.figures.skeleton import Skeleton, draw_skeleton
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -50,13 +50,13 @@ class Tile:
 
     def pixels(self, points: Array) -> Array:
         """Returns where points (n, 3) in the world are in the picture (n, 2), y downwards."""
-        offset = self.scale * (project(points) - self.centre) * (1, -1)
+        offset = self.scale * (project_points(points) - self.centre) * (1, -1)
         middle = (self.left + self.width / 2, self.top + self.height / 2)
         place: Array = middle + offset
         return place
 
 
-def project(points: Array) -> Array:
+def project_points(points: Array) -> Array:
     """Returns points (n, 3) in the plane of the picture (n, 2) (m)."""
     seen: Array = points @ np.array([RIGHT, UP]).T
     return seen
@@ -64,12 +64,12 @@ def project(points: Array) -> Array:
 
 def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
     """Gives each robot a tile: all to one scale, and those of a row on one line."""
-    lines = [skeleton(robot, qpos) for robot, qpos in poses]
+    lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
     low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
     for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
         points = line.points()
         shadow = points - np.outer(points[:, 2] / SUN[2], SUN)
-        seen = project(np.concatenate([points, shadow]))
+        seen = project_points(np.concatenate([points, shadow]))
         radius = max(robot.foot_radius.values())
         low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
     size = high - low

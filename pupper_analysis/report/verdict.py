@@ -32,7 +32,7 @@ class Clause:
         return str(self.told)
 
 
-def clauses(verdict: Verdict) -> tuple[Clause, ...]:
+def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
     told = (
         *_file_itself(verdict.own, verdict.servos.replaced),
@@ -51,7 +51,7 @@ def of_the_file(robot: Robot) -> tuple[Clause, ...]:
 
 def in_words(verdict: Verdict) -> str:
     """Returns a verdict in one line."""
-    return "; ".join(map(str, clauses(verdict)))
+    return "; ".join(map(str, verdict_clauses(verdict)))
 
 
 def word(verdict: Verdict) -> str:
@@ -70,7 +70,7 @@ def clause_text(clause: Clause) -> Text:
 
 def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
     """Returns what a verdict says, a line each; against one that has passed, warnings."""
-    lines = map(clause_text, clauses(verdict))
+    lines = map(clause_text, verdict_clauses(verdict))
     if not verdict.passed:
         return tuple(lines)
     return tuple(line.marked("warn") if line.mark == "bad" else line for line in lines)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.diagnostics import fill, is_term, phrase
+from pupper_analysis.diagnostics import fill_template, is_term, phrase
 from pupper_analysis.report.document import Name, Text, Words
 
 
@@ -28,7 +28,7 @@ def word(name: str) -> Text | Name:
     return text(name) if is_term(name) else Name(name)
 
 
-def joined(parts: Iterable[Words], comma: str = "comma") -> Text:
+def join_words(parts: Iterable[Words], comma: str = "comma") -> Text:
     """Returns words as a list, with each language's own comma (or what else is a text)."""
     listed = list(parts)
     between = text(comma)
@@ -38,7 +38,7 @@ def joined(parts: Iterable[Words], comma: str = "comma") -> Text:
     )
 
 
-def english(words: Words) -> str:
+def in_english(words: Words) -> str:
     """Returns words in English."""
     return words.en if isinstance(words, Text) else words.text
 
@@ -46,7 +46,7 @@ def english(words: Words) -> str:
 def _filled(key: str, values: dict[str, object], language: str) -> str:
     template = phrase(key, language)
     said = {name: _in(value, language) for name, value in values.items()}
-    return fill(template, said, language) if said else template
+    return fill_template(template, said, language) if said else template
 
 
 def _in(value: object, language: str) -> object:

@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_type, vector
-from pupper_analysis.arrays import crosses, rotation_from_quaternion
+from pupper_analysis.arguments import check_type, check_vector
+from pupper_analysis.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.at_rest import AtRest
@@ -52,7 +52,7 @@ class Configuration:
         self.qpos = own = structure.state(qpos)
         self.qvel = structure.rest
         if qvel is not None:
-            self.qvel = vector("qvel", qvel, structure.nv)
+            self.qvel = check_vector("qvel", qvel, structure.nv)
             self.qvel.flags.writeable = False
         own.flags.writeable = False
 
@@ -225,7 +225,7 @@ class Configuration:
             offsets: (n, 3) from each foot's centre to its point, in world axes (m).
         """
         both = self._jacobians(feet)
-        moved: Array = both[:, :3] - crosses(offsets) @ both[:, 3:]
+        moved: Array = both[:, :3] - cross_matrices(offsets) @ both[:, 3:]
         return moved
 
     def center_of_mass(self) -> Array:
@@ -300,7 +300,7 @@ class Configuration:
         held = structure.workspace()
         rates = pin.computeGeneralizedGravityDerivatives(self._model, held.data, self._q)
         changed = structure.square(np.atleast_2d(rates))
-        turned = crosses(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
+        turned = cross_matrices(wrenches.reshape(-1, 3)).reshape(-1, 6, 3) @ jacobians[:, 3:]
         pushed = jacobians[:, :3].reshape(-1, n).T @ turned[:, :3].reshape(-1, n)
         both = jacobians.reshape(-1, n).T @ turned.reshape(-1, n)
         # What carries a joint turns its column of J; what it carries moves its foot.
@@ -319,7 +319,7 @@ class Configuration:
         Raises:
             ConfigurationError: If the vector has a wrong length or a value is not finite.
         """
-        wanted = self._structure.velocity(vector("force", force, self.robot.nv))
+        wanted = self._structure.velocity(check_vector("force", force, self.robot.nv))
         acceleration = pin.aba(self._structure.loaded(), self._data, self._q, self._v, wanted)
         return self._structure.dual(acceleration)
 
@@ -353,7 +353,7 @@ class Configuration:
 
     def _accelerated(self, qacc: ArrayLike) -> Workspace:
         """Returns a workspace with this acceleration."""
-        a = self._structure.velocity(vector("qacc", qacc, self.robot.nv))
+        a = self._structure.velocity(check_vector("qacc", qacc, self.robot.nv))
         held = self._structure.workspace()
         pin.forwardKinematics(self._model, held.data, self._q, self._v, a)
         pin.updateFramePlacements(self._model, held.data)

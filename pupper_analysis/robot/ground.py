@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_fields, checked, finite, length
+from pupper_analysis.arguments import check_arguments, check_fields, check_finite, check_length
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
@@ -41,14 +41,14 @@ class Ground:
         if plain and type(self.heights) is FrozenDict and not self.heights:
             return  # what the class says itself needs no check
         check_fields(self)
-        object.__setattr__(self, "slope", finite("slope", self.slope))
-        object.__setattr__(self, "uphill", finite("uphill", self.uphill))
+        object.__setattr__(self, "slope", check_finite("slope", self.slope))
+        object.__setattr__(self, "uphill", check_finite("uphill", self.uphill))
         if not 0 <= self.slope < math.pi / 2:
             slope = Quantity(self.slope, "rad")
             degrees = self.slope if 0 < self.slope < 90 else None
             told = diagnose("slope-not-valid", slope=slope, degrees=degrees)
             raise ConfigurationError("slope", told)
-        heights = {foot: length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
+        heights = {foot: check_length(f"heights[{foot}]", h) for foot, h in self.heights.items()}
         object.__setattr__(self, "heights", FrozenDict(heights))
 
     @property
@@ -86,7 +86,7 @@ class Ground:
         top = np.array([place[0], place[1], self.height(place, foot)])
         return top - half[2] * self.normal(), half
 
-    @checked
+    @check_arguments
     def steps(self, places: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
         """Returns each step's box, {foot: centre (3,) and half size (3,)} (m).
 

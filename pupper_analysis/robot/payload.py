@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked, length, real_array
+from pupper_analysis.arguments import check_arguments, check_length, real_array
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.model_tree import ModelTree
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _NAME = "payload"
 
 
-@checked
+@check_arguments
 def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
     """Welds a point mass to a robot's base, in the URDF's model and in the MJCF's.
 
@@ -81,4 +81,4 @@ def point_on_base(point: Sequence[float]) -> Array:
     place = real_array("point", point)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise ConfigurationError("point", diagnose("no-point", given=reprlib.repr(point)))
-    return np.array([length("point", value) for value in place])
+    return np.array([check_length("point", value) for value in place])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.joint_kinds import JointKind
@@ -173,7 +173,7 @@ class Stability(Result):
         return not self.leaving(duration)
 
 
-@checked
+@check_arguments
 def step_stability(
     model: mujoco.MjModel, data: mujoco.MjData, *, settle: float = SETTLE
 ) -> Stability:

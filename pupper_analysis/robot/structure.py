@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import vector
+from pupper_analysis.arguments import check_vector
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import PinocchioConvention
@@ -134,7 +134,7 @@ class Structure:
             ConfigurationError: If it has a wrong length, a value is not finite, or the quaternion
                 is zero.
         """
-        own = vector("qpos", qpos, self.nq)
+        own = check_vector("qpos", qpos, self.nq)
         if self.floating:
             norm = math.hypot(*own[3:7].tolist())
             if norm < 1e-9:

@@ -15,7 +15,7 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Tabular
@@ -91,7 +91,7 @@ class GainSweep(Tabular):
         }
 
 
-@checked
+@check_arguments
 def sweep_gains(
     robot: Robot,
     stand: Stand,

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
@@ -104,7 +104,7 @@ class Buckling(Result):
     free_doubling_time: float
 
 
-@checked
+@check_arguments
 def payload_buckling(
     robot: Robot,
     stand: Stand,
@@ -145,7 +145,7 @@ def payload_buckling(
     return Buckling(float(mass), rubbing, free)
 
 
-@checked
+@check_arguments
 def simulate_payload(
     robot: Robot,
     stand: Stand,

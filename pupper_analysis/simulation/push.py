@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
@@ -81,7 +81,7 @@ FINEST = 1e-6
 """N s: no simulation is true to so little."""
 
 
-@checked
+@check_arguments
 def push_recovery(
     robot: Robot,
     stand: Stand,

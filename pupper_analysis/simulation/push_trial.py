@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked, finite
+from pupper_analysis.arguments import check_arguments, check_finite
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
@@ -47,7 +47,7 @@ class PushTrial(Pushed):
     motion: Array
 
 
-@checked
+@check_arguments
 def simulate_push(
     robot: Robot,
     stand: Stand,
@@ -85,7 +85,7 @@ def simulate_push(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     check_stand(robot, stand, duration)
-    impulse, direction = finite("impulse", impulse), finite("direction", direction)
+    impulse, direction = check_finite("impulse", impulse), check_finite("direction", direction)
     if not 0 <= impulse <= _HARDEST:
         problem = diagnose("impulse-not-valid", given=Quantity(impulse, "N s"), most=_HARDEST)
         raise ConfigurationError("impulse", problem)

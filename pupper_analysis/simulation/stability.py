@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.stability import SETTLE, Stability, step_stability
@@ -28,7 +28,7 @@ MEETING = 0.05
 is of first order in friction's creep."""
 
 
-@checked
+@check_arguments
 def stand_stability(
     robot: Robot,
     stand: Stand,

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.frozen import FrozenDict
@@ -86,7 +86,7 @@ class PathTracking(Tabular):
         return {"time": self.time, "height": self.height, **joints}
 
 
-@checked
+@check_arguments
 def track_path(
     robot: Robot,
     path: StancePath,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
@@ -134,7 +134,7 @@ class StandVerification(Held, Tabular):
         return {"time": self.time, "height": self.height}
 
 
-@checked
+@check_arguments
 def verify_stand(
     robot: Robot,
     stand: Stand,

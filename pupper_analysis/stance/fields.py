@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.arguments import finite, length
+from pupper_analysis.arguments import check_finite, check_length
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
@@ -167,8 +167,8 @@ class Field:
         if self.axes or self.choices:
             if not isinstance(value, tuple | list | np.ndarray) or len(value) != 2:
                 raise ConfigurationError(name, diagnose("no-place", given=repr(value)))
-            return length(name, value[0]), length(name, value[1])
-        number = length(name, value) if self.kind == "length" else finite(name, value)
+            return check_length(name, value[0]), check_length(name, value[1])
+        number = check_length(name, value) if self.kind == "length" else check_finite(name, value)
         self.check_range(name, number)
         return number
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.frozen import FrozenDict, lasting
+from pupper_analysis.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import moves_com
 from pupper_analysis.stance.footholds import footholds, sunk_into
@@ -160,9 +160,9 @@ def _goal_of(
         if checked:
             _check_area(robot, contacts, stance_feet)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
-        targets = lasting(sunk_into(robot, places, deep, normal))
-        touches = lasting(dict(zip(stance_feet, contacts, strict=True)))
-        normals = lasting(dict.fromkeys(stance_feet, normal))
+        targets = freeze_arrays(sunk_into(robot, places, deep, normal))
+        touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
+        normals = freeze_arrays(dict.fromkeys(stance_feet, normal))
         corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
         centre = contacts.mean(axis=0)
     task = _filled(robot, task)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
@@ -66,7 +66,7 @@ DEPTH_TOLERANCE = 1e-9
 _MAX_ITERATIONS = 50
 
 
-@checked
+@check_arguments
 def solve_stand_on_soft_ground(
     robot: Robot, task: StandTask | Stand | None = None, *, explain: bool = True
 ) -> Stand:
@@ -132,7 +132,7 @@ def solve_stand_on_soft_ground(
     raise NotSettlingError(change, left)
 
 
-@checked
+@check_arguments
 def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None) -> Stand:
     """Finds the stand that a task means wherever it is told, pushed, loaded or simulated.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -26,7 +26,7 @@ __all__ = ["Stand", "solve_stand", "stand_statics"]
 _UP = [0.0, 0.0, 1.0]
 
 
-@checked
+@check_arguments
 def solve_stand(
     robot: Robot,
     task: StandTask | None = None,
@@ -81,7 +81,7 @@ def stand_for(context: Context, goal: Goal, *, explain: bool) -> Stand:
     raise unreachable(context, goal, stand, explain=explain)
 
 
-@checked
+@check_arguments
 def stand_statics(
     robot: Robot,
     stand: Stand,

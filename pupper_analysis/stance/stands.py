@@ -9,7 +9,7 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.errors import (
     ConfigurationError,
     StanceUnreachableError,
@@ -56,7 +56,7 @@ def solve_stands(
 ) -> tuple[Stand | StanceUnreachableError, ...]: ...
 
 
-@checked
+@check_arguments
 def solve_stands(
     robot: Robot,
     tasks: Sequence[StandTask],

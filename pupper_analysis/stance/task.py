@@ -12,9 +12,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import Phrase, diagnose
-from pupper_analysis.diagnostics.templates import fill
+from pupper_analysis.diagnostics.templates import fill_template
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.robot.ground import Ground
@@ -86,7 +86,7 @@ class StandTask:
             check_type("ground", self.ground, Ground)
         if self.ik_seed is not None:
             check_type("ik_seed", self.ik_seed, Sequence[float])
-            seed = tuple(finite("ik_seed", value) for value in self.ik_seed)
+            seed = tuple(check_finite("ik_seed", value) for value in self.ik_seed)
             object.__setattr__(self, "ik_seed", seed)
         if self.offset is not None and self.com not in (None, "centre"):
             raise ConfigurationError("offset", diagnose("offset-and-com"))
@@ -175,7 +175,7 @@ class StandTask:
         }
         for entry, foot, value in self._asked():
             told = {**values, "foot": foot, "value": entry.quantity(value)}
-            parts.append(fill(entry.words(language).said, told, language))
+            parts.append(fill_template(entry.words(language).said, told, language))
         return _COMMA[language].join(parts)
 
     def _asked(self) -> Iterator[tuple[Field, str, float | Point]]:

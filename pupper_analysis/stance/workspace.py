@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -68,7 +68,7 @@ class BaseWorkspace(Result):
     intervals: dict[str, Interval]
 
 
-@checked
+@check_arguments
 def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     """Finds the least and the greatest height of the base (m) with all else as the task has it.
 
@@ -85,7 +85,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
     return interval(robot, solve_stand(robot, task), "height")
 
 
-@checked
+@check_arguments
 def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace:
     """Finds how far the base can rise, roll, pitch, yaw and shift with its feet planted.
 

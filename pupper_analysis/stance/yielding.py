@@ -12,7 +12,7 @@ from dataclasses import replace
 import pinocchio as pin
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.frozen import lasting
+from pupper_analysis.frozen import freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
@@ -77,4 +77,4 @@ def as_the_legs_can(robot: Robot, goal: Goal, point: Point) -> Goal:
     if point.miss < TASK_TOLERANCE / 2 or point.miss >= _YIELD or not yields(robot):
         return goal
     places = Configuration(robot, point.qpos).foot_positions()
-    return replace(goal, targets=lasting({foot: places[foot] for foot in goal.targets}))
+    return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import real_array
-from pupper_analysis.arrays import crosses
+from pupper_analysis.arrays import cross_matrices
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
@@ -75,7 +75,7 @@ class Contacts:
         moved = np.zeros((count, 3, count, 6))
         each = np.arange(count)
         moved[each, :, each, :3] = np.eye(3)
-        moved[each, :, each, 3:] = -crosses(self.offsets)
+        moved[each, :, each, 3:] = -cross_matrices(self.offsets)
         return moved.reshape(3 * count, 6 * count)
 
     def balance(self, transposed: Array, load: Array) -> Balance:

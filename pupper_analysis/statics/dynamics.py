@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked, vector
+from pupper_analysis.arguments import check_arguments, check_vector
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
@@ -50,7 +50,7 @@ class InverseDynamics(Equilibrium):
     zmp_margin: float | None
 
 
-@checked
+@check_arguments
 def inverse_dynamics(
     config: Configuration,
     qacc: ArrayLike,
@@ -95,7 +95,7 @@ def inverse_dynamics(
     """
     robot = config.robot
     robot.check_tree("inverse dynamics")
-    acceleration = vector("qacc", qacc, robot.nv)
+    acceleration = check_vector("qacc", qacc, robot.nv)
     if (np.abs(acceleration) > FASTEST).any():
         raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=FASTEST))
     carrying = contacts_of(robot, contacts, friction, normals, depths)

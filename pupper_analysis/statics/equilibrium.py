@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Tabular
@@ -108,7 +108,7 @@ class GravityCompensation(Equilibrium):
     com_margin: float | None
 
 
-@checked
+@check_arguments
 def gravity_compensation(
     config: Configuration,
     contacts: Iterable[str] | None = None,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked, real_array
+from pupper_analysis.arguments import check_arguments, real_array
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
@@ -64,7 +64,7 @@ class GravityCompensations(Result):
     infeasible: dict[int, Diagnostic]
 
 
-@checked
+@check_arguments
 def gravity_compensations(
     robot: Robot,
     qpos: ArrayLike,

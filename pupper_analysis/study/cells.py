@@ -144,7 +144,7 @@ def mean_map(table: pd.DataFrame, x: str, y: str, measure: str) -> MeanMap:
         return MeanMap(columns, rows, sums / counts, counts, there)
 
 
-def panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) -> list[Panel]:
+def split_panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) -> list[Panel]:
     """Returns the designs of a map for each, so that no more is averaged than must be.
 
     Each combination of the other variables' values has a map of its own where these are few, and
@@ -167,7 +167,7 @@ def unit_of(column: str) -> str:
     return "" if unit in ("1", "-") else unit
 
 
-def labelled(column: str) -> str:
+def column_label(column: str) -> str:
     """Returns the name of a measure or of a number that varies, with its unit."""
     unit = unit_of(column)
     return f"{column} ({unit})" if unit else column
@@ -189,7 +189,7 @@ def end_map(table: pd.DataFrame, x: str, y: str) -> EndMap:
     return EndMap(columns, rows, kinds, counts)
 
 
-def span(low: float, high: float) -> float:
+def value_span(low: float, high: float) -> float:
     """Returns how far apart two values are; 0 if they are the same but for rounding."""
     return high - low if high - low > SAME * max(abs(low), abs(high)) else 0.0
 
@@ -206,7 +206,7 @@ def spread_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
     return sorted(several, key=lambda name: -table[name].nunique())
 
 
-def standing(table: pd.DataFrame) -> pd.DataFrame:
+def standing_designs(table: pd.DataFrame) -> pd.DataFrame:
     """Returns the designs that stay up, or all where that was not measured."""
     return table[table["stands"] == 1] if "stands" in table else table
 

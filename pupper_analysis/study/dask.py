@@ -10,7 +10,7 @@ from contextlib import contextmanager
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import StudyError
-from pupper_analysis.study.store import needed
+from pupper_analysis.study.store import require_library
 
 
 @contextmanager
@@ -25,7 +25,7 @@ def cluster(scheduler: str | None, workers: int | None) -> Iterator[tuple[Execut
     Raises:
         StudyError: If Dask is not installed, or the scheduler does not answer.
     """
-    needed("distributed")
+    require_library("distributed")
     from distributed import Client
 
     try:

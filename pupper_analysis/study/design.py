@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import orjson
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.diagnostics.record import record
+from pupper_analysis.diagnostics.record import to_record
 from pupper_analysis.errors import (
     ConfigurationError,
     ModelError,
@@ -31,7 +31,7 @@ from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.measures import MEASURES, Design, Measure
 from pupper_analysis.study.named import AXES, SERVOS, Named
-from pupper_analysis.study.numbers import scaled, with_friction, with_gains
+from pupper_analysis.study.numbers import scale_robot, with_friction, with_gains
 from pupper_analysis.study.source import RobotSource
 
 _T = TypeVar("_T")
@@ -119,7 +119,7 @@ class Maker:
         """Makes a design.
 
         Raises:
-            PupperAnalysisError: If there is none; ``failure`` says of which kind.
+            PupperAnalysisError: If there is none; ``failure_kind`` says of which kind.
         """
         gains = {n: v for n, v in numbers.items() if servo_number(n)}
         stance = {n: v for n, v in numbers.items() if n in STANCE}
@@ -140,7 +140,7 @@ class Maker:
         scales = {name: v for name, v in numbers.items() if name in self.source.scales}
         factors = {name: v for name, v in numbers.items() if ":" in name}
         base = tuple(sorted(scales.items()))
-        robot = scaled(self._robots.get(base, lambda: self.source.robot(scales)), factors)
+        robot = scale_robot(self._robots.get(base, lambda: self.source.robot(scales)), factors)
         if "friction" in numbers:
             robot = with_friction(robot, numbers["friction"])
         if "payload" in numbers:
@@ -224,7 +224,7 @@ FALLS = (
 """What is raised of a design that cannot stand so; of others it is not known."""
 
 
-def failure(error: BaseException) -> str:
+def failure_kind(error: BaseException) -> str:
     """Returns of which kind a failure is, in words that a table can be sorted by."""
     kinds = {
         StanceUnreachableError: "unreachable",
@@ -252,7 +252,7 @@ def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, 
         design = maker.design(numbers)
     except Exception as error:
         fallen = {one.name: one.fallen for one in measures if one.fallen is not None}
-        told = {**row, **ended(failure(error), reason_of(error))}
+        told = {**row, **failure_columns(failure_kind(error), reason_of(error))}
         return {**told, **fallen} if isinstance(error, FALLS) else told
     for measure in measures:
         try:
@@ -262,7 +262,7 @@ def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, 
             if isinstance(error, FALLS) and measure.fallen is not None:
                 row[measure.name] = measure.fallen
             if row["failure"] is None:
-                row |= ended(failure(error), reason_of(error))
+                row |= failure_columns(failure_kind(error), reason_of(error))
                 row["failed_measure"] = measure.name
     return row
 
@@ -274,9 +274,9 @@ ENDS = ("failure", "failed_measure", "reason", "diagnostic")
 English, and as the record of a diagnostic."""
 
 
-def ended(kind: str, reason: Diagnostic) -> Row:
+def failure_columns(kind: str, reason: Diagnostic) -> Row:
     """Returns a row's columns of what failed."""
-    kept = orjson.dumps(record(reason)).decode()
+    kept = orjson.dumps(to_record(reason)).decode()
     return {"failure": kind, "reason": str(reason), "diagnostic": kept}
 
 

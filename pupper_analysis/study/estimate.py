@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pupper_analysis.results import Result
-from pupper_analysis.study.store import Store, keys
+from pupper_analysis.study.store import Store, design_keys
 from pupper_analysis.study.study import Study
-from pupper_analysis.study.worker import Chunk, measured
+from pupper_analysis.study.worker import Chunk, measure_designs
 
 TIMED = 5
 """So many designs are timed, evenly drawn, once the first has loaded what all need."""
@@ -41,7 +41,7 @@ class Estimate(Result):
         return (self.designs - self.there) * self.seconds_each / workers
 
 
-def estimate(study: Study, folder: Path) -> Estimate:
+def estimate_study(study: Study, folder: Path) -> Estimate:
     """Times some designs of a study's first block, in this process; nothing is written."""
     # Without some of its measures it is another study, of which nothing is there.
     begun = (folder / "shards").is_dir() and not study.left_out
@@ -49,7 +49,7 @@ def estimate(study: Study, folder: Path) -> Estimate:
     there, numbers = 0, np.zeros((0, len(study.variables)))
     names: list[str] = []
     for block_names, block in study.designs():
-        there += int(np.isin(keys(block_names), done).sum())
+        there += int(np.isin(design_keys(block_names), done).sum())
         if not names:
             names, numbers = block_names, block
         if not len(done):  # nothing is there to be counted
@@ -60,7 +60,7 @@ def estimate(study: Study, folder: Path) -> Estimate:
     failures: list[str] = []
     for index in (chosen[0], *chosen):
         chunk = Chunk(work, (names[index],), (tuple(numbers[index].tolist()),))
-        found = measured(chunk)
+        found = measure_designs(chunk)
         seconds.append(found.seconds)
         failures += [row["failure"] for row in found.rows if row["failure"] is not None]
     timed = seconds[1:]

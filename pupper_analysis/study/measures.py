@@ -361,13 +361,13 @@ class OfRobotAndStand:
         return f"{self.place} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
-def asked(measure: Measure) -> str:
+def measure_text(measure: Measure) -> str:
     """Returns how a study's file says a measure."""
     own = measure.function
     return own.place if isinstance(own, OfRobotAndStand) else measure.name
 
 
-def fingerprint(measure: Measure) -> str:
+def measure_fingerprint(measure: Measure) -> str:
     """Returns what tells that a measure is another one."""
     own = measure.function
     return own.fingerprint() if isinstance(own, OfRobotAndStand) else measure.name

@@ -99,7 +99,7 @@ def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
     return names | {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
 
 
-def members(robot: Robot, named: Named) -> tuple[str, ...]:
+def expand_pattern(robot: Robot, named: Named) -> tuple[str, ...]:
     """Returns the names of the numbers that ``KIND:each:PATTERN`` stands for, one for each.
 
     Each has its link's name; where that also means another body, its body's or its joint's.
@@ -130,7 +130,7 @@ def groups_of(robot: Robot, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
     for name in names:
         named = Named.of(name)
-        own = members(robot, named) if named is not None and named.each else (name,)
+        own = expand_pattern(robot, named) if named is not None and named.each else (name,)
         twice = next((one for one in own for other in found.values() if one in other), None)
         if twice is not None:
             raise ConfigurationError(f"vary[{name!r}]", diagnose("varies-already", name=twice))

@@ -35,7 +35,7 @@ _SAME = 1e-9
 """Relative: two models that were given the same factors agree to rounding."""
 
 
-def scaled(robot: Robot, factors: Mapping[str, float]) -> Robot:
+def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
     """Returns a robot with factors on its numbers, in both of its models.
 
     Fixed links and bodies count to the body that carries them. Servos' gains are not changed here:
@@ -193,7 +193,7 @@ def with_gains(
     return replace(robot, description=replace(robot.description, mjcf=spec), mj_model=model)
 
 
-def plain(description: Description) -> Description:
+def without_visuals(description: Description) -> Description:
     """Returns a description without what is only looked at: it moves and touches alike.
 
     Shapes that touch nothing go, where the body's mass is not theirs; and so do meshes that

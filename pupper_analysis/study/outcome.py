@@ -13,14 +13,14 @@ import orjson
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.diagnostics.record import restored
+from pupper_analysis.diagnostics.record import from_record
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Result
-from pupper_analysis.study.cells import Cells, measures_in, span, spread_in, standing
+from pupper_analysis.study.cells import Cells, measures_in, spread_in, standing_designs, value_span
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.sensitivity import AT_REST, LinearShares, SobolIndices, linear_shares
-from pupper_analysis.study.store import Store, needed
+from pupper_analysis.study.store import Store, require_library
 from pupper_analysis.study.study import Study
 from pupper_analysis.study.tolerance import Certainty, Tolerance, certainty
 
@@ -144,7 +144,7 @@ def study_outcome(
     check_type("maximise", maximise, Sequence[str])
     check_type("sobol", sobol, Mapping[str, SobolIndices] | None)
     check_type("tolerance", tolerance, Tolerance | None)
-    needed("pandas")
+    require_library("pandas")
     Store(Path(folder)).asked()  # that it is a study's folder
     table = study.table(folder)
     if table.empty:
@@ -163,7 +163,7 @@ def study_outcome(
         failures=_failures(table),
         axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
-        front=pareto_front(standing(table), objectives) if objectives else table.iloc[:0],
+        front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
         linear=_linear(study, measures),
         sobol=tuple((sobol or {}).values()),
         certainty=_certainty(study, table),
@@ -207,7 +207,7 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) ->
     """
     known = table[np.isfinite(table[measure].to_numpy(float))]
     values = known[measure].to_numpy(float)
-    varies = len(values) > 0 and span(float(values.min()), float(values.max())) > 0
+    varies = len(values) > 0 and value_span(float(values.min()), float(values.max())) > 0
     whole = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
     found = {}
     for name in variables:
@@ -255,7 +255,7 @@ def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
 def _told(kept: object) -> Diagnostic | None:
     """Returns the diagnostic of a cell; None where it has none, or one whose code is gone."""
     try:
-        return restored(orjson.loads(kept)) if isinstance(kept, str) else None
+        return from_record(orjson.loads(kept)) if isinstance(kept, str) else None
     except (KeyError, ValueError):
         return None
 

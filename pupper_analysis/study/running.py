@@ -27,9 +27,16 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import PupperAnalysisError, StudyError
-from pupper_analysis.study.design import Row, ended, servo_number
-from pupper_analysis.study.store import Store, keys
-from pupper_analysis.study.worker import Chunk, ChunkOutcome, begin, chunks, measured, ready
+from pupper_analysis.study.design import Row, failure_columns, servo_number
+from pupper_analysis.study.store import Store, design_keys
+from pupper_analysis.study.worker import (
+    Chunk,
+    ChunkOutcome,
+    answer_ready,
+    begin_worker,
+    measure_designs,
+    split_chunks,
+)
 
 Array = NDArray[np.float64]
 
@@ -134,7 +141,7 @@ class Crew:
         """Hands a chunk over."""
         self._taken += len(chunk.names)
         with self._beginning():
-            return self._now().submit(measured, chunk)
+            return self._now().submit(measure_designs, chunk)
 
     def check(self) -> None:
         """Finds out whether processes can be begun at all.
@@ -145,7 +152,7 @@ class Crew:
         if self._given is None:
             try:
                 with self._beginning():
-                    begun = self._now().submit(ready)
+                    begun = self._now().submit(answer_ready)
                 begun.result()
             except BrokenExecutor as error:
                 raise StudyError("-", diagnose("workers-end-as-they-begin")) from error
@@ -154,7 +161,7 @@ class Crew:
         if self._executor is None:
             # Spawned: a fork would copy locks that other threads of the parent hold.
             context = multiprocessing.get_context("spawn")
-            self._executor = ProcessPoolExecutor(self.workers, context, initializer=begin)
+            self._executor = ProcessPoolExecutor(self.workers, context, initializer=begin_worker)
         return self._executor
 
     @contextlib.contextmanager
@@ -253,7 +260,7 @@ class Run:
         """Yields what is not there, block by block, designs of one robot beside each other."""
         done = self.store.designs()
         for names, numbers in blocks:
-            own = keys(names)
+            own = design_keys(names)
             _, first = np.unique(own, return_index=True)
             once = np.zeros(len(own), bool)
             once[first] = True  # a list's values may come together more than once
@@ -359,9 +366,9 @@ class Run:
             return
         values = dict(zip(self.settings.variables, chunk.numbers[0], strict=True))
         if slow:
-            failed = ended("timed out", diagnose("design-took-longer", limit=limit))
+            failed = failure_columns("timed out", diagnose("design-took-longer", limit=limit))
         else:
-            failed = ended("crashed", diagnose("design-ended-its-worker"))
+            failed = failure_columns("crashed", diagnose("design-ended-its-worker"))
         self._keep(({"design": name, **values, **failed},))
 
     def _keep(self, rows: Iterable[Row]) -> None:
@@ -382,4 +389,4 @@ class Run:
 
 def _singly(chunk: Chunk) -> Iterator[Chunk]:
     """Yields a chunk's designs one by one."""
-    return chunks(chunk.work, chunk.names, chunk.numbers, 1)
+    return split_chunks(chunk.work, chunk.names, chunk.numbers, 1)

@@ -22,7 +22,7 @@ EFFECT = 1e-6
 """Relative to the measure's size: what changes by less, from end to end, is rounding of solvers."""
 
 
-def entering(
+def screen_variables(
     study: Study,
     points: Array,
     columns: Sequence[str],

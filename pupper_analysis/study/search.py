@@ -17,7 +17,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.running import Progress
-from pupper_analysis.study.store import needed
+from pupper_analysis.study.store import require_library
 from pupper_analysis.study.variables import LogUniform, Normal, Variable
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class SearchOptimum(Result):
     kept: int
 
 
-def optimise(
+def optimise_study(
     study: Study,
     folder: str | Path,
     *,
@@ -92,7 +92,7 @@ def optimise(
     if trials < 1:
         raise ConfigurationError("trials", diagnose("too-few", count=trials))
     _check(study, (*objectives, *bounds), bounds)
-    needed("optuna")
+    require_library("optuna")
     search = _Search(study.variables, objectives, bounds, study.sampling.seed)
     tables = []
     for start in range(0, trials, BATCH):

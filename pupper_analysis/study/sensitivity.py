@@ -18,7 +18,7 @@ from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.sampling import at_shares
-from pupper_analysis.study.store import needed
+from pupper_analysis.study.store import require_library
 from pupper_analysis.study.study import Study
 from pupper_analysis.study.variables import Normal, Variable
 
@@ -104,7 +104,7 @@ def sobol_indices(
         raise ConfigurationError("samples", diagnose("no-power-of-2", count=samples))
     if not study.variables:
         raise ConfigurationError("vary", diagnose("nothing-varies"))
-    needed("SALib")
+    require_library("SALib")
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol as scheme
 

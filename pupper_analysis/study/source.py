@@ -17,7 +17,7 @@ from pupper_analysis.models.spec_state import state_of
 from pupper_analysis.prepare.load import load_robot
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.numbers import plain
+from pupper_analysis.study.numbers import without_visuals
 
 
 class RobotSource(Protocol):
@@ -74,7 +74,7 @@ class FilePair:
         if not robot.floating or not robot.feet:
             raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
         paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
-        bare = rebuilt(robot, mjcf=plain(robot.description).mjcf)
+        bare = rebuilt(robot, mjcf=without_visuals(robot.description).mjcf)
         return FilePair({**options, **paths}, bare)
 
     @property

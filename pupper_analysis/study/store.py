@@ -39,7 +39,7 @@ The run can be ended and begun again at any time: what is there is not computed 
 """
 
 
-def needed(library: str) -> None:
+def require_library(library: str) -> None:
     """Checks that a library of the extra ``study`` is there.
 
     Raises:
@@ -155,7 +155,7 @@ class Store:
         """
         parts = [np.zeros(0, np.uint64)]
         for table in self._tables(["design"]):
-            parts.append(keys(table.column("design").to_pylist()))
+            parts.append(design_keys(table.column("design").to_pylist()))
         return np.unique(np.concatenate(parts))
 
     def table(self) -> pd.DataFrame:
@@ -187,7 +187,7 @@ class Store:
                 raise StudyError(self.folder, told) from error
 
 
-def keys(designs: Sequence[str]) -> NDArray[np.uint64]:
+def design_keys(designs: Sequence[str]) -> NDArray[np.uint64]:
     """Returns the first 64 bits of designs' hashes (n,): a million of them are 8 MB.
 
     That two of a million share them has a probability of 3e-8.

@@ -18,7 +18,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.payload import point_on_base
@@ -28,19 +28,19 @@ from pupper_analysis.study.design import STANCE, check_name, check_range
 from pupper_analysis.study.measures import (
     REVISION,
     Function,
-    asked,
-    fingerprint,
+    measure_fingerprint,
     measure_of,
+    measure_text,
     modules_in,
 )
 from pupper_analysis.study.named import SERVOS, Named, groups_of, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.source import FilePair, RobotSource, digest_of
-from pupper_analysis.study.store import Store, needed
-from pupper_analysis.study.table import names_of, ordered
-from pupper_analysis.study.variables import Variable, variable
-from pupper_analysis.study.worker import Work, versions
+from pupper_analysis.study.store import Store, require_library
+from pupper_analysis.study.table import names_of, order_rows
+from pupper_analysis.study.variables import Variable, make_variable
+from pupper_analysis.study.worker import Work, list_versions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,7 +106,7 @@ class Study:
         check_type("seed", seed, int)
         check_type("stand", stand, StandTask | None)
         self.source = self._source(robot)
-        given = {str(name): variable(str(name), one) for name, one in vary.items()}
+        given = {str(name): make_variable(str(name), one) for name, one in vary.items()}
         for name in given:
             check_name(name, self.source)
         self.groups = groups_of(self.base, given)
@@ -119,7 +119,7 @@ class Study:
         self._given = tuple(measure)
         self._points: Array | None = None
         self.point = tuple(point_on_base(payload_point).tolist())
-        self.time_limit = None if time_limit is None else finite("time_limit", time_limit)
+        self.time_limit = None if time_limit is None else check_finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
             told = diagnose("time-limit-not-positive", limit=self.time_limit)
             raise ConfigurationError("time_limit", told)
@@ -176,9 +176,9 @@ class Study:
                 field.name: repr(getattr(self.task, field.name)) for field in fields(self.task)
             },
             "point": self.point,
-            "measures": sorted(fingerprint(one) for one in self.measures),
+            "measures": sorted(measure_fingerprint(one) for one in self.measures),
             "revision": REVISION,
-            "versions": versions(),
+            "versions": list_versions(),
         }
         data = orjson.dumps(parts, option=orjson.OPT_SORT_KEYS)
         return hashlib.sha256(data).hexdigest()
@@ -216,7 +216,7 @@ class Study:
             variables=tuple(self.variables),
             task=self.task,
             point=self.point,
-            versions=versions(),
+            versions=list_versions(),
             limit=self.time_limit,
         )
         return pickle.dumps(work)
@@ -226,7 +226,7 @@ class Study:
         given: dict[str, Any] = {
             "robot": self.source.asked(),
             "vary": {name: one.asked() for name, one in self.variables.items()},
-            "measure": [asked(one) for one in self.measures],
+            "measure": [measure_text(one) for one in self.measures],
             "seed": self.sampling.seed,
             "payload_point": list(self.point),
             "stand": {
@@ -328,16 +328,16 @@ class Study:
         return self.table(folder)
 
     def optimise(self, folder: str | Path, **options: Any) -> SearchOptimum:
-        """Searches the study's ranges for the designs that are best: see ``search.optimise``.
+        """Searches the study's ranges for the designs that are best: see ``search.optimise_study``.
 
         Args:
             folder: Where results are kept.
             options: ``minimise``, ``maximise``: columns; ``subject_to``: {column: (least,
                 greatest)}; ``trials``; and ``executor``, ``workers``, ``progress`` as in ``run``.
         """
-        from pupper_analysis.study.search import optimise
+        from pupper_analysis.study.search import optimise_study
 
-        return optimise(self, folder, **options)
+        return optimise_study(self, folder, **options)
 
     def execute(
         self,
@@ -353,11 +353,11 @@ class Study:
         check_type("workers", workers, int | None)
         if workers is not None and workers < 1:
             raise ConfigurationError("workers", diagnose("too-few", count=workers))
-        needed("pyarrow")
+        require_library("pyarrow")
         store = Store(Path(folder))
         with store.locked():
             store.write_asked(
-                {"study": self.asked(), "digest": self.digest, "versions": versions()}
+                {"study": self.asked(), "digest": self.digest, "versions": list_versions()}
             )
             settings = Settings(self.work(), tuple(self.variables), self.time_limit)
             run = Run(settings, store, len(self), progress or (lambda _: None))
@@ -369,10 +369,10 @@ class Study:
         Raises:
             StudyError: If it is no study's folder, or damaged.
         """
-        needed("pandas")
+        require_library("pandas")
         store = Store(Path(folder))
         order: dict[str, int] = {}
         for names, _ in self.designs():
             for name in names:
                 order.setdefault(name, len(order))
-        return ordered(store.table(), order)
+        return order_rows(store.table(), order)

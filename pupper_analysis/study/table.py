@@ -15,8 +15,8 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StudyError
 from pupper_analysis.study.design import ENDS
 from pupper_analysis.study.sampling import Sampling
-from pupper_analysis.study.store import Store, needed
-from pupper_analysis.study.variables import variable
+from pupper_analysis.study.store import Store, require_library
+from pupper_analysis.study.variables import make_variable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +35,7 @@ def names_of(digest: str, variables: Sequence[str], block: Array) -> list[str]:
     return [hashlib.sha256(head + row.tobytes()).hexdigest()[:32] for row in rows]
 
 
-def ordered(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
+def order_rows(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
     """Returns the rows of designs, {hash: place}, in their order; empty columns are left out."""
     kept = frame[frame["design"].isin(order.keys())]
     placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
@@ -63,14 +63,14 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
         StudyError: If it is no study's folder, or damaged.
     """
     check_type("folder", folder, str | Path)
-    needed("pandas")
+    require_library("pandas")
     store = Store(Path(folder))
     stored = store.asked()
     if everything:
         return store.table()
     try:
         study, digest = stored["study"], str(stored["digest"])
-        variables = {name: variable(name, given) for name, given in study["vary"].items()}
+        variables = {name: make_variable(name, given) for name, given in study["vary"].items()}
         check_type("seed", study["seed"], int)
         sampling = Sampling(variables, study.get("samples"), study["seed"])
     except (AttributeError, KeyError, TypeError, ValueError, ConfigurationError) as error:
@@ -82,4 +82,4 @@ def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
     for block in sampling.blocks():
         for name in names_of(digest, tuple(variables), block):
             order.setdefault(name, len(order))
-    return ordered(store.table(), order)
+    return order_rows(store.table(), order)

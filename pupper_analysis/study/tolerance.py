@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.sampling import at_shares
-from pupper_analysis.study.screening import entering
+from pupper_analysis.study.screening import screen_variables
 from pupper_analysis.study.study import Study
 from pupper_analysis.study.variables import LogUniform, Normal, Uniform, Variable
 
@@ -49,7 +49,7 @@ class Chance(Result):
     designs: int
 
 
-def chance(there: int, designs: int) -> Chance:
+def probability_interval(there: int, designs: int) -> Chance:
     """Returns a probability and its confidence interval.
 
     Source: Wilson, "Probable inference", 1927: good where the share is near to 0 or 1 too.
@@ -105,17 +105,17 @@ def certainty(table: pd.DataFrame) -> Certainty:
     up = table["stands"].fillna(0.0).to_numpy(float) > 0
     under = table[joints].to_numpy(float) < 1  # not of a design that has no stand
     return Certainty(
-        stands=chance(int(up.sum()), count),
+        stands=probability_interval(int(up.sum()), count),
         motors={
-            name.partition(".")[2]: chance(int(held.sum()), count)
+            name.partition(".")[2]: probability_interval(int(held.sum()), count)
             for name, held in zip(joints, under.T, strict=True)
         },
-        all_motors=chance(int(under.all(axis=1).sum()), count),
-        both=chance(int((up & under.all(axis=1)).sum()), count),
+        all_motors=probability_interval(int(under.all(axis=1).sum()), count),
+        both=probability_interval(int((up & under.all(axis=1)).sum()), count),
     )
 
 
-def narrowed(study: Study, scale: float) -> Study:
+def narrow_study(study: Study, scale: float) -> Study:
     """Returns a study whose distributions are narrower, or wider, about their means.
 
     Args:
@@ -142,7 +142,7 @@ def _narrowed(variable: Variable, scale: float) -> Variable:
 def _kept(table: pd.DataFrame, criteria: Mapping[str, tuple[float | None, float | None]]) -> Chance:
     """Returns how many designs keep to criteria."""
     good = _good(table, criteria)
-    return chance(int(good.sum()), len(table))
+    return probability_interval(int(good.sum()), len(table))
 
 
 def _good(
@@ -233,9 +233,9 @@ def tightest_tolerance(
         StudyError: As ``Study.run``.
     """
     check_type("study", study, Study)
-    goal, least = finite("wanted", wanted), finite("resolution", resolution)
+    goal, least = check_finite("wanted", wanted), check_finite("resolution", resolution)
     check_type("criteria", criteria, Mapping[str, Any] | None)
-    most = finite("widest", widest)
+    most = check_finite("widest", widest)
     if not 0 < goal < 1 or not 0 < least < 1:
         raise ConfigurationError("wanted", diagnose("not-between-0-and-1"))
     if most < 1:
@@ -252,7 +252,7 @@ def tightest_tolerance(
         return one.run(folder, executor=executor, workers=workers, progress=progress)
 
     def sure(scale: float) -> bool:
-        table = measured(narrowed(study, scale))
+        table = measured(narrow_study(study, scale))
         tried[scale] = certainty(table).both if criteria is None else _kept(table, criteria)
         return tried[scale].probability >= goal
 
@@ -268,12 +268,12 @@ def tightest_tolerance(
             middle = (low + high) / 2
             low, high = (middle, high) if sure(middle) else (low, middle)
     told = {scale: one.probability for scale, one in sorted(tried.items())}
-    wide = narrowed(study, most)
-    enters = entering(
+    wide = narrow_study(study, most)
+    enters = screen_variables(
         wide, _points(wide, measured(wide), criteria), tuple(criteria or NEEDED), measured
     )
     some = {name for names in enters.values() for name in names}
-    spreads, without = _split(narrowed(study, low), some)
+    spreads, without = _split(narrow_study(study, low), some)
     return Tolerance(low, spreads, tried[low], told, enters, without)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type, finite
+from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -175,7 +175,7 @@ def values(numbers: Sequence[float]) -> Values:
         ConfigurationError: If it is empty, or a value is no finite number or there twice.
     """
     check_type("values", numbers, Sequence[float])
-    listed = tuple(finite("values", value) for value in numbers)
+    listed = tuple(check_finite("values", value) for value in numbers)
     if not 1 <= len(listed) <= MOST_LEVELS:
         told = diagnose("values-out-of-range", count=len(listed), most=MOST_LEVELS)
         raise ConfigurationError("values", told)
@@ -211,10 +211,10 @@ def normal(mean: float, deviation: float) -> Normal:
     Raises:
         ConfigurationError: If the deviation is not above 0.
     """
-    spread = finite("normal", deviation)
+    spread = check_finite("normal", deviation)
     if spread <= 0:
         raise ConfigurationError("normal", diagnose("deviation-not-positive", deviation=spread))
-    return Normal(finite("normal", mean), spread)
+    return Normal(check_finite("normal", mean), spread)
 
 
 KINDS: Mapping[str, Callable[..., Variable]] = {
@@ -227,7 +227,7 @@ KINDS: Mapping[str, Callable[..., Variable]] = {
 """How a study's file says each kind."""
 
 
-def variable(name: str, given: object) -> Variable:
+def make_variable(name: str, given: object) -> Variable:
     """Makes a variable of what a study gives: a number, a list, {kind: numbers}, or a variable.
 
     Args:
@@ -265,7 +265,7 @@ def _ambiguous(numbers: Any) -> Diagnostic:
 
 
 def _ordered(name: str, low: float, high: float) -> tuple[float, float]:
-    first, last = finite(name, low), finite(name, high)
+    first, last = check_finite(name, low), check_finite(name, high)
     if not first < last:
         raise ConfigurationError(name, diagnose("interval-empty", low=first, high=last))
     return first, last

@@ -28,7 +28,7 @@ LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "
 
 
 @lru_cache(maxsize=1)
-def versions() -> dict[str, str]:
+def list_versions() -> dict[str, str]:
     """Returns the versions of what results depend on; the processor's kind is one of them."""
     found = {"machine": platform.machine(), "python": platform.python_version()}
     for library in LIBRARIES:
@@ -100,7 +100,7 @@ class _Ready(threading.local):
         if pickled not in self.made:
             self.made.clear()  # of one study after the other
             work: Work = pickle.loads(pickled)
-            own = versions()
+            own = list_versions()
             other = {name: own.get(name, "none") for name, version in work.versions.items()
                      if own.get(name) != version}  # fmt: skip
             if other:
@@ -118,7 +118,7 @@ class _Ready(threading.local):
 _ready = _Ready()
 
 
-def measured(chunk: Chunk) -> ChunkOutcome:
+def measure_designs(chunk: Chunk) -> ChunkOutcome:
     """Measures some designs.
 
     Raises:
@@ -158,7 +158,7 @@ def _time_limit(limit: float | None) -> Iterator[None]:
         _alone.release()
 
 
-def begin() -> None:
+def begin_worker() -> None:
     """Makes a process ready to work: it ignores Ctrl-C, and ends when its parent has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):  # it was kept back so far
@@ -173,12 +173,12 @@ def begin() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def ready() -> bool:
+def answer_ready() -> bool:
     """Shows that a worker works."""
     return True
 
 
-def chunks(
+def split_chunks(
     work: bytes, names: Sequence[str], numbers: Sequence[tuple[float, ...]], size: int
 ) -> Iterator[Chunk]:
     """Yields designs in chunks of a size."""

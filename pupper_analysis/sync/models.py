@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.diagnostics import Diagnostic, diagnose
@@ -72,7 +72,7 @@ class Sync(Result):
     agree: bool
 
 
-@checked
+@check_arguments
 @quiet()
 def sync_models(
     urdf: str | Path,

@@ -19,7 +19,7 @@ import click
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.cli.process import Ended, PatientStream, endings
+from pupper_analysis.cli.process import Ended, PatientStream, ending_signals
 from pupper_analysis.errors import ConfigurationError
 from tests.support.cases import some
 from tests.support.commands import run_command
@@ -233,7 +233,7 @@ def test_no_result_is_written_after_a_signal(tmp_path: Path) -> None:
 
 def test_handlers_come_back() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    with endings():
+    with ending_signals():
         assert signal.getsignal(signal.SIGTERM) is not before[1]
     assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
 

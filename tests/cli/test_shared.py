@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.cli.shared import point, quantity
+from pupper_analysis.cli.shared import parse_point, parse_quantity
 from tests.support.commands import run_command
 
 
@@ -26,7 +26,7 @@ from tests.support.commands import run_command
     ],
 )
 def test_a_quantity(kind: str, text: str, value: float) -> None:
-    assert quantity(kind, text) == pytest.approx(value, rel=1e-15)
+    assert parse_quantity(kind, text) == pytest.approx(value, rel=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -34,11 +34,11 @@ def test_a_quantity(kind: str, text: str, value: float) -> None:
 )
 def test_what_is_none(kind: str, text: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
-        quantity(kind, text)
+        parse_quantity(kind, text)
 
 
 def test_a_point() -> None:
-    assert point("offset", "1cm,-2mm") == pytest.approx((0.01, -0.002))
+    assert parse_point("offset", "1cm,-2mm") == pytest.approx((0.01, -0.002))
 
 
 def test_what_is_typed_with_units_is_the_same(

@@ -28,13 +28,13 @@ from pupper_analysis.diagnostics import (
     codes,
     diagnose,
     entry,
-    grouped,
     is_term,
+    merge_diagnostics,
     term,
 )
 from pupper_analysis.diagnostics.catalogue import LINED
-from pupper_analysis.diagnostics.record import record, restored
-from pupper_analysis.diagnostics.templates import fill
+from pupper_analysis.diagnostics.record import from_record, to_record
+from pupper_analysis.diagnostics.templates import fill_template
 from pupper_analysis.errors import ModelError
 from pupper_analysis.results import to_json
 from tests.support.rooms import PACKAGE, trees
@@ -210,7 +210,7 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
     ],
 )
 def test_templates(template: str, values: dict[str, object], english: str) -> None:
-    assert fill(template, values, "en") == english
+    assert fill_template(template, values, "en") == english
 
 
 def test_what_is_within_is_said_in_the_same_language() -> None:
@@ -270,7 +270,7 @@ def test_what_is_recorded_can_be_said_again_in_any_language() -> None:
         asked=Vector((0.0, 0.0, 0.0), "m"),
     )
     for kept in (told(), within, one, diagnose("argument-not-valid", field="f", problem=within)):
-        again = restored(json.loads(json.dumps(record(kept))))
+        again = from_record(json.loads(json.dumps(to_record(kept))))
         assert again == kept
         assert (again.text("en"), again.text("zh")) == (kept.text("en"), kept.text("zh"))
 
@@ -294,7 +294,7 @@ def test_what_is_wrong_is_shown_first_and_nothing_twice() -> None:
     near, wrong = diagnose("try-another-height"), diagnose("joint-at-limit", subject=("joint", "a"))
     lesser = diagnose("problem", problem="less", severity=Severity.WARNING)
     worst = diagnose("problem", problem="worst")
-    assert grouped([near, lesser, wrong, worst, near]) == (worst, lesser, near, wrong)
+    assert merge_diagnostics([near, lesser, wrong, worst, near]) == (worst, lesser, near, wrong)
 
 
 def test_an_unknown_code_is_refused() -> None:

@@ -15,7 +15,7 @@ from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.diagnostics import LANGUAGES, meaning
-from pupper_analysis.diagnostics.catalogue import lines
+from pupper_analysis.diagnostics.catalogue import list_entries
 from pupper_analysis.results import Result
 from tests.diagnostics.test_diagnostic import CATALOGUE, HAN
 from tests.support.names import public, public_modules
@@ -58,7 +58,7 @@ def all_results(kind: type = Result) -> set[type]:
 
 
 def test_the_file_is_what_toml_reads() -> None:
-    assert set(lines("meanings.toml")) == set(listed())
+    assert set(list_entries("meanings.toml")) == set(listed())
 
 
 def test_each_field_that_pages_list_has_a_meaning_that_is_its_docstrings() -> None:

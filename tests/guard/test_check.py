@@ -19,13 +19,13 @@ from pupper_analysis import cli
 from pupper_analysis.diagnostics import Severity, catalogue, diagnose, diagnostic
 from pupper_analysis.guard.baseline import (
     BaselineEntry,
-    judged,
+    is_same,
+    judge_remarks,
     read_baseline,
-    same,
     write_baseline,
 )
 from pupper_analysis.guard.config import read_config
-from pupper_analysis.guard.remarks import Remark, RemarkState, plain
+from pupper_analysis.guard.remarks import Remark, RemarkState, to_plain
 from pupper_analysis.report import formats
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
@@ -118,9 +118,9 @@ def test_what_is_the_same_but_for_rounding_is_known(folder: Path) -> None:
 def test_a_number_is_no_list_and_no_list_of_another_length() -> None:
     """As someone may write who edits a baseline by hand."""
     for other in ([4.4, 1.0], [], {"a": 4.4}, "4.4", True):
-        assert not same({"urdf": 4.4}, {"urdf": other})
-        assert not same({"urdf": other}, {"urdf": 4.4})
-    assert same({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
+        assert not is_same({"urdf": 4.4}, {"urdf": other})
+        assert not is_same({"urdf": other}, {"urdf": 4.4})
+    assert is_same({"urdf": 4.4}, {"urdf": 4.4 * (1 + 1e-15)})
 
 
 def test_moved_lines_are_no_change(folder: Path) -> None:
@@ -470,16 +470,16 @@ def test_every_part_of_an_identity_counts() -> None:
         remark("base", 1.0, kind="com"),
         remark("base", 1.0, file="b.urdf"),
     ):
-        ((judged_one,), stale) = judged([other], [known])
+        ((judged_one,), stale) = judge_remarks([other], [known])
         assert judged_one.state is RemarkState.NEW
         assert stale == (known,)
-    assert judged([remark("base", 1.0)], [known])[0][0].state is RemarkState.KNOWN
+    assert judge_remarks([remark("base", 1.0)], [known])[0][0].state is RemarkState.KNOWN
 
 
 def test_several_of_one_identity() -> None:
     """Each entry is for one remark; the same value first, whatever the order."""
     remarks = [remark("base", value) for value in (1.0, 2.0, 3.0, 2.0)]
-    found, stale = judged(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
+    found, stale = judge_remarks(remarks, [entry("base", value) for value in (2.0, 5.0, 3.0)])
     assert [one.state for one in found] == [
         RemarkState.CHANGED,
         RemarkState.KNOWN,
@@ -488,7 +488,7 @@ def test_several_of_one_identity() -> None:
     ]
     assert found[0].before == {"urdf": 5.0}
     assert stale == ()
-    found, stale = judged(remarks[:1], [entry("base", value) for value in (1.0, 1.0)])
+    found, stale = judge_remarks(remarks[:1], [entry("base", value) for value in (1.0, 1.0)])
     assert len(stale) == 1
 
 
@@ -517,8 +517,8 @@ def test_several_of_one_identity() -> None:
     ],
 )
 def test_values_that_are_the_same(one: object, two: object, expected: bool) -> None:
-    assert same(one, two) is expected
-    assert same(two, one) is expected
+    assert is_same(one, two) is expected
+    assert is_same(two, one) is expected
 
 
 NAMES = st.text(st.characters(codec="utf-8"), max_size=12)
@@ -571,10 +571,10 @@ def test_a_baseline_is_sorted_and_says_what_it_lets_pass(folder: Path) -> None:
 def test_no_digits_of_rounding_are_kept() -> None:
     import numpy as np
 
-    assert plain(np.float64(0.1 + 0.2)) == 0.3
-    assert plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
-    assert plain((np.int64(3), "x", None, -0.0)) == [3, "x", "None", 0.0]
-    assert plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
+    assert to_plain(np.float64(0.1 + 0.2)) == 0.3
+    assert to_plain(np.array([1.0, 1e-17, -0.0])) == [1.0, 0.0, 0.0]
+    assert to_plain((np.int64(3), "x", None, -0.0)) == [3, "x", "None", 0.0]
+    assert to_plain({"rest": np.array([1 / 3])}) == {"rest": [0.333333333]}
 
 
 # ------------------------------------------------------------------------------------- GitHub's ten
@@ -586,14 +586,14 @@ def annotation(number: int, rule: str, level: str = "error") -> formats.Annotati
 
 def test_ten_are_shown_as_they_are() -> None:
     ten = [annotation(number, "mass") for number in range(10)]
-    assert formats.grouped(ten) == ten
+    assert formats.group_remarks(ten) == ten
 
 
 def test_more_are_grouped_by_kind_and_file_and_none_is_lost() -> None:
     many = [annotation(number, "mass") for number in range(8)]
     many += [annotation(number, "com") for number in range(4)]
     many += [annotation(1, "other", "warning")]
-    found = formats.grouped(many)
+    found = formats.group_remarks(many)
     assert [(one.title, one.level) for one in found] == [
         ("mass 0", "error"),
         ("com 0", "error"),
@@ -605,10 +605,10 @@ def test_more_are_grouped_by_kind_and_file_and_none_is_lost() -> None:
 
 def test_of_many_kinds_the_tenth_names_the_rest() -> None:
     many = [annotation(number, f"kind{number}") for number in range(25)]
-    found = formats.grouped(many)
+    found = formats.group_remarks(many)
     assert len(found) == 10
     assert found[:9] == many[:9]
-    text = formats.github(many)
+    text = formats.write_github(many)
     assert len(text.splitlines()) == 10
     for number in range(25):
         assert f"kind{number} {number}" in text

@@ -20,7 +20,7 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.live.export import link
+from pupper_analysis.live.export import write_link
 from pupper_analysis.live.server import Page
 from pupper_analysis.live.state import State
 from pupper_analysis.pupper.live import Variants
@@ -314,13 +314,13 @@ def test_two_browsers_play_on_their_own(
 def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
     state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
-    one = Opened(browser, link(address, state))
+    one = Opened(browser, write_link(address, state))
     robot = pa.robot.with_payload(load("v3"), 0.4)
     stand = pa.stance.solve_stand_on_soft_ground(robot, state.task())
     one.takes(stand, robot)
     one.tab("Share")
     wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
-    assert one.row("link to it").locator("input").first.input_value() == link(address, state)
+    assert one.row("link to it").locator("input").first.input_value() == write_link(address, state)
     with one.page.expect_download() as caught:
         one.button("Save the torques as CSV")
     rows = Path(caught.value.path()).read_text().splitlines()[1:]
@@ -362,7 +362,7 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
 @pytest.mark.slow
 def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
     address = served.address.removeprefix("http://").removesuffix("/")
-    one = Opened(browser, link(address, State(roll=4.0), "zh"))
+    one = Opened(browser, write_link(address, State(roll=4.0), "zh"))
     stand = pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))
     one.takes(stand)
     assert "受力平衡，未超出电机上限" in one.words()

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis.live import export, viser_parts
-from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of, css
+from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of, to_css
 from pupper_analysis.live.documents import (
     brief_document,
     failure_document,
@@ -29,12 +29,20 @@ from pupper_analysis.live.documents import (
     stance_document,
 )
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Model, expected, explained, pushed, sag, simulated
-from pupper_analysis.live.render import brief, panel
-from pupper_analysis.live.shapes import parts_of, primitive
-from pupper_analysis.live.sliders import fine, ranges_of, round_up
+from pupper_analysis.live.model import (
+    Answer,
+    Model,
+    expect_verdict,
+    explain_refusal,
+    predict_sag,
+    pushed,
+    simulate_stance,
+)
+from pupper_analysis.live.render import render_brief, render_panel
+from pupper_analysis.live.shapes import mesh_of_primitive, parts_of
+from pupper_analysis.live.sliders import fine_step, ranges_of, round_up
 from pupper_analysis.live.source import Pair
-from pupper_analysis.live.state import State, metres, parse
+from pupper_analysis.live.state import State, parse_length, parse_state
 from pupper_analysis.pupper.live import Variants
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.commands import answer as run_command
@@ -72,13 +80,13 @@ def model_of(name: str = "v3") -> Model:
 
 
 def test_a_state_is_what_it_says() -> None:
-    assert parse(str(RICH)) == RICH
+    assert parse_state(str(RICH)) == RICH
     assert str(State()) == ""
-    assert parse("") == State()
+    assert parse_state("") == State()
     odd = State(
         swing={"a,b;c:d&e=f%": 2.0}, heights={"<i>": -1.0}, foot_offsets={"ö <b>": (1.0, 2.0)}
     )
-    assert parse(str(odd)) == odd
+    assert parse_state(str(odd)) == odd
     assert set(str(odd)) <= set("abcdefghijklmnopqrstuvwxyz:;,%_0123456789ABCDEF.-")
 
 
@@ -101,7 +109,7 @@ numbers = st.floats(-1e4, 1e4)
     )
 )
 def test_any_state_is_what_it_says(state: State) -> None:
-    assert parse(str(state)) == state
+    assert parse_state(str(state)) == state
 
 
 @pytest.mark.parametrize(
@@ -121,13 +129,13 @@ def test_any_state_is_what_it_says(state: State) -> None:
 )
 def test_what_is_no_state_is_refused(words: str, message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
-        parse(words)
+        parse_state(words)
 
 
 @pytest.mark.parametrize("length", [0.1, 131.51, 120.0, 1e-7, -33.3, 1e20])
 def test_lengths_are_those_that_are_typed(length: float) -> None:
-    assert metres(length) == pytest.approx(length / 1000, rel=1e-15)
-    assert metres(131.3) == 0.1313
+    assert parse_length(length) == pytest.approx(length / 1000, rel=1e-15)
+    assert parse_length(131.3) == 0.1313
 
 
 def test_an_answer_is_the_python_interfaces() -> None:
@@ -160,7 +168,7 @@ def test_an_answer_is_the_python_interfaces() -> None:
     statics = pa.stance.stand_statics(robot, stand)
     assert found.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
     assert found.statics.joint_torques == pytest.approx(statics.joint_torques, abs=1e-9)
-    settled = sag(found).settled
+    settled = predict_sag(found).settled
     same = pa.steady_state(robot, stand, kp=20.0)
     assert settled is not None
     assert settled.height_loss == pytest.approx(same.height_loss, abs=1e-9)
@@ -180,7 +188,7 @@ def test_simulations_are_the_python_interfaces() -> None:
     held = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(pitch=np.radians(3.0)))
     assert found.stand is not None
     assert found.stand.qpos == pytest.approx(held.qpos, abs=1e-12)
-    report = simulated(found).verification
+    report = simulate_stance(found).verification
     again = pa.verify_stand(robot, held, kp=40.0, kd=0.6)
     assert report.passed
     assert report.base_height == pytest.approx(again.base_height, abs=1e-9)
@@ -196,7 +204,7 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     found = model.answer(State(height=200.0, roll=30.0))
     assert found.unreachable
     assert found.stand is None
-    error = explained(found)
+    error = explain_refusal(found)
     assert error is not None
     with pytest.raises(pa.StanceUnreachableError) as same:
         pa.solve_stand(load("v3"), pa.StandTask(height=0.2, roll=np.radians(30.0)))
@@ -225,14 +233,14 @@ def test_what_is_wrong_is_in_the_answer(state: State, kind: type[Exception]) -> 
     found = model_of().answer(state)
     assert isinstance(found.refusal, kind)
     assert found.statics is None
-    assert panel(stance_document(found, None, None), ENGLISH)
+    assert render_panel(stance_document(found, None, None), ENGLISH)
 
 
 def test_what_slides_is_shown_without_forces() -> None:
     slope = model_of("original").answer(State(slope=44.0))
     if slope.stand is not None:
         assert isinstance(slope.refusal, pa.StaticsInfeasibleError)
-        assert "friction" in panel(stance_document(slope, None, None), ENGLISH)
+        assert "friction" in render_panel(stance_document(slope, None, None), ENGLISH)
 
 
 def test_robots_are_kept_and_not_all_of_them() -> None:
@@ -279,24 +287,24 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     state = RICH if kind == "variant" else RICH.having(leg_scale=None, torso_mass_scale=None)
     found = Model(source).answer(state)
     qpos, torques = outcome(found)
-    script = export.python(source, state)
+    script = export.write_python(source, state)
     printed = run_python(script + "\nprint(stand.to_json())", tmp_path)
     assert json.loads(printed[printed.index("\n{") :])["qpos"] == pytest.approx(qpos, abs=1e-12)
     lines = printed.splitlines()[: len(torques)]
     assert [float(line.split()[1]) for line in lines] == pytest.approx(torques, abs=5e-5)
     assert "verified" in printed
 
-    words = shlex.split(export.command(source, state))
+    words = shlex.split(export.write_command(source, state))
     assert words[0] == "pupper-analysis"
     done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
     assert done.returncode in (0, 1), done.stderr
     saved = json.loads((tmp_path / "stance.json").read_text())
     assert saved["sunk"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
-    whole = json.loads(export.json(source, found, sag(found)))
+    whole = json.loads(export.write_json(source, found, predict_sag(found)))
     assert whole["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
-    assert parse(whole["state"]) == state
-    rows = [line.split(",") for line in export.table(found).splitlines()]
+    assert parse_state(whole["state"]) == state
+    rows = [line.split(",") for line in export.write_table(found).splitlines()]
     assert rows[0] == ["joint", "position_rad", "torque_nm", "limit_nm", "utilisation"]
     assert [float(row[2]) for row in rows[1:]] == pytest.approx(torques, abs=1e-12)
     assert [row[0] for row in rows[1:]] == list(found.robot.joint_names if found.robot else ())
@@ -304,25 +312,25 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
 
 def test_the_usual_state_is_exported_in_few_words() -> None:
     source = Variants(pa.VARIANTS["v3-heavy"])
-    assert export.command(source, State()) == "pupper-analysis stand v3-heavy"
+    assert export.write_command(source, State()) == "pupper-analysis stand v3-heavy"
     assert export.live_command(source, State()) == "pupper-analysis live v3-heavy"
-    assert "load_variant('v3-heavy')" in export.python(source, State())
-    assert not export.python(source, State()).startswith("import math")
-    scaled = export.command(source, State(torso_mass_scale=1.5))
+    assert "load_variant('v3-heavy')" in export.write_python(source, State())
+    assert not export.write_python(source, State()).startswith("import math")
+    scaled = export.write_command(source, State(torso_mass_scale=1.5))
     assert scaled == "pupper-analysis stand --base v3 --torso-mass-scale 1.5"
-    assert export.command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
+    assert export.write_command(source, State(torso_mass_scale=1.0)) == "pupper-analysis stand v3"
     turned = State(pitch=-5.0, slope=3.0, height=150.0, com_margin=7.0)
-    assert export.command(source, turned).split()[3:] == [
+    assert export.write_command(source, turned).split()[3:] == [
         "--height=0.15", "--pitch=-5deg", "--slope=3deg", "--com-margin=0.007",
     ]  # fmt: skip
 
 
 def test_links_and_commands_lead_back() -> None:
-    assert export.link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
+    assert export.write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
     words = shlex.split(export.live_command(Variants(pa.VARIANTS["v3"]), RICH))
-    assert parse(words[words.index("--state") + 1]) == RICH
-    assert "&" not in export.link("127.0.0.1:80", RICH)
-    assert "#" not in export.link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
+    assert parse_state(words[words.index("--state") + 1]) == RICH
+    assert "&" not in export.write_link("127.0.0.1:80", RICH)
+    assert "#" not in export.write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))
 
 
 def test_commands_take_a_payload(tmp_path: Path) -> None:
@@ -356,8 +364,8 @@ def test_nothing_in_a_name_acts() -> None:
         refusal=pa.ConfigurationError(evil, evil),
     )
     for html in (
-        panel(stance_document(worse, None, expected(worse, closely=False)), ENGLISH),
-        panel(failure_document(worse.refusal or pa.ModelError("", "")), ENGLISH),
+        render_panel(stance_document(worse, None, expect_verdict(worse, closely=False)), ENGLISH),
+        render_panel(failure_document(worse.refusal or pa.ModelError("", "")), ENGLISH),
     ):
         assert "<img" not in html
         assert "\u202e" not in html
@@ -368,17 +376,19 @@ def test_the_words_tell_the_numbers() -> None:
     found = model_of().answer(State(height=120.0))
     assert found.stand is not None
     assert found.statics is not None
-    settled = sag(found)
-    html = panel(stance_document(found, settled, expected(found, closely=True)), ENGLISH)
+    settled = predict_sag(found)
+    html = render_panel(
+        stance_document(found, settled, expect_verdict(found, closely=True)), ENGLISH
+    )
     assert ">120.0</td><td>mm<" in html
     assert f">{1e3 * found.stand.com_margin:.1f}</td><td>mm<" in html
     for torque in found.statics.joint_torques:
         assert f">{torque:+.4f}<" in html
     for share in found.statics.motor_utilisation:
-        assert f"width:{3 * share:.2f}em;background:{css(colour_of(share))}" in html
+        assert f"width:{3 * share:.2f}em;background:{to_css(colour_of(share))}" in html
     assert settled.settled is not None
     assert f">{1e3 * settled.settled.height_loss:.3f}</td><td>mm<" in html
-    assert "being worked out" in panel(stance_document(found, None, None), ENGLISH)
+    assert "being worked out" in render_panel(stance_document(found, None, None), ENGLISH)
     assert "being worked out" not in html
 
 
@@ -389,28 +399,28 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     over = [n for n, share in zip(found.statics.joint_names, found.statics.motor_utilisation,
                                   strict=True) if share > 1]  # fmt: skip
     assert over
-    judged = expected(found, closely=False)
+    judged = expect_verdict(found, closely=False)
     assert judged is not None
     assert (judged.code, judged.passed) == (VerdictCode.OVERLOADED, False)
     assert judged.overloaded == tuple(over)
     for said in (
-        panel(stance_document(found, None, judged), ENGLISH),
-        brief(brief_document(found, judged), ENGLISH),
+        render_panel(stance_document(found, None, judged), ENGLISH),
+        render_brief(brief_document(found, judged), ENGLISH),
     ):
         assert 'class="good"' not in said
         assert "OVERLOADED" in said
         assert all(name in said for name in over)
     usual = model_of().answer(State())
-    sound = expected(usual, closely=True)
+    sound = expect_verdict(usual, closely=True)
     assert sound is not None
     assert sound.code is VerdictCode.IN_BALANCE
-    assert 'class="good"' in panel(stance_document(usual, None, sound), ENGLISH)
+    assert 'class="good"' in render_panel(stance_document(usual, None, sound), ENGLISH)
     # Servos too soft: a deviation doubles in 2.5 s, which is found without a simulation.
     soft = model_of().answer(State(kp=0.3, kd=0.05))
-    shaky = expected(soft, closely=True)
+    shaky = expect_verdict(soft, closely=True)
     assert shaky is not None
     assert shaky.code is VerdictCode.UNSTABLE
-    assert 'class="good"' not in panel(stance_document(soft, None, shaky), ENGLISH)
+    assert 'class="good"' not in render_panel(stance_document(soft, None, shaky), ENGLISH)
 
 
 @pytest.mark.parametrize(
@@ -424,19 +434,19 @@ def test_what_motors_cannot_hold_is_no_good_verdict() -> None:
     ],
 )
 def test_errors_are_in_the_units_of_the_page(words: str, said: str) -> None:
-    found = model_of().answer(parse(words))
+    found = model_of().answer(parse_state(words))
     assert said in str(found.refusal)
     assert re.search("[\u4e00-\u9fff]", Language("zh").sentence(found.refusal.diagnostic))
 
 
 def test_what_is_possible_is_in_the_units_of_the_page() -> None:
     found = model_of().answer(State(height=250.0))
-    error = explained(found)
+    error = explain_refusal(found)
     assert error is not None
-    told = panel(refusal_document(found, error, pending=False), ENGLISH)
+    told = render_panel(refusal_document(found, error, pending=False), ENGLISH)
     assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in told
     both = model_of().answer(State(roll=35.0))
-    joints = panel(refusal_document(both, explained(both), pending=False), ENGLISH)
+    joints = render_panel(refusal_document(both, explain_refusal(both), pending=False), ENGLISH)
     assert "leg_front_l_2 (+24.1°)" in joints  # of 0.42 rad
 
 
@@ -468,7 +478,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:  # type: ignore[ty
 )
 def test_shapes_have_their_volumes(name: str, size: tuple[float, ...], expected: float) -> None:
     pytest.importorskip("trimesh")
-    vertices, faces = primitive(name, np.array(size))
+    vertices, faces = mesh_of_primitive(name, np.array(size))
     assert volume(vertices, faces) == pytest.approx(expected, rel=0.06)
     assert vertices.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-6)
 
@@ -499,14 +509,14 @@ def test_sliders_hold_what_a_page_opens_with(name: str) -> None:
         assert span.low <= span.value <= span.high
         assert 0 < span.step < span.high - span.low
     assert spans["height"].value == 1e3 * load(name).stand_height
-    assert fine(100.0) == 0.5
+    assert fine_step(100.0) == 0.5
     assert round_up(131.0) == 150.0
 
 
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(pa.MissingPackageError, match=r"pip install viser.*\[live\]"):
-        viser_parts.viser()
+        viser_parts.import_viser()
     done = run_command("live", "v3", "--no-browser", folder=Path.cwd())
     assert done.returncode == 2
     assert "pupper-analysis[live]" in done.stderr

@@ -16,7 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis.live import viser_parts
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.model import Model
-from pupper_analysis.live.motion import between
+from pupper_analysis.live.motion import interpolate_motion
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.state import State
 from pupper_analysis.pupper.live import Variants
@@ -81,9 +81,9 @@ class Open:
 @pytest.fixture
 def server() -> Iterator[Any]:
     host = "127.0.0.1"
-    one = viser_parts.started(host, viser_parts.free_port(host, None), "test")
+    one = viser_parts.start_server(host, viser_parts.free_port(host, None), "test")
     yield one
-    viser_parts.stopped(one)
+    viser_parts.stop_server(one)
 
 
 @pytest.fixture
@@ -404,8 +404,8 @@ def test_a_motion_is_played_between_its_samples() -> None:
     qpos = np.array([0.0, 0, 0, 1, 0, 0, 0, 0.5])
     other = np.array([1.0, 0, 0, -np.cos(0.1), 0, 0, -np.sin(0.1), 0.7])  # turned by 0.2 rad
     motion, times = np.array([qpos, other]), np.array([0.0, 0.2])
-    middle = between(times, motion, 0.1)
+    middle = interpolate_motion(times, motion, 0.1)
     assert middle[0] == pytest.approx(0.5)
     assert middle[7] == pytest.approx(0.6)
     assert middle[3:7] == pytest.approx([np.cos(0.05), 0, 0, np.sin(0.05)], abs=1e-3)
-    assert between(times, motion, 5.0)[7] == pytest.approx(0.7)
+    assert interpolate_motion(times, motion, 5.0)[7] == pytest.approx(0.7)

@@ -17,10 +17,10 @@ from pupper_analysis.live.model import Model
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State
 from pupper_analysis.prepare.servo_tuning import SAG, held_gains
-from pupper_analysis.pupper.derive_mjcf import derive
+from pupper_analysis.pupper.derive_mjcf import derive_mjcf
 from pupper_analysis.pupper.live import Variants
 from pupper_analysis.report.documents import sources
-from pupper_analysis.report.documents.estimate import duration
+from pupper_analysis.report.documents.estimate import duration_text
 from pupper_analysis.report.html import plots
 from pupper_analysis.robot.build import rebuilt
 from pupper_analysis.robot.configuration import UP
@@ -136,7 +136,7 @@ def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
     thigh.add_geom(
         name="bar", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=(0.005, 0, 0), mass=0.07
     )
-    derive(spec, variant)
+    derive_mjcf(spec, variant)
     assert spec.geom("bar").mass == 0.07
 
 
@@ -337,7 +337,7 @@ def test_workers_share_the_designs_that_are_left() -> None:
 
 @pytest.mark.parametrize("seconds", [30.0, 119.0, 600.0, 7199.0, 7200.0, 86000.0, 1e5, 1e6])
 def test_a_duration_is_what_it_says_in_the_greatest_fitting_unit(seconds: float) -> None:
-    number, unit = duration(seconds).split()
+    number, unit = duration_text(seconds).split()
     assert float(number) * {"s": 1, "min": 60, "h": 3600}[unit] == pytest.approx(seconds, rel=0.02)
     assert unit == "h" or float(number) < 120
 
@@ -345,7 +345,7 @@ def test_a_duration_is_what_it_says_in_the_greatest_fitting_unit(seconds: float)
 def test_a_long_element_is_quoted_from_its_beginning(tmp_path: Path) -> None:
     rows = ['<geom name="a"', *(f'  a{number}="1"' for number in range(4)), '  b="2"/>']
     (tmp_path / "part.xml").write_text("<x>\n" + "\n".join(rows))
-    quoted = sources.quoted("part.xml:7", str(tmp_path / "main.xml"))
+    quoted = sources.quote_line("part.xml:7", str(tmp_path / "main.xml"))
     assert quoted == "\n".join(row.strip() for row in rows)
 
 

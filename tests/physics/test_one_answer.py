@@ -13,7 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.analysis import push
 from pupper_analysis.analysis.robot import analyze_variant
 from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.live.model import Model, sag, simulated
+from pupper_analysis.live.model import Model, predict_sag, simulate_stance
 from pupper_analysis.live.state import State
 from pupper_analysis.pupper.live import Variants
 from tests.support.commands import answer as run_command
@@ -42,7 +42,7 @@ def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -
     asked = ("analyze", "v3", "--roll", str(TASK.roll), "--no-figures")
     other = told(tmp_path, *asked)["variants"]["v3"]
     live = Model(Variants(pa.VARIANTS["v3"])).answer(State(roll=ROLL))
-    played, settled = simulated(live), sag(live).settled
+    played, settled = simulate_stance(live), predict_sag(live).settled
     assert live.stand is not None
     assert live.statics is not None
     assert settled is not None

@@ -60,7 +60,7 @@ def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> No
             step()
         shown.append(data.qpos.copy())
 
-    monkeypatch.setattr(demo, "show", window)
+    monkeypatch.setattr(demo, "show_window", window)
     monkeypatch.setattr(demo, "check_display", lambda: None)
     assert demo.demo("sway", headless=False)
     robot = load("v3")

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.models import mjcf
 from pupper_analysis.pupper import derive_urdf as urdf
-from pupper_analysis.pupper.variant_files import describe
+from pupper_analysis.pupper.variant_files import describe_variant
 from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import mujoco_at
 from tests.support.repository import ROOT
@@ -277,7 +277,7 @@ def test_meshes_are_stretched_with_their_links() -> None:
 
 @pytest.mark.parametrize("s", [0.5, 1.5, 2.0])
 def test_skeletons_shapes_are_stretched_in_both_files(s: float) -> None:
-    description = describe(pa.pupper.VariantSpec("skeleton", s))
+    description = describe_variant(pa.pupper.VariantSpec("skeleton", s))
     model = description.mjcf.copy().compile()
     links = {
         link.attrib["name"]: link for link in ElementTree.fromstring(description.urdf).iter("link")
@@ -424,6 +424,6 @@ def test_base_files_are_not_touched(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_description_is_fresh_each_time(name: str) -> None:
     """Deriving twice scales once."""
-    one, two = describe(name), describe(name)
+    one, two = describe_variant(name), describe_variant(name)
     assert one.urdf == two.urdf
     assert mjcf.to_xml(one.mjcf) == mjcf.to_xml(two.mjcf)

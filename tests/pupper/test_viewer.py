@@ -71,7 +71,7 @@ def test_the_default_time_is_well_beyond_what_it_takes_to_settle() -> None:
 
 
 def test_stand_prints_its_result(capsys: pytest.CaptureFixture[str]) -> None:
-    assert viewer.stand(headless=True)
+    assert viewer.drop_and_report(headless=True)
     lines = capsys.readouterr().out.splitlines()
     assert lines[-1] == "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)"
     rest = next(line.split() for line in lines if line.strip().startswith("rest"))
@@ -84,14 +84,14 @@ def test_stand_says_that_it_is_not_stable(
 ) -> None:
     monkeypatch.setattr(drop, "STABLE_DEVIATION", 1e-9)
     monkeypatch.setattr(viewer, "STABLE_DEVIATION", 1e-9)
-    assert not viewer.stand(headless=True)
+    assert not viewer.drop_and_report(headless=True)
     assert "(>= 1e-06 mm = NOT stable)" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("seconds", [math.nan, math.inf, -math.inf, -1.0, 0.0, 1.999, 600.1])
 def test_bad_seconds_are_refused(seconds: float) -> None:
     with pytest.raises(ConfigurationError, match="from 2 to 600 s") as caught:
-        viewer.stand(headless=True, seconds=seconds)
+        viewer.drop_and_report(headless=True, seconds=seconds)
     assert caught.value.field == "seconds"
 
 
@@ -115,7 +115,7 @@ def test_other_variants_fall_and_stand(name: str) -> None:
 def test_view_tells_sizes_joints_and_imu(
     capsys: pytest.CaptureFixture[str], fixed: bool, sizes: str, acceleration: float
 ) -> None:
-    viewer.view(fixed=fixed, headless=True)
+    viewer.view_variant(fixed=fixed, headless=True)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == sizes
     joints = [line.split() for line in lines if re.match(r"  leg_", line)]
@@ -183,8 +183,8 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_screen")
 def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for show in (
-        lambda: viewer.view(fixed=True, headless=False),
-        lambda: viewer.stand(headless=False),
+        lambda: viewer.view_variant(fixed=True, headless=False),
+        lambda: viewer.drop_and_report(headless=False),
         lambda: drop.drop(window=True),
     ):
         with pytest.raises(window.DisplayError, match=r"no display.*--headless") as caught:
@@ -240,10 +240,10 @@ def test_play_keeps_time_and_stops_with_the_window() -> None:
         def sync(self) -> None:
             return None
 
-    window.play(Window(1000), 0.002, lambda: calls.append(1), 50)
+    window.play_steps(Window(1000), 0.002, lambda: calls.append(1), 50)
     assert len(calls) == 50  # 0.1 s
     calls.clear()
-    window.play(Window(6), 0.002, lambda: calls.append(1))
+    window.play_steps(Window(6), 0.002, lambda: calls.append(1))
     assert 25 <= len(calls) <= 250
 
 

@@ -12,9 +12,9 @@ from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.engines import EXTRAS
 from pupper_analysis.checks.mjcf_only import find as extras
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.report.comparison import cases, remarks
+from pupper_analysis.report.comparison import comparison_cases, comparison_remarks
 from pupper_analysis.report.documents.comparison import SHORT, SHOWN
-from pupper_analysis.report.formats import github, junit
+from pupper_analysis.report.formats import write_github, write_junit
 from tests.support.printing import printed
 from tests.support.robots import (
     FEET,
@@ -173,7 +173,7 @@ def test_brackets_in_names_are_printed(tmp_path: Path) -> None:
 
 def test_a_remark_for_each_difference(files: Files) -> None:
     comparison = compared(files)
-    found = remarks(comparison)
+    found = comparison_remarks(comparison)
     assert len(found) == len(comparison.differences) == 9
     first = found[0]
     assert (first.level, first.title) == ("error", "mass of base")
@@ -185,7 +185,7 @@ def test_a_remark_for_each_difference(files: Files) -> None:
 def test_remarks_on_joints_left_over_and_guessed(tmp_path: Path) -> None:
     urdf = changed(changed(quadruped(), "shank3", kind="fixed"), "thigh0", joint="lf_haa")
     comparison = compared(write_parts(tmp_path, urdf, quadruped()))
-    found = {remark.title: remark for remark in remarks(comparison)}
+    found = {remark.title: remark for remark in comparison_remarks(comparison)}
     assert found["joint knee3"].level == "error"
     assert found["joint knee3"].message == f"joint knee3 is not in {comparison.urdf}"
     assert found["joint knee3"].place == comparison.mjcf
@@ -202,17 +202,17 @@ def test_remarks_stand_at_the_path_that_was_given(
     write_parts(tmp_path / "models", quadruped(), mjcf)
     monkeypatch.chdir(tmp_path)
     comparison = compared(Files(Path("models/robot.urdf"), Path("models/robot.xml")))
-    shown = github(remarks(comparison)).splitlines()[0]
+    shown = write_github(comparison_remarks(comparison)).splitlines()[0]
     assert shown.startswith("::error file=models/robot.urdf,line=5,title=")
     assert shown.endswith(" [mass-differs]")
 
 
 def test_no_remarks_where_the_models_agree(tmp_path: Path) -> None:
-    assert remarks(compared(write_parts(tmp_path, quadruped(), quadruped()))) == []
+    assert comparison_remarks(compared(write_parts(tmp_path, quadruped(), quadruped()))) == []
 
 
 def failures(comparison: Comparison) -> dict[str, str]:
-    root = ElementTree.fromstring(junit("suite", cases(comparison)))
+    root = ElementTree.fromstring(write_junit("suite", comparison_cases(comparison)))
     failed = [case for case in root.iter("testcase") if case.find("failure") is not None]
     assert int(root.get("failures", "-1")) == len(failed)
     return {str(case.get("name")): str(case.findtext("failure")) for case in failed}
@@ -220,7 +220,7 @@ def failures(comparison: Comparison) -> dict[str, str]:
 
 def test_cases_of_an_agreeing_pair_pass(tmp_path: Path) -> None:
     comparison = compared(write_parts(tmp_path, quadruped(), quadruped()))
-    names = [case.name for case in cases(comparison)]
+    names = [case.name for case in comparison_cases(comparison)]
     assert failures(comparison) == {}
     assert names[0] == "the same joints"
     assert "parameters of knee2" in names
@@ -233,7 +233,9 @@ def test_every_body_has_a_case_whether_or_not_it_differs(tmp_path: Path) -> None
     """Otherwise the number of tests changes with the result."""
     same = compared(write_parts(tmp_path, quadruped(), quadruped()))
     other = compared(write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0)))
-    assert {case.name for case in cases(same)} == {case.name for case in cases(other)}
+    assert {case.name for case in comparison_cases(same)} == {
+        case.name for case in comparison_cases(other)
+    }
 
 
 def test_failed_cases_tell_what_and_where(files: Files) -> None:
@@ -251,9 +253,9 @@ def test_a_joint_left_over_fails_its_case(tmp_path: Path) -> None:
     still = changed(quadruped(), "shank3", kind="fixed")
     comparison = compared(write_parts(tmp_path, still, quadruped()))
     assert failures(comparison)["the same joints"].startswith("joint knee3 is not in ")
-    (joints, *_) = cases(comparison)
+    (joints, *_) = comparison_cases(comparison)
     assert [one.code for one in joints.diagnostics] == ["joint-not-in-file"]
-    assert all(remark.diagnostic is not None for remark in remarks(comparison))
+    assert all(remark.diagnostic is not None for remark in comparison_remarks(comparison))
 
 
 @pytest.mark.parametrize("case", ["mass", "limit"])
@@ -282,10 +284,10 @@ def test_what_is_not_explained_is_the_verdict(
     first = lines(comparison)[0]
     assert re.match(r"DISAGREE: \S+ of forward dynamics is left that no difference explains", first)
     assert "MuJoCo's qfrc_spring is up to" in first
-    (remark,) = (r for r in remarks(comparison) if r.title == "agreement")
+    (remark,) = (r for r in comparison_remarks(comparison) if r.title == "agreement")
     assert remark.level == "error"
     assert "no difference explains" in remark.message
-    failed = {case.name: case.failure for case in cases(comparison) if case.failure}
+    failed = {case.name: case.failure for case in comparison_cases(comparison) if case.failure}
     assert "qfrc_spring" in failed["the differences explain the deviations"]
 
 

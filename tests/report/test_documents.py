@@ -15,9 +15,9 @@ from functools import cache
 import pytest
 
 from pupper_analysis.report.document import Cell, Column, Number, Report, Table
-from pupper_analysis.report.html.write import page
-from pupper_analysis.report.markdown import markdown
-from pupper_analysis.report.words import english
+from pupper_analysis.report.html.write import render_page
+from pupper_analysis.report.markdown import write_markdown
+from pupper_analysis.report.words import in_english
 from tests.support import printing
 from tests.support.html_page import Page
 from tests.support.repository import ROOT
@@ -54,11 +54,11 @@ def tables(shown: Report) -> list[Table]:
 
 def header(column: Column) -> str:
     unit = {"": "", "1": " (–)"}.get(column.unit, f" ({column.unit})")
-    return f"{english(column.name)}{unit}"
+    return f"{in_english(column.name)}{unit}"
 
 
 def plain(cell: Cell) -> str:
-    return cell.text if isinstance(cell, Number) else english(cell)
+    return cell.text if isinstance(cell, Number) else in_english(cell)
 
 
 def said(table: Table) -> Rows:
@@ -79,7 +79,7 @@ def in_markdown(text: str) -> list[Rows]:
 
 def on_a_terminal(table: Table, text: str) -> Rows:
     """The rows of a table as a wide terminal shows it: columns have two blanks between them."""
-    lines = text[text.index(f"\n{english(table.title)}\n") :].splitlines()[2:]
+    lines = text[text.index(f"\n{in_english(table.title)}\n") :].splitlines()[2:]
     rule = next(number for number, line in enumerate(lines) if line.startswith("─"))
     shown = lines[:rule] + lines[rule + 1 : rule + 1 + len(table.rows)]
     wide = max(map(len, shown))
@@ -100,7 +100,7 @@ def without_lines(rows: Rows) -> list[list[str]]:
 
 @pytest.mark.parametrize("name", REPORTS)
 def test_golden_documents(name: str) -> None:
-    assert markdown(report(name)) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
+    assert write_markdown(report(name)) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", REPORTS)
@@ -109,10 +109,10 @@ def test_cells_are_the_same_wherever_they_are_shown(name: str) -> None:
     shown = report(name)
     expected = [without_lines(said(table)) for table in tables(shown)]
     assert expected
-    commented = [without_lines(rows) for rows in in_markdown(markdown(shown))]
+    commented = [without_lines(rows) for rows in in_markdown(write_markdown(shown))]
     # Where something compares documents, a comment has that alone.
     assert commented == expected[: sum(isinstance(one, Table) for one in shown.overview) or None]
-    read = [without_lines(rows) for rows in Page(page(shown)).every_table()]
+    read = [without_lines(rows) for rows in Page(render_page(shown)).every_table()]
     assert read == expected
     for document in shown.documents:
         text = printing.printed(document, width=600)
@@ -201,7 +201,7 @@ def test_a_field_is_in_its_cell(
     found = [
         (row, cells)
         for table in tables(report(name))
-        if english(table.title) == title and column in map(header, table.columns)
+        if in_english(table.title) == title and column in map(header, table.columns)
         for row, cells in zip(said(table), table.rows, strict=True)
         if plain(cells[0]) == first
     ]
@@ -225,7 +225,7 @@ def test_numbers_are_told_apart() -> None:
 def write(names: Iterable[str]) -> None:
     """Writes the golden documents anew."""
     for name in names:
-        (GOLDEN / f"{name}.md").write_text(markdown(report(name)), encoding="utf-8")
+        (GOLDEN / f"{name}.md").write_text(write_markdown(report(name)), encoding="utf-8")
 
 
 if __name__ == "__main__":

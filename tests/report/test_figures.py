@@ -23,9 +23,9 @@ from pupper_analysis.report.figures.analyses import gain_figure, height_figure, 
 from pupper_analysis.report.figures.drawing import shares_of
 from pupper_analysis.report.figures.ground import ground_corners, step_corners
 from pupper_analysis.report.figures.pose import pose_figure
-from pupper_analysis.report.figures.skeleton import hull_corners, nearest_edge_point, skeleton
+from pupper_analysis.report.figures.skeleton import draw_skeleton, hull_corners, nearest_edge_point
 from pupper_analysis.report.plots import Axis, Bar, BarPlot
-from pupper_analysis.report.scene import standing
+from pupper_analysis.report.scene import describe_scene
 from tests.support.variants import load, stand_of
 
 NAMES = ("original", "v3")
@@ -77,7 +77,7 @@ def other(analysis: Any, **changes: Any) -> Any:
 def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments: Any) -> Figure:
     """The figure that a function draws, instead of its file."""
     kept: list[Figure] = []
-    monkeypatch.setattr(style, "save", lambda figure, path: kept.append(figure))
+    monkeypatch.setattr(style, "save_figure", lambda figure, path: kept.append(figure))
     draw(*arguments, Path("unused.png"))
     return kept[0]
 
@@ -89,7 +89,7 @@ def drawn(monkeypatch: pytest.MonkeyPatch, draw: Callable[..., None], *arguments
 def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
     feet = pa.Configuration(robot, qpos).foot_positions()
-    legs = skeleton(robot, qpos).legs
+    legs = draw_skeleton(robot, qpos).legs
     assert set(legs) == set(robot.feet)
     for foot, leg in legs.items():
         assert leg.shape == (4, 3)  # three joints and the foot
@@ -99,8 +99,8 @@ def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
 @pytest.mark.parametrize("name", pa.VARIANTS)
 def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
-    moved = skeleton(robot, qpos).legs
-    still = skeleton(robot, robot.neutral()).legs
+    moved = draw_skeleton(robot, qpos).legs
+    still = draw_skeleton(robot, robot.neutral()).legs
     for foot in robot.feet:
         lengths = [np.linalg.norm(np.diff(legs[foot], axis=0), axis=1) for legs in (moved, still)]
         np.testing.assert_allclose(*lengths, atol=1e-12)
@@ -108,7 +108,7 @@ def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
 
 def test_lengths_are_those_of_the_model() -> None:
     for name, thigh, calf in (("original", 0.08, 0.11), ("long-leg", 0.12, 0.165)):
-        leg = skeleton(load(name), stand_of(name).qpos).legs["FL"]
+        leg = draw_skeleton(load(name), stand_of(name).qpos).legs["FL"]
         lengths = np.linalg.norm(np.diff(leg, axis=0), axis=1)
         np.testing.assert_allclose(lengths, (0.0, thigh, calf), atol=1e-12)
 
@@ -116,7 +116,7 @@ def test_lengths_are_those_of_the_model() -> None:
 @pytest.mark.parametrize(("name", "count"), [("original", 1), ("heavy", 2), ("v3", 1)])
 def test_the_base_is_its_boxes(name: str, count: int) -> None:
     robot = load(name)
-    boxes = skeleton(robot, robot.neutral()).boxes
+    boxes = draw_skeleton(robot, robot.neutral()).boxes
     assert boxes.shape == (count, 8, 3)
     edges = [np.linalg.norm(boxes[0, 0] - boxes[0, corner]) for corner in (4, 2, 1)]
     sizes = {"v3": (0.09014, 0.12758, 0.25943)}.get(name, (0.2, 0.11, 0.05))
@@ -125,7 +125,7 @@ def test_the_base_is_its_boxes(name: str, count: int) -> None:
 
 def test_a_fixed_base_can_be_drawn() -> None:
     robot = load("v3", fixed_base=True)
-    assert skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
+    assert draw_skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
 
 
 def test_support_polygon() -> None:
@@ -179,7 +179,7 @@ def test_pose_figure_draws_slopes_steps_and_lifted_feet(monkeypatch: pytest.Monk
     ground = pa.Ground(slope=0.15, uphill=0.8, heights={"FR": 0.02})
     task = pa.StandTask(ground=ground, swing={"RL": 0.02}, com="inside", com_margin=0.01)
     stand = pa.solve_stand(robot, task)
-    plane, (step,) = ground_corners(stand), step_corners(standing(robot, stand, None))
+    plane, (step,) = ground_corners(stand), step_corners(describe_scene(robot, stand, None))
     for corner in plane:
         assert corner @ ground.normal() == pytest.approx(0, abs=1e-12)
     feet = np.array(list(stand.foot_targets.values()))

@@ -25,7 +25,13 @@ from pupper_analysis.report.document import (
     Table,
     tell,
 )
-from pupper_analysis.report.formats import Annotation, CheckedItem, github, junit, visible
+from pupper_analysis.report.formats import (
+    Annotation,
+    CheckedItem,
+    escape_control,
+    write_github,
+    write_junit,
+)
 from pupper_analysis.report.terminal import SafeConsole, print_document
 from tests.support.commands import run_command
 from tests.support.printing import printed
@@ -48,7 +54,9 @@ def read_command(line: str) -> tuple[str, dict[str, str], str]:
 
 def test_a_place_with_a_line() -> None:
     remark = Annotation("error", "mass of base", "too heavy", "models/go1.xml:84")
-    assert github([remark]) == ("::error file=models/go1.xml,line=84,title=mass of base::too heavy")
+    assert write_github([remark]) == (
+        "::error file=models/go1.xml,line=84,title=mass of base::too heavy"
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,23 +72,23 @@ def test_a_place_with_a_line() -> None:
     ],
 )
 def test_places(place: str | None, parameters: str) -> None:
-    assert github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
+    assert write_github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
 
 
 def test_what_is_escaped() -> None:
-    line = github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
+    line = write_github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
     assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
     assert "\n" not in line
 
 
 def test_what_would_act_on_a_log_is_shown() -> None:
-    line = github([Annotation("error", "a\u202e", "b\u009b\x1b[31m\u2028", "c\u202e.xml:3")])
+    line = write_github([Annotation("error", "a\u202e", "b\u009b\x1b[31m\u2028", "c\u202e.xml:3")])
     assert line == (r"::error file=c\u202e.xml,line=3,title=a\u202e::b\x9b\x1b[31m\u2028")
 
 
 def test_one_line_each() -> None:
-    assert github([]) == ""
-    two = github([Annotation("error", "a", "x"), Annotation("error", "b", "y")])
+    assert write_github([]) == ""
+    two = write_github([Annotation("error", "a", "x"), Annotation("error", "b", "y")])
     assert two.splitlines() == ["::error title=a::x", "::error title=b::y"]
 
 
@@ -89,12 +97,14 @@ TEXT = st.text(st.sampled_from("ab%:,\n\r=0A25D3C ") | st.characters(codec="utf-
 
 def shown(text: str) -> str:
     """What is left of a text: ends of lines, and the numbers of what would act on a log."""
-    return "".join(letter if letter in "\r\n" else visible(letter) for letter in text)
+    return "".join(letter if letter in "\r\n" else escape_control(letter) for letter in text)
 
 
 @given(title=TEXT, message=TEXT)
 def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
-    level, properties, read = read_command(github([Annotation("error", title, message, "r.xml:3")]))
+    level, properties, read = read_command(
+        write_github([Annotation("error", title, message, "r.xml:3")])
+    )
     assert level == "error"
     assert properties["file"] == "r.xml"
     assert properties["line"] == "3"
@@ -110,7 +120,7 @@ def test_junit_counts() -> None:
         CheckedItem("limits", "0.9 rad\nand 1.1 rad"),
         CheckedItem("a < b & c", "5 % > 4 %"),
     ]
-    root = ElementTree.fromstring(junit("go1.urdf against go1.xml", cases))
+    root = ElementTree.fromstring(write_junit("go1.urdf against go1.xml", cases))
     assert root.tag == "testsuites"
     (suite,) = root
     for element in (root, suite):
@@ -127,7 +137,7 @@ def test_junit_counts() -> None:
 def test_junit_has_codes_and_values() -> None:
     differs = diagnose("foot-misses-target", subject=("foot", "FL"), gap=Quantity(0.002, "m"))
     root = ElementTree.fromstring(
-        junit("s", [CheckedItem("feet", "off", (differs, problem("<a>")))])
+        write_junit("s", [CheckedItem("feet", "off", (differs, problem("<a>")))])
     )
     (case,) = root.iter("testcase")
     assert [(one.tag, one.get("type")) for one in case][1] == (
@@ -140,7 +150,7 @@ def test_junit_has_codes_and_values() -> None:
 
 
 def test_junit_without_cases() -> None:
-    root = ElementTree.fromstring(junit("empty", []))
+    root = ElementTree.fromstring(write_junit("empty", []))
     assert root.get("tests") == "0"
 
 
@@ -152,7 +162,7 @@ PRINTABLE = st.text(CHARACTERS, max_size=30)
 
 @given(names=st.lists(PRINTABLE, max_size=4), failure=st.none() | PRINTABLE)
 def test_junit_is_xml_whatever_the_names(names: list[str], failure: str | None) -> None:
-    text = junit("suite", (CheckedItem(name, failure) for name in names))
+    text = write_junit("suite", (CheckedItem(name, failure) for name in names))
     root = ElementTree.fromstring(text.encode())
     assert [case.get("name") for case in root.iter("testcase")] == names
     assert int(root.get("failures", "-1")) == (0 if failure is None else len(names))
@@ -164,10 +174,10 @@ HOSTILE = "a\n::error::forged\x1b[31mred\x9b31m\u202eb\u2028c\rd [bold]e[/bold] 
 
 
 def test_what_would_act_is_shown() -> None:
-    shown = visible(HOSTILE)
+    shown = escape_control(HOSTILE)
     assert shown.startswith("a\\n::error::forged\\x1b[31mred\\x9b31m\\u202eb\\u2028c\\rd")
     assert shown.isprintable()
-    assert visible("Füße ≤ 3°") == "Füße ≤ 3°"
+    assert escape_control("Füße ≤ 3°") == "Füße ≤ 3°"
 
 
 @pytest.mark.parametrize("terminal", [False, True])

@@ -35,14 +35,14 @@ from pupper_analysis.report.document import (
     Table,
     Text,
     View,
-    number,
+    number_cell,
     tell,
 )
 from pupper_analysis.report.documents import sources
 from pupper_analysis.report.html import library, plots, scene, write
 from pupper_analysis.report.html.scene import scene_of
 from pupper_analysis.report.plots import Axis, LinePlot, Series
-from pupper_analysis.report.scene import coarser, shapes_of, standing
+from pupper_analysis.report.scene import coarsen_mesh, describe_scene, shapes_of
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery
 from pupper_analysis.simulation.verdict import judge
@@ -384,10 +384,10 @@ def test_files_that_have_gone_are_not_drawn(tmp_path: Path) -> None:
 def test_an_element_on_several_lines_is_quoted_whole(tmp_path: Path) -> None:
     (tmp_path / "part.xml").write_text('<a>\n  <body name="b"\n    pos="0 0 1"/>\n</a>\n')
     main = str(tmp_path / "main.xml")
-    assert sources.quoted("part.xml:3", main) == '<body name="b"\npos="0 0 1"/>'
-    assert sources.quoted("part.xml:1", main) == "<a>"
+    assert sources.quote_line("part.xml:3", main) == '<body name="b"\npos="0 0 1"/>'
+    assert sources.quote_line("part.xml:1", main) == "<a>"
     for place in ("part.xml:9", "part.xml", "gone.xml:1", None, "part.xml:0"):
-        assert sources.quoted(place, main) == ""
+        assert sources.quote_line(place, main) == ""
 
 
 @cache
@@ -480,7 +480,7 @@ def test_names_in_a_view_cannot_end_their_script() -> None:
     scene_of.register(Drawn, lambda one: one.data)
     view = View(tell(problem(EVIL[1])), Drawn(drawn))  # type: ignore[arg-type]
     document = Document(Name(""), Name(EVIL[0]), (view,))
-    page = Page(write.page(Report(Text(EVIL[1], EVIL[1]), (document,))))
+    page = Page(write.render_page(Report(Text(EVIL[1], EVIL[1]), (document,))))
     data = next(json.loads(text) for text in page.strict.scripts if '"joints"' in text[:200000])
     assert [joint["name"] for joint in data["joints"][:2]] == list(EVIL[:2])
     assert len(page.strict.scripts) == 6
@@ -552,7 +552,7 @@ def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_p
     robot = load("v3")
     ground = pa.Ground(slope=0.1, uphill=0.7, heights={"FR": 0.02, "RL": -0.01})
     stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
-    seen = standing(robot, stand, None)
+    seen = describe_scene(robot, stand, None)
     assert not seen.contacts
     assert {one.foot: one.height for one in seen.steps} == dict(ground.heights)
     touched = np.array([stand.contact_points[foot] for foot in ("FL", "FR", "RL", "RR")])
@@ -575,7 +575,7 @@ def test_com_steps_and_polygon_are_where_they_are_on_a_slope_with_a_step_and_a_p
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_points_in_a_line_span_no_polygon(count: int) -> None:
     points = np.array([[0.25, 0.5, 0.0], [0.5, 0.75, 0.01], [0.75, 1.0, 0.02]])[:count]
-    corners = scenes.polygon(points)
+    corners = scenes.polygon_corners(points)
     assert corners[0] == pytest.approx(points[0])
     assert corners[-1] == pytest.approx(points[-1])
     assert len(corners) == min(count, 2)
@@ -631,7 +631,7 @@ def test_a_coarser_sphere_is_a_sphere() -> None:
     a, b, c = (places[faces.simplices[:, index]] for index in range(3))
     inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0
     triangles = np.where(inwards[:, None], faces.simplices[:, ::-1], faces.simplices)
-    vertices, fewer = coarser(places, triangles.astype(np.int64), 16)
+    vertices, fewer = coarsen_mesh(places, triangles.astype(np.int64), 16)
     assert len(fewer) < 0.6 * len(triangles)
     assert np.linalg.norm(vertices, axis=1) == pytest.approx(np.ones(len(vertices)), abs=0.03)
     assert volume(vertices, fewer) == pytest.approx(4 / 3 * np.pi, rel=0.05)
@@ -642,7 +642,7 @@ def test_the_same_mesh_is_there_once() -> None:
     scenes = [drawn_of(StandScene(robot, stand_of(robot.name))) for robot in robots]
     own = len(scenes[0]["meshes"])
     assert own > 3
-    assert len(scene.shared(scenes)) <= own + 1  # but for the torso, if it is scaled
+    assert len(scene.share_meshes(scenes)) <= own + 1  # but for the torso, if it is scaled
     assert "meshes" not in scenes[0]
 
 
@@ -685,7 +685,7 @@ def test_the_library_comes_with_its_licences() -> None:
 
 def test_a_line_is_where_its_values_are() -> None:
     axis = Axis(Name("x"), "s", ".1f"), Axis(Name("y"), "mm", ".1f")
-    drawing = plots.draw(
+    drawing = plots.draw_svg(
         LinePlot(Name("t"), *axis, [Series(Name("a"), [0, 5, 10], [1.0, np.nan, 3.0])])
     )
     line = next(mark for mark in drawing.marks if mark["tag"] == "polyline")
@@ -711,7 +711,7 @@ def test_a_line_is_where_its_values_are() -> None:
     ],
 )
 def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None:
-    assert plots.ticks(low, high) == pytest.approx(expected)
+    assert plots.round_ticks(low, high) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -724,7 +724,7 @@ def test_ticks_are_round(low: float, high: float, expected: list[float]) -> None
     ],
 )
 def test_numbers_are_written(value: float | None, form: str, expected: str) -> None:
-    assert number(value, form).text == expected
+    assert number_cell(value, form).text == expected
 
 
 # Files and commands

@@ -23,7 +23,7 @@ from pupper_analysis.report.document import (
     Table,
     tell,
 )
-from pupper_analysis.report.markdown import MOST_LETTERS, MOST_ROWS, markdown
+from pupper_analysis.report.markdown import MOST_LETTERS, MOST_ROWS, write_markdown
 from pupper_analysis.report.words import text
 from tests.support.commands import answer
 from tests.support.html_page import Page
@@ -66,7 +66,7 @@ DOCUMENT = Document(
 def test_a_document() -> None:
     report = Report(text("report"), (DOCUMENT,))
     assert (
-        markdown(report)
+        write_markdown(report)
         == """\
 ### ❌ FAILS v3
 
@@ -111,7 +111,7 @@ def test_a_document() -> None:
 
 
 def test_where_several_are_compared_each_is_told_in_short() -> None:
-    shown = markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
+    shown = write_markdown(Report(text("report"), (DOCUMENT, DOCUMENT), (TABLE,)))
     assert shown.count("Motor torques") == 1
     assert shown.count("### ❌ FAILS v3") == 2
 
@@ -152,7 +152,7 @@ def test_no_name_acts(name: str) -> None:
         Listing(said, name, "diff"),
     )
     evil = Document(said, said, blocks, True, said, told=(said,), notes=(said,))
-    shown = markdown(Report(said, (replace(evil, passed=False),)))
+    shown = write_markdown(Report(said, (replace(evil, passed=False),)))
     # What is between fences and ticks is shown letter by letter.
     outside = re.sub(r"```diff\n.*?```|` .*? `", "", shown, flags=re.S)
     plain = re.sub(r"\\[\\`*_\[\]<>#|~&$]", "", outside)
@@ -168,9 +168,9 @@ def test_no_name_acts(name: str) -> None:
 def test_a_comment_has_room_for_it() -> None:
     rows = tuple((Name("x" * 500), Number("1", 1.0), Name("")) for _ in range(3 * MOST_ROWS))
     long = replace(TABLE, rows=rows)
-    shown = markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,)),)))
+    shown = write_markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,)),)))
     assert f"*{2 * MOST_ROWS} more rows: `--json` has them.*" in shown
-    shown = markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
+    shown = write_markdown(Report(text("report"), (replace(DOCUMENT, blocks=(long,) * 3),)))
     assert len(shown) < MOST_LETTERS
     assert shown.startswith("### ❌ FAILS v3\n\n- **it fell over**")
     assert "`--json` has all numbers" in shown

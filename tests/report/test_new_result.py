@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import catalogue
 from pupper_analysis.report import documents
-from pupper_analysis.report.documents.registry import document, report
+from pupper_analysis.report.documents.registry import build_report, document
 from pupper_analysis.report.figures.drawing import plot_figure
 from pupper_analysis.report.html.write import write_report
-from pupper_analysis.report.markdown import markdown
+from pupper_analysis.report.markdown import write_markdown
 from pupper_analysis.report.plots import LinePlot
 from pupper_analysis.results import Result
 from tests.support import printing
@@ -55,7 +55,7 @@ WORDS = {
 IMPORTS = """
 from tests.report.test_new_result import FootWear
 from pupper_analysis.report import document as doc, plots
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 """
@@ -70,12 +70,12 @@ def wear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FootWear]:
     assert path == "report/documents/foot_wear.py"
     (tmp_path / f"{name}.py").write_text(f"from __future__ import annotations\n{IMPORTS}\n{code}")
     monkeypatch.setattr(documents, "__path__", [*documents.__path__, str(tmp_path)])
-    known = catalogue.lines("texts.toml")
+    known = catalogue.list_entries("texts.toml")
     entries = {key: f'{{ en = "{en}", zh = "{zh}" }}' for key, (en, zh) in WORDS.items()}
     both = MappingProxyType({**known, **entries})
-    real = catalogue.lines
+    real = catalogue.list_entries
     monkeypatch.setattr(
-        catalogue, "lines", lambda file: both if file == "texts.toml" else real(file)
+        catalogue, "list_entries", lambda file: both if file == "texts.toml" else real(file)
     )
     time = np.array([0.0, 10.0, 20.0])
     rates = {"FL": 0.25, "RR": 0.75}
@@ -89,7 +89,7 @@ def test_one_builder_shows_it_everywhere(wear: FootWear, tmp_path: Path) -> None
     assert re.search(
         r"Wear of the feet\n +wear\nfoot +\(mm/h\)\n─+\nFL +0\.25\nRR +0\.75\n", terminal
     )
-    said = markdown(report([("", wear)]))
+    said = write_markdown(build_report([("", wear)]))
     assert "### ✅ LASTS v9" in said
     assert "| foot | wear (mm/h) |\n| :--- | ---: |\n| FL | 0.25 |\n| RR | 0.75 |" in said
     write_report(wear, tmp_path / "wear.html")

@@ -20,7 +20,7 @@ from pupper_analysis.report.documents.path_there import path_document
 from pupper_analysis.report.documents.pushed_stance import push_document
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.plots import LinePlot
-from pupper_analysis.report.words import english
+from pupper_analysis.report.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge
 from pupper_analysis.stance.optimize.best import Objective
@@ -63,7 +63,9 @@ def test_what_is_compared_is_what_is_meant() -> None:
             "stand": Stub(task=Stub(height=0.1234)),
         }
     )
-    found = vars(comparison.compare(stub, "v3", comparison.RatioReference(1.5, 0.05, 0.045)))
+    found = vars(
+        comparison.compare_with_base(stub, "v3", comparison.RatioReference(1.5, 0.05, 0.045))
+    )
     assert {key: value for key, value in found.items() if not isinstance(value, float)} == {
         "name": "stub",
         "base": "v3",
@@ -191,7 +193,7 @@ def test_motors_without_a_limit_are_named() -> None:
 
 def test_the_rest_of_a_best_stance_is_the_stance_s_own() -> None:
     shown, alone = best_document(best()), stance_document(stance())
-    titles = [[english(one.title) for one in document.blocks if isinstance(one, Table)]
+    titles = [[in_english(one.title) for one in document.blocks if isinstance(one, Table)]
               for document in (shown, alone)]  # fmt: skip
     assert set(titles[1]) < set(titles[0])
     assert shown.told[1:] == alone.told

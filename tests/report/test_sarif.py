@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.report.sarif import SarifResult, SarifRule, from_root, sarif
+from pupper_analysis.report.sarif import SarifResult, SarifRule, from_root, write_sarif
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -62,7 +62,7 @@ def result(**values: Any) -> SarifResult:
 
 
 def test_a_result() -> None:
-    run = checked_log(sarif([result(rule=SarifRule("audit/mass", "A mass"), known=True)]))
+    run = checked_log(write_sarif([result(rule=SarifRule("audit/mass", "A mass"), known=True)]))
     assert run["tool"]["driver"]["rules"] == [
         {"id": "audit/mass", "shortDescription": {"text": "A mass"}}
     ]
@@ -87,12 +87,12 @@ def test_a_result() -> None:
 
 def test_nothing_found_is_a_log_all_the_same() -> None:
     """With it code scanning closes what it has shown before."""
-    assert checked_log(sarif([]))["results"] == []
+    assert checked_log(write_sarif([]))["results"] == []
 
 
 def test_levels_rules_and_states() -> None:
     run = checked_log(
-        sarif(
+        write_sarif(
             [
                 result(level="notice", known=False),
                 result(level="warning", rule=SarifRule("b"), line=None),
@@ -112,7 +112,7 @@ def test_levels_rules_and_states() -> None:
 
 def test_a_fingerprint_is_of_the_subject_not_of_its_line_or_numbers() -> None:
     def print_of(**values: Any) -> str:
-        found = checked_log(sarif([result(**values)]))["results"][0]
+        found = checked_log(write_sarif([result(**values)]))["results"][0]
         return str(found["partialFingerprints"])
 
     assert print_of(line=9, message="too light", level="warning") == print_of()
@@ -125,7 +125,7 @@ TEXT = st.text(st.characters(codec="utf-8"), max_size=20)
 
 @given(message=TEXT, subject=TEXT, name=st.text("ab:?#%ä ", min_size=1, max_size=8))
 def test_names_of_files_are_quoted_and_read_back(message: str, subject: str, name: str) -> None:
-    text = sarif([result(message=message, subject=subject, file=f"x/{name}.urdf")] * 2)
+    text = write_sarif([result(message=message, subject=subject, file=f"x/{name}.urdf")] * 2)
     run = checked_log(text)
     for one in run["results"]:
         assert one["message"]["text"] == message
@@ -156,7 +156,7 @@ def test_paths_are_relative_to_the_checkout(
 
 
 def test_outside_the_checkout_it_is_a_whole_uri(tmp_path: Path) -> None:
-    run = checked_log(sarif([result(file=str(tmp_path / "a b.urdf"))]))
+    run = checked_log(write_sarif([result(file=str(tmp_path / "a b.urdf"))]))
     uri = run["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]["uri"]
     assert uri == (tmp_path / "a b.urdf").as_uri()
 
@@ -184,7 +184,7 @@ def test_names_in_messages_are_no_links() -> None:
     """Source: SARIF 2.1.0, 3.11.6; in a viewer "[click](address)" would be one."""
     name = r"[click](javascript:alert(1)) a\b"
     log = checked_log(
-        sarif([SarifResult(SarifRule("r"), "error", f"joint {name}", name, "a.urdf", 1)])
+        write_sarif([SarifResult(SarifRule("r"), "error", f"joint {name}", name, "a.urdf", 1)])
     )
     text = log["results"][0]["message"]["text"]
     assert text == r"joint \[click\](javascript:alert(1)) a\\b"

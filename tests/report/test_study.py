@@ -13,11 +13,11 @@ import pandas as pd
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.report.html.maps import MOST_LINES, colour
+from pupper_analysis.report.html.maps import MOST_LINES, colour_of_share
 from pupper_analysis.study.cells import Cells
 from pupper_analysis.study.outcome import main_effects
 from pupper_analysis.study.sensitivity import LinearShares, SobolIndices
-from pupper_analysis.study.tolerance import Certainty, Tolerance, chance
+from pupper_analysis.study.tolerance import Certainty, Tolerance, probability_interval
 from tests.report.test_html import EVIL, written
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
@@ -45,9 +45,14 @@ def full() -> pa.study.StudyOutcome:
     linear = LinearShares(
         "servo_sag", {"kp": 1.0}, {"leg_scale": 0.123, "kp": 0.456, "height": 0.421}, 0.1
     )
-    sure = Certainty(chance(90, 100), {"knee": chance(80, 100)}, chance(70, 100), chance(60, 100))
+    sure = Certainty(
+        probability_interval(90, 100),
+        {"knee": probability_interval(80, 100)},
+        probability_interval(70, 100),
+        probability_interval(60, 100),
+    )
     spreads = {"kp": {"normal": [7.0, 0.25]}}
-    tolerance = Tolerance(0.375, spreads, chance(199, 200), {1.0: 0.5, 0.375: 0.995},
+    tolerance = Tolerance(0.375, spreads, probability_interval(199, 200), {1.0: 0.5, 0.375: 0.995},
                           {"stands": ("kp",)}, ("friction",))  # fmt: skip
     return replace(outcome(), sobol=(sobol,), linear=(linear,), certainty=sure, tolerance=tolerance)
 
@@ -200,8 +205,8 @@ def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
     means = soft.sort_values(["height", "leg_scale"])["peak_utilisation"].to_numpy()
     assert fills[6:] == [None] * 3  # out of reach
     inside = means[:6]
-    assert fills[int(np.argmin(inside))] == colour(0.0) == "#440154"
-    assert fills[int(np.argmax(inside))] == colour(1.0) == "#fde725"
+    assert fills[int(np.argmin(inside))] == colour_of_share(0.0) == "#440154"
+    assert fills[int(np.argmax(inside))] == colour_of_share(1.0) == "#fde725"
     (line,) = [one for one in svg.iter("polyline") if one.get("class") == "unseen"]
     labels = line.get("data-labels").split("|")
     assert labels[0] == f"leg_scale 0.8, height 0.12: {means[0]:.4g}"

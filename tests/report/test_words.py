@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import pytest
 
 from pupper_analysis.diagnostics import LANGUAGES, phrase
-from pupper_analysis.diagnostics.catalogue import LINED, lines
+from pupper_analysis.diagnostics.catalogue import LINED, list_entries
 from pupper_analysis.report.document import Name
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.study.measures import MEASURES
 from tests.diagnostics.test_diagnostic import CATALOGUE, HAN, made_calls, uses, written
 
@@ -46,7 +46,7 @@ def said() -> Iterator[tuple[str, str, set[str] | None]]:
 def test_files_with_a_line_per_entry_are_what_toml_reads() -> None:
     assert LINED[:2] == ("terms.toml", "texts.toml")
     for file, words in zip(LINED, (TERMS, TEXTS), strict=False):
-        assert set(lines(file)) == set(words)
+        assert set(list_entries(file)) == set(words)
     assert set(TEXTS).isdisjoint(TERMS)
     assert list(TERMS) == sorted(TERMS), "terms are in alphabetical order"
 
@@ -83,7 +83,7 @@ def test_a_text_that_is_not_there_is_refused() -> None:
 def test_words_are_filled_in_in_their_language() -> None:
     told = text("force-axis", axis=text("roll"))
     assert (told.en, told.zh) == ("force roll", "力 横滚")
-    listed = joined([text("mass"), Name("com {x}")])
+    listed = join_words([text("mass"), Name("com {x}")])
     assert (listed.en, listed.zh) == ("mass, com {x}", "质量、com {x}")
 
 

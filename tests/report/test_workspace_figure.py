@@ -17,13 +17,13 @@ from tests.support.variants import load
 @pytest.mark.slow
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
-    save = style.save
+    save = style.save_figure
 
     def keep(figure: Figure, path: Path) -> None:
         drawn.append(figure)
         save(figure, path)
 
-    monkeypatch.setattr(style, "save", keep)
+    monkeypatch.setattr(style, "save_figure", keep)
     robot = load("v3")
     workspace = pa.stance.base_workspace(robot, pa.StandTask(ground=pa.Ground(0.1), pitch=-0.1))
     workspace_figure.workspace_figure(robot, workspace, tmp_path / "workspace.png")

@@ -65,11 +65,11 @@ def test_named_modules_are_there() -> None:
 
 
 def test_documents_name_sections_that_are_there() -> None:
-    """``page("explanation/statics.md", "Which of them last")``: what a report gives as a source."""
+    """A report gives them as sources: ``page_of("explanation/statics.md", "Which of them")``."""
     named = [
         pair
         for path in (PACKAGE / "report").rglob("*.py")
-        for pair in re.findall(r'\bpage\("([^"]+)",\s*"([^"]+)"\)', path.read_text())
+        for pair in re.findall(r'\bpage_of\("([^"]+)",\s*"([^"]+)"\)', path.read_text())
     ]
     assert len(named) > 10
     for name, heading in named:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.diagnostics.record import record, restored
+from pupper_analysis.diagnostics.record import from_record, to_record
 from pupper_analysis.stance.demands import (
     DEMANDS,
     differ,
@@ -228,4 +228,4 @@ def test_a_refusal_says_what_was_asked_in_both_languages() -> None:
     assert "高度 0.4000 m" in chinese
     assert "FL 抬起 20 mm" in chinese
     assert "height" not in chinese
-    assert restored(record(told)).text("zh") == chinese
+    assert from_record(to_record(told)).text("zh") == chinese

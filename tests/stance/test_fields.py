@@ -17,7 +17,7 @@ from pupper_analysis import cli
 from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.live import export
 from pupper_analysis.live.sliders import CONTROLS, ranges_of
-from pupper_analysis.live.state import State, halfway, parse
+from pupper_analysis.live.state import State, halfway_state, parse_state
 from pupper_analysis.pupper.live import Variants
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.results import to_json
@@ -140,9 +140,9 @@ def test_each_is_in_a_pages_state_and_its_address(field: Field) -> None:
     state = state_with(field)
     assert near(state.task().values()[field.name], asked(field))
     assert state != State()
-    assert parse(str(state)) == state
+    assert parse_state(str(state)) == state
     assert state.with_task(state.task()) == state
-    half = halfway(State(place=state.place), state)
+    half = halfway_state(State(place=state.place), state)
     if not field.open:  # who is not lifted is not half lifted, and no height is the robot's own
         assert half is not None
         assert half.having(**{field.name: getattr(state, field.name)}) == state
@@ -167,10 +167,12 @@ def test_each_has_sliders_with_words_and_a_range(field: Field) -> None:
 def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
     state = state_with(field)
     source = Variants(pa.VARIANTS["v3"])
-    task = next(line for line in export.python(source, state).splitlines() if "StandTask" in line)
+    task = next(
+        line for line in export.write_python(source, state).splitlines() if "StandTask" in line
+    )
     made = eval(task.removeprefix("task = "), {"pa": pa, "math": math})
     assert near(made.values()[field.name], asked(field))
-    words = shlex.split(export.command(source, state))[2:]
+    words = shlex.split(export.write_command(source, state))[2:]
     context = cli.group.commands["stand"].make_context("stand", words)
     typed = task_of({name: context.params[name] for name in TYPED})
     assert near(typed.values()[field.name], asked(field))

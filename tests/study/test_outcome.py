@@ -18,18 +18,18 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.report.figures import study as figures
-from pupper_analysis.study.cells import Cells, mean_map, panels
+from pupper_analysis.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.randomisation import write_randomisation
-from pupper_analysis.study.search import optimise
+from pupper_analysis.study.search import optimise_study
 from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
 from pupper_analysis.study.tolerance import (
     certainty,
-    chance,
-    narrowed,
+    narrow_study,
+    probability_interval,
     tightest_tolerance,
 )
 from tests.support import study_measures
@@ -120,11 +120,11 @@ def test_a_panel_for_each_value_of_another_variable_and_hatched_means_of_more(
     """Where z = 2 all of y > 1 fail: beside the panel of z = 1; or in a mean, which is hatched."""
     other = table.assign(z=2.0, m=np.where(table["y"] > 1, np.nan, table["m"]))
     both = pd.concat([table.assign(z=1.0), other], ignore_index=True)
-    shown = panels(both, ["x", "y", "z"], "x", "y")
+    shown = split_panels(both, ["x", "y", "z"], "x", "y")
     assert [panel.fixed for panel in shown] == [{"z": 1.0}, {"z": 2.0}]
     assert not any(mean_map(one.table, "x", "y", "m").partial.any() for one in shown)
     many = both.assign(z=np.arange(len(both), dtype=float))
-    (whole,) = panels(many, ["x", "y", "z"], "x", "y")
+    (whole,) = split_panels(many, ["x", "y", "z"], "x", "y")
     assert whole.averaged == ("z",)
     found = mean_map(whole.table, "x", "y", "m")
     assert found.partial.tolist() == [[False] * 4, [True] * 4, [False] * 4]
@@ -282,7 +282,7 @@ def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:
 
 @pytest.mark.parametrize(("there", "designs"), [(0, 20), (19, 20), (20, 20), (990, 1000)])
 def test_confidence_is_wilsons(there: int, designs: int) -> None:
-    found = chance(there, designs)
+    found = probability_interval(there, designs)
     known = stats.binomtest(there, designs).proportion_ci(0.95, "wilson")
     assert (found.low, found.high) == pytest.approx((known.low, known.high), abs=1e-12)
     assert found.probability == there / designs
@@ -312,7 +312,7 @@ def test_spreads_are_narrowed_about_their_means() -> None:
         "kd": pa.study.log_uniform(0.1, 10),
         "slope": [0.0, 0.1],
     }
-    study = narrowed(pa.Study("v3", vary, ["sag"], samples=4), 0.5)
+    study = narrow_study(pa.Study("v3", vary, ["sag"], samples=4), 0.5)
     assert study.variables["kp"] == pa.study.normal(5, 0.25)
     assert study.variables["payload"].range == pytest.approx((0.3, 0.5))
     assert study.variables["kd"].range == pytest.approx((math.sqrt(0.1), math.sqrt(10)))
@@ -536,7 +536,7 @@ def test_a_search_finds_what_a_grid_finds(tmp_path: Path, thread: Executor) -> N
 
 @pytest.mark.longest
 def test_a_search_of_two_measures_gives_a_front(tmp_path: Path, thread: Executor) -> None:
-    found = optimise(
+    found = optimise_study(
         searched(),
         tmp_path,
         minimise=["servo_sag"],

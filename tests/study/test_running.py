@@ -189,7 +189,7 @@ def test_of_other_versions_no_result_is_taken(
 ) -> None:
     made = study()
     work = made.work()
-    monkeypatch.setattr("pupper_analysis.study.worker.versions", lambda: {"mujoco": "3.9"})
+    monkeypatch.setattr("pupper_analysis.study.worker.list_versions", lambda: {"mujoco": "3.9"})
     monkeypatch.setattr(made, "work", lambda: work)
     with pytest.raises(pa.StudyError, match=r"other versions.*mujoco 3.9 \(here 4"):
         made.run(tmp_path, executor=threads)

@@ -21,10 +21,10 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.named import Named, joints_of
-from pupper_analysis.study.numbers import plain, scaled, with_friction, with_gains
+from pupper_analysis.study.numbers import scale_robot, with_friction, with_gains, without_visuals
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.table import names_of
-from pupper_analysis.study.variables import variable
+from pupper_analysis.study.variables import make_variable
 from tests.support import study_measures
 from tests.support.commands import answer
 from tests.support.repository import ROOT
@@ -98,11 +98,11 @@ def test_plain_data_says_the_same() -> None:
         pa.study.uniform(1, 2),
         pa.study.normal(1, 2),
     ):
-        assert variable("x", made.asked()) == made
-    assert variable("x", [5, 10]) == pa.study.values([5, 10])
-    assert variable("x", 7) == pa.study.values([7])
+        assert make_variable("x", made.asked()) == made
+    assert make_variable("x", [5, 10]) == pa.study.values([5, 10])
+    assert make_variable("x", 7) == pa.study.values([7])
     with pytest.raises(pa.ConfigurationError) as refused:  # three values, or a range and a count?
-        variable("x", {"grid": [0.8, 1.4, 3]})
+        make_variable("x", {"grid": [0.8, 1.4, 3]})
     for meant in ("{values = [0.8, 1.4, 3]}", "{linspace = [0.8, 1.4, 3]}"):
         assert meant in str(refused.value)
     for wrong in (
@@ -115,7 +115,7 @@ def test_plain_data_says_the_same() -> None:
         None,
     ):
         with pytest.raises(pa.ConfigurationError, match="vary"):
-            variable("x", wrong)
+            make_variable("x", wrong)
 
 
 # ----------------------------------------------------------------------------- designs
@@ -337,7 +337,7 @@ FACTORS = {"mass:leg_front_l_3": 1.3, "inertia:*_2": 1.2, "armature:*_1": 2.0, "
 def test_factors_are_in_both_files_alike() -> None:
     """Both engines' dynamics agree afterwards; and the numbers are what was asked for."""
     before = load("v3")
-    after = scaled(before, FACTORS)
+    after = scale_robot(before, FACTORS)
     assert pa.cross_check(after, configurations=3).passed
     names = list(before.joint_names)
     knee = before.mj_model.jnt_bodyid[before.mj_model.joint("leg_front_l_3").id]
@@ -366,7 +366,7 @@ def test_coms_move_in_both_files_alike(name: str, axis: int) -> None:
     for joint in ("", shin):
         link = before.base if not joint else shin
         offset = 0.01 * np.eye(3)[axis]
-        after = scaled(before, {f"com_{'xyz'[axis]}:{link}": 0.01})
+        after = scale_robot(before, {f"com_{'xyz'[axis]}:{link}": 0.01})
         assert pa.cross_check(after, configurations=2).passed
         qpos = before.neutral().copy()
         qpos[3:7] = np.array([0.8, 0.3, -0.4, 0.33]) / np.linalg.norm([0.8, 0.3, -0.4, 0.33])
@@ -397,7 +397,7 @@ def test_coms_move_where_the_files_masses_differ() -> None:
     spec = robot.description.mjcf.copy()
     spec.body(robot.mj_base).mass *= 1.1
     heavier = rebuilt(robot, mjcf=spec)
-    after = scaled(heavier, {f"com_y:{robot.base}": 0.01})
+    after = scale_robot(heavier, {f"com_y:{robot.base}": 0.01})
     at = heavier.mj_model.body(heavier.mj_base).id
     moved = after.mj_model.body_ipos[at] - heavier.mj_model.body_ipos[at]
     assert np.linalg.norm(moved) == pytest.approx(0.01)
@@ -421,11 +421,13 @@ def test_offsets_of_coms_are_numbers_of_a_study() -> None:
     back = moved.stand.qpos[0] - still.stand.qpos[0]
     assert -0.03 < back < -0.5 * share * 0.02
     assert moved.stand.com_margin == pytest.approx(still.stand.com_margin, abs=1e-9)
-    assert scaled(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
+    assert (
+        scale_robot(before, {name: 0.01, f"mass:{before.base}": 1.5}).total_mass > before.total_mass
+    )
     with pytest.raises(pa.ConfigurationError, match="no parameter of a model"):
         study({"com_w:base": [0.0]})
     with pytest.raises(pa.ConfigurationError, match="offset of nan"):
-        scaled(before, {name: math.nan})
+        scale_robot(before, {name: math.nan})
 
 
 def test_each_has_a_factor_of_its_own() -> None:
@@ -442,7 +444,7 @@ def test_each_has_a_factor_of_its_own() -> None:
     assert next(again.designs())[0] == names
     numbers = dict(zip(asked.variables, points[0], strict=True))
     assert len(set(numbers.values())) == 20
-    before, after = load("v3"), scaled(load("v3"), numbers)
+    before, after = load("v3"), scale_robot(load("v3"), numbers)
     for name, factor in numbers.items():
         kind, _, which = name.partition(":")
         if kind == "effort":
@@ -462,10 +464,10 @@ def test_each_has_a_factor_of_its_own() -> None:
 
 def test_the_base_has_factors_by_either_name() -> None:
     before = load("original")
-    after = scaled(before, {f"mass:{before.base}": 1.5})
+    after = scale_robot(before, {f"mass:{before.base}": 1.5})
     torso = float(before.pin_model.inertias[1].mass)
     assert after.total_mass - before.total_mass == pytest.approx(0.5 * torso)
-    twice = scaled(before, {f"mass:{before.base}": 1.5, f"mass:{before.mj_base}*": 2.0})
+    twice = scale_robot(before, {f"mass:{before.base}": 1.5, f"mass:{before.mj_base}*": 2.0})
     assert twice.total_mass - before.total_mass == pytest.approx(2.0 * torso)
     assert pa.cross_check(twice, configurations=2).passed
 
@@ -491,7 +493,7 @@ def test_what_is_only_looked_at_makes_no_difference() -> None:
     from pupper_analysis.robot.build import rebuilt
 
     robot, stand = load("v3"), stand_of("v3")
-    bare = rebuilt(robot, mjcf=plain(robot.description).mjcf)
+    bare = rebuilt(robot, mjcf=without_visuals(robot.description).mjcf)
     assert bare.mj_model.nmesh == 0 < robot.mj_model.nmesh
     assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
     simulated = [pa.verify_stand(one, stand, duration=2.0).base_height for one in (bare, robot)]

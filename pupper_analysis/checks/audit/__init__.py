@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
 from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
 from pupper_analysis.checks.audit.result import Audit, Finding
@@ -29,7 +29,7 @@ from pupper_analysis.robot_model.usd import read_usd_model
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 
 
-@checked
+@check_arguments
 def audit_model(
     path: str | Path,
     *,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.attribution import EXPLAINED
 from pupper_analysis.checks.changes import changes_between, patched_with
 from pupper_analysis.checks.convention_changes import convention_changes
@@ -92,7 +92,7 @@ class ModelDiff(Result):
     notes: tuple[Diagnostic, ...]
 
 
-@checked
+@check_arguments
 @quiet()
 def diff_models(
     old: str | Path,

@@ -10,13 +10,13 @@ from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import load_blocks, origins_text, view_block
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.simulated import (
     motions_of,
     simulation_blocks,
     sweep_blocks,
 )
-from pupper_analysis.report.documents.sources import files, is_derived, joint_places, page
+from pupper_analysis.report.documents.sources import files_text, is_derived, joint_places, page_of
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.verdict import verdict_lines
 from pupper_analysis.report.words import text, word
@@ -24,7 +24,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 
 
-@build.register(Analysis)
+@build_document.register(Analysis)
 def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Document:
     """Returns all that was found out about one robot; see ``build``."""
     runs = (analysis.verification, analysis.sagging)
@@ -117,7 +117,7 @@ def _surprises(analysis: Analysis) -> Iterable[doc.Words]:
 
 
 def _millimetre_digits(length: float) -> str:
-    return doc.number(length, ".2f", scale=1e3).text
+    return doc.number_cell(length, ".2f", scale=1e3).text
 
 
 def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
@@ -129,14 +129,14 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
                 nv=analysis.nv,
                 nu=analysis.nu,
                 mass=f"{analysis.total_mass:.3f}",
-                com=doc.vector(analysis.center_of_mass, "+.4f"),
+                com=doc.vector_cell(analysis.center_of_mass, "+.4f"),
             ),
             text(
                 "thigh-thigh-calf-calf",
                 thigh=_millimetres(analysis.thigh_length),
                 calf=_millimetres(analysis.calf_length),
             ),
-            files(robot),
+            files_text(robot),
         )
     )
     yield _joints(analysis, robot)
@@ -147,10 +147,11 @@ def _structure(analysis: Analysis, robot: Robot | None) -> Iterable[doc.Block]:
             doc.Column(text("mass"), "kg"),
         ),
         tuple(
-            (doc.Name(name), doc.number(mass, ".3f")) for name, mass in analysis.link_masses.items()
+            (doc.Name(name), doc.number_cell(mass, ".3f"))
+            for name, mass in analysis.link_masses.items()
         ),
         (text("fixed-links-are-counted"),),
-        (files(robot), page("explanation/statics.md", "Scaling a robot")),
+        (files_text(robot), page_of("explanation/statics.md", "Scaling a robot")),
     )
 
 
@@ -162,11 +163,11 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         cells: list[doc.Cell] = [
             doc.Name(joint.name),
             word(joint.motion),
-            doc.vector(joint.axis, "+.2f" if joint.oblique else "+.0f"),
-            doc.number(joint.lower, "+.2f"),
-            doc.number(joint.upper, "+.2f"),
+            doc.vector_cell(joint.axis, "+.2f" if joint.oblique else "+.0f"),
+            doc.number_cell(joint.lower, "+.2f"),
+            doc.number_cell(joint.upper, "+.2f"),
             *(
-                doc.number(value, "g")
+                doc.number_cell(value, "g")
                 for value in (
                     joint.effort,
                     joint.velocity,
@@ -205,7 +206,7 @@ def _joints(analysis: Analysis, robot: Robot | None) -> doc.Table:
         (*notes, text("effort-origins", origins=origins_text(origins))),
         (
             text("source-joints"),
-            page("reference/conventions.md", "Coordinates"),
+            page_of("reference/conventions.md", "Coordinates"),
         ),
     )
 
@@ -226,11 +227,14 @@ def _stand(analysis: Analysis) -> doc.Block:
     return doc.Table(
         text("errors-of-the-solved-stand", count=stand.iterations),
         quantity_columns(of="deviation"),
-        tuple((text(name), doc.number(value, ".1e"), doc.Name(unit)) for name, unit, value in rows),
+        tuple(
+            (text(name), doc.number_cell(value, ".1e"), doc.Name(unit))
+            for name, unit, value in rows
+        ),
         (task_text(stand.task),),
         (
             text("source-stand"),
-            page("explanation/verification.md", "Random stances"),
+            page_of("explanation/verification.md", "Random stances"),
         ),
     )
 
@@ -239,9 +243,9 @@ def _jacobians(analysis: Analysis) -> doc.Block:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(foot),
-            *(doc.vector(row, "+.4f") for row in jacobian.matrix),
-            doc.vector(jacobian.singular_values, ".4f"),
-            doc.number(jacobian.condition, ".2f"),
+            *(doc.vector_cell(row, "+.4f") for row in jacobian.matrix),
+            doc.vector_cell(jacobian.singular_values, ".4f"),
+            doc.number_cell(jacobian.condition, ".2f"),
         )
         for foot, jacobian in analysis.foot_jacobians.items()
     ]
@@ -257,7 +261,7 @@ def _jacobians(analysis: Analysis) -> doc.Block:
         (),
         (
             text("source-jacobians"),
-            page("reference/conventions.md", "Frames and feet"),
+            page_of("reference/conventions.md", "Frames and feet"),
         ),
     )
 
@@ -272,8 +276,8 @@ def _check(analysis: Analysis) -> doc.Block:
                 word(quantity.name),
                 doc.Name("" if exact else quantity.where),
                 doc.Name("" if exact else quantity.whose),
-                doc.number(quantity.scale, ".3g"),
-                doc.number(quantity.deviation, ".1e"),
+                doc.number_cell(quantity.scale, ".3g"),
+                doc.number_cell(quantity.deviation, ".1e"),
                 doc.Name(quantity.unit),
                 doc.Number(f"{quantity.relative:.1e}", quantity.relative),
                 text("ok") if quantity.passed else text("differs").marked("bad"),
@@ -299,6 +303,6 @@ def _check(analysis: Analysis) -> doc.Block:
         tuple(map(doc.tell, check.notes)),
         (
             text("source-cross-check"),
-            page("explanation/models.md", "The square"),
+            page_of("explanation/models.md", "The square"),
         ),
     )

@@ -10,9 +10,9 @@ from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity
 from pupper_analysis.checks.audit.registry import FORMATS
 from pupper_analysis.diagnostics import LANGUAGES, Diagnostic, term
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.documents.sources import page, quoted
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.documents.sources import page_of, quote_line
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 
 MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
@@ -22,7 +22,7 @@ SHOWN = 40
 """Groups of findings that are shown with their lines; the table has them all."""
 
 
-@build.register(Audit)
+@build_document.register(Audit)
 def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
     """Returns what is wrong in one file; see ``build``."""
     counts = [
@@ -42,7 +42,7 @@ def audit_document(audit: Audit, _: Robot | None = None) -> doc.Document:
         passed=audit.passed,
         verdict=passed if audit.passed else text("audit-errors"),
         warned=audit.passed and suspect,
-        told=(joined([*counts, rules]),),
+        told=(join_words([*counts, rules]),),
         notes=tuple(map(doc.tell, audit.notes)),
     )
 
@@ -74,12 +74,12 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
     """Returns findings of which only the element is another."""
     first, *others = group
     told = doc.tell(first.diagnostic)
-    said = text("element-message", element=element(first.diagnostic), message=told)
+    said = text("element-message", element=element_text(first.diagnostic), message=told)
     if others:
-        names = joined(element(other.diagnostic) for other in others)
+        names = join_words(element_text(other.diagnostic) for other in others)
         said = text("finding-likewise-names", finding=said, names=names)
     place, path = _place(first)
-    quote = doc.Name(quoted(path, audit.file))
+    quote = doc.Name(quote_line(path, audit.file))
     tag = text(
         "severity-rule",
         severity=word(str(first.severity)),
@@ -93,7 +93,7 @@ def rule_words(rule: str, what: str) -> doc.Text:
     return doc.Text(getattr(RULES[rule], what), RULES[rule].chinese[what])
 
 
-def element(finding: Diagnostic) -> doc.Text:
+def element_text(finding: Diagnostic) -> doc.Text:
     """Returns the element at fault: its kind, and its name if it has one."""
     subject = finding.subject
     assert subject is not None
@@ -112,7 +112,7 @@ def _findings(audit: Audit) -> doc.Table:
             doc.Number(str(order), order, MARKS[one.severity]),
             word(str(one.severity)),
             doc.Name(_place(one)[0]),
-            element(one.diagnostic),
+            element_text(one.diagnostic),
             doc.tell(one.diagnostic),
             doc.Name(one.rule),
             rule_words(one.rule, "title"),
@@ -132,7 +132,7 @@ def _findings(audit: Audit) -> doc.Table:
         ),
         tuple(rows),
         (),
-        (page("explanation/models.md", "The audit"),),
+        (page_of("explanation/models.md", "The audit"),),
         detail=True,
     )
 

@@ -7,7 +7,7 @@ import math
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.words import text
@@ -15,14 +15,14 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 
 
-@build.register(BaseWorkspace)
+@build_document.register(BaseWorkspace)
 def workspace_document(workspace: BaseWorkspace, robot: Robot | None = None) -> doc.Document:
     """Returns how far a base can go; see ``build``."""
     rows: list[tuple[doc.Cell, ...]] = []
     for direction, interval in workspace.intervals.items():
         angle = direction in ("roll", "pitch", "yaw")
         scale = math.degrees(1.0) if angle else 1e3
-        ends = (doc.number(end, "+.1f", scale=scale) for end in (interval.low, interval.high))
+        ends = (doc.number_cell(end, "+.1f", scale=scale) for end in (interval.low, interval.high))
         rows.append((text(direction), *ends, doc.Name("°" if angle else "mm")))
     table = doc.Table(
         text("how-far-the-base"),

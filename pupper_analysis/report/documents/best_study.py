@@ -8,12 +8,12 @@ from dataclasses import replace
 from pupper_analysis.analysis.best import BestStudy
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loaded_stance import (
-    kilograms,
+    mass_text,
     payload_document,
     payload_table,
 )
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
@@ -27,7 +27,7 @@ _WHAT = {
 }
 
 
-@build.register(BestStudy)
+@build_document.register(BestStudy)
 def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     """Returns the best stance, how it was found, and what is found out about it; see ``build``."""
     found = stance_document(study.stance, robot)
@@ -53,7 +53,7 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
 
 
 def _search(best: BestStance) -> doc.Text:
-    values: tuple[object, object] = (kilograms(best.value), kilograms(best.nominal_value))
+    values: tuple[object, object] = (mass_text(best.value), mass_text(best.nominal_value))
     if best.objective is not Objective.PAYLOAD:
         unit = " m" if best.objective is Objective.MARGIN else ""
         values = (f"{best.value:.4g}{unit}", f"{best.nominal_value:.4g}{unit}")
@@ -71,7 +71,7 @@ def _coordinates(best: BestStance) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = []
     for name, value in best.coordinates.items():
         angle = name in ("roll", "pitch", "yaw")
-        cell = doc.number(value, "+.1f", scale=math.degrees(1.0) if angle else 1e3)
+        cell = doc.number_cell(value, "+.1f", scale=math.degrees(1.0) if angle else 1e3)
         rows.append((doc.Name(name), cell, doc.Name("°" if angle else "mm")))
     notes: tuple[doc.Words, ...] = ()
     if best.active:

@@ -25,10 +25,10 @@ from pupper_analysis.report.comparison import (
     first_to_mend,
     matching_notes,
 )
-from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.documents.sources import page, quoted
-from pupper_analysis.report.words import joined, text, word
-from pupper_analysis.results import short
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.documents.sources import page_of, quote_line
+from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.results import shorten
 from pupper_analysis.robot.robot import Robot
 
 _OVERLAY = "overlay-note"
@@ -49,7 +49,7 @@ GROUPED = 4
 """Elements of a group that are named; the table has them all."""
 
 
-@build.register(Comparison)
+@build_document.register(Comparison)
 def comparison_document(comparison: Comparison, _: Robot | None = None) -> doc.Document:
     """Returns what makes two files disagree; see ``build``."""
     causes, groups = by_cause(comparison)
@@ -114,7 +114,7 @@ def _likewise(group: list[Difference]) -> Iterable[doc.Words]:
     """Says of which else it is true."""
     if len(group) > 1:
         names = [doc.Name(difference.element) for difference in group[1 : GROUPED + 1]]
-        listed = joined(names)
+        listed = join_words(names)
         if len(group) > GROUPED + 1:
             listed = text("names", names=listed)
         yield text("likewise-on-count-more-names", count=len(group) - 1, names=listed)
@@ -129,8 +129,8 @@ def _sides(
         (difference.urdf_place, difference.urdf),
         (difference.mjcf_place, difference.mjcf),
     ):
-        line = quoted(place, *paths)
-        shown = doc.Name(line) if line else doc.Name(f"{short(value)} {difference.unit}")
+        line = quote_line(place, *paths)
+        shown = doc.Name(line) if line else doc.Name(f"{shorten(value)} {difference.unit}")
         named = doc.Name(_short(place)) if place else text("not-in-the-file")
         columns.append(doc.Place(named, shown, place or ""))
     made_of = map(doc.tell, difference.made_of)
@@ -148,7 +148,7 @@ def _differences(comparison: Comparison) -> doc.Table:
         effect = difference.weight[1]
         rows.append(
             (
-                doc.number(order, "g"),
+                doc.number_cell(order, "g"),
                 word(difference.kind),
                 doc.Name(difference.element),
                 _value(difference.urdf),
@@ -174,7 +174,7 @@ def _differences(comparison: Comparison) -> doc.Table:
         ),
         tuple(rows),
         (),
-        (page("explanation/models.md", "Effects, causes, order"),),
+        (page_of("explanation/models.md", "Effects, causes, order"),),
         detail=True,
     )
 
@@ -186,8 +186,8 @@ def _short(place: str | None) -> str:
 
 def _value(value: object) -> doc.Cell:
     if isinstance(value, float | int):
-        return doc.number(float(value), ".6g")
-    return doc.Name("-" if value is None else short(value))
+        return doc.number_cell(float(value), ".6g")
+    return doc.Name("-" if value is None else shorten(value))
 
 
 def _explained(comparison: Comparison) -> Iterable[doc.Words]:
@@ -208,7 +208,7 @@ def _explained(comparison: Comparison) -> Iterable[doc.Words]:
 def _deviation(relative: float | None, tolerance: float) -> doc.Number:
     """Returns a deviation as a cell, marked where it is more than is tolerated."""
     beyond = relative is not None and relative > tolerance
-    return doc.number(relative, ".1e", "bad" if beyond else "")
+    return doc.number_cell(relative, ".1e", "bad" if beyond else "")
 
 
 def _quantities(comparison: Comparison) -> doc.Table:
@@ -240,5 +240,5 @@ def _quantities(comparison: Comparison) -> doc.Table:
         ),
         tuple(rows),
         (text("engines-agree-on-each-file", worst=agree),) if hidden else (),
-        (page("explanation/models.md", "Why the list is complete"),),
+        (page_of("explanation/models.md", "Why the list is complete"),),
     )

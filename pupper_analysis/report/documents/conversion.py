@@ -7,12 +7,12 @@ from pathlib import Path
 
 from pupper_analysis.convert.conversion import Conversion
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 
 
-@build.register(Conversion)
+@build_document.register(Conversion)
 def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
     """Returns what became of a conversion; see ``build``."""
     blocks = []

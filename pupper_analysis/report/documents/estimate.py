@@ -6,13 +6,13 @@ import math
 import os
 
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.estimate import Estimate
 
 
-@build.register(Estimate)
+@build_document.register(Estimate)
 def estimate_document(
     expected: Estimate, _: Robot | None = None, workers: int | None = None
 ) -> doc.Document:
@@ -36,7 +36,7 @@ def estimate_document(
         ),
         text(
             "about-time-on-count-workers",
-            time=duration(expected.seconds(count)),
+            time=duration_text(expected.seconds(count)),
             count=count,
         ),
     ]
@@ -44,16 +44,16 @@ def estimate_document(
         told.append(
             text(
                 "not-timed",
-                names=joined(map(doc.Name, expected.left_out)),
+                names=join_words(map(doc.Name, expected.left_out)),
             )
         )
     if expected.failures:
-        kinds = joined(map(word, expected.failures))
+        kinds = join_words(map(word, expected.failures))
         told.append(text("timed-that-failed", kinds=kinds))
     return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(told))
 
 
-def duration(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """Returns a time as people say it."""
     if not math.isfinite(seconds):
         return "-"

@@ -8,17 +8,17 @@ from collections.abc import Iterable
 from pupper_analysis.analysis.payload import LoadedStance
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import view_block
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 
 _MORE = 1.001
 """Times what motors bear: legs that share a load bear more."""
 
 
-@build.register(LoadedStance)
+@build_document.register(LoadedStance)
 def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Document:
     """Returns what a stance can carry; see ``build``."""
     limit = payload_text(loaded)
@@ -51,7 +51,7 @@ def payload_text(loaded: LoadedStance) -> doc.Text:
     return text(
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in payload.point),
-        mass=kilograms(loaded.mass),
+        mass=mass_text(loaded.mass),
         failure=failure,
     )
 
@@ -75,13 +75,13 @@ def payload_table(loaded: LoadedStance) -> doc.Table:
             text(
                 "motors-without-effort-limit",
                 count=len(payload.unlimited),
-                joints=joined(map(doc.Name, payload.unlimited)),
+                joints=join_words(map(doc.Name, payload.unlimited)),
             )
         )
     return doc.Table(
         text("what-bounds-the-payload"),
         (doc.Column(text("bound"), left=True), doc.Column(text("payload"))),
-        tuple((text(name), kilograms(mass)) for name, mass in bounds),
+        tuple((text(name), mass_text(mass)) for name, mass in bounds),
         tuple(notes),
     )
 
@@ -93,10 +93,10 @@ def _buckling(loaded: LoadedStance) -> Iterable[doc.Table]:
     limit = loaded.payload.servos.mass
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.number(one.mass, ".2f"),
-            doc.number(one.mass / limit, ".2f"),
+            doc.number_cell(one.mass, ".2f"),
+            doc.number_cell(one.mass / limit, ".2f"),
             *(
-                doc.number(None if math.isinf(time) else time, ".3g")
+                doc.number_cell(None if math.isinf(time) else time, ".3g")
                 for time in (one.doubling_time, one.free_doubling_time)
             ),
         )
@@ -114,7 +114,7 @@ def _buckling(loaded: LoadedStance) -> Iterable[doc.Table]:
     )
 
 
-def kilograms(mass: float) -> doc.Words:
+def mass_text(mass: float) -> doc.Words:
     """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
     if math.isinf(mass):
         return text("no-limit")
@@ -126,7 +126,7 @@ def _trial(loaded: LoadedStance) -> Iterable[doc.Words]:
     trial = loaded.trial
     if trial is None:
         return
-    mass, seconds = kilograms(trial.mass), f"{trial.duration:g}"
+    mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
     if trial.failure is None:
         yield text(
             "simulated-with-mass",

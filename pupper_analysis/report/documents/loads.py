@@ -12,8 +12,8 @@ from typing import Any
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
-from pupper_analysis.report.documents.sources import page
-from pupper_analysis.report.words import joined, text
+from pupper_analysis.report.documents.sources import page_of
+from pupper_analysis.report.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
@@ -25,15 +25,15 @@ BUSY, FULL = 0.9, 1.0
 """Motor utilisation from which it is marked: little is left for a push, or nothing."""
 
 
-def utilisation(share: float, limit: float = math.inf) -> doc.Number:
+def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
     """Returns a share of a motor's limit as a cell with a bar; a dash where there is no limit."""
     if limit == 0 or not (math.isfinite(share) and math.isfinite(limit)):
-        return doc.number(None, "")
+        return doc.number_cell(None, "")
     mark = "bad" if share > FULL else "warn" if share > BUSY else ""
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
-def proof(verification: StandVerification) -> doc.Text:
+def proof_text(verification: StandVerification) -> doc.Text:
     """Returns how predicted torques and forces are verified."""
     return text(
         "source-verified",
@@ -63,8 +63,8 @@ def load_blocks(
     """
     source = (
         text("source-torques"),
-        page("explanation/statics.md", "Standing is not hanging"),
-        proof(verification),
+        page_of("explanation/statics.md", "Standing is not hanging"),
+        proof_text(verification),
     )
     notes = (
         text("torque-distributions", peak=f"{minimum_peak.motor_utilisation.max():.1%}"),
@@ -98,10 +98,10 @@ def torque_table(
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
-            doc.number(statics.joint_torques[index], "+.4f"),
-            doc.number(limits[index], "g"),
-            utilisation(float(statics.motor_utilisation[index]), limits[index]),
-            *(doc.number(values[index], "+.4f") for values in more.values()),
+            doc.number_cell(statics.joint_torques[index], "+.4f"),
+            doc.number_cell(limits[index], "g"),
+            utilisation_cell(float(statics.motor_utilisation[index]), limits[index]),
+            *(doc.number_cell(values[index], "+.4f") for values in more.values()),
         )
         for index, name in enumerate(statics.joint_names)
     ]
@@ -125,7 +125,7 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
             place = text("attribute-in-the-file", attribute=origin[0], file=origin[1])
         several = len(counts) > 1
         listed.append(text("place-count", place=place, count=count) if several else place)
-    return joined(listed)
+    return join_words(listed)
 
 
 def torque_plot(
@@ -165,8 +165,8 @@ def contact_table(
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(foot),
-            *(doc.number(value, "+.3f") for value in load.force),
-            doc.number(load.friction_utilisation, ".1f", scale=100),
+            *(doc.number_cell(value, "+.3f") for value in load.force),
+            doc.number_cell(load.friction_utilisation, ".1f", scale=100),
             *(cells[foot] for cells in more.values()),
         )
         for foot, load in statics.foot_loads.items()
@@ -188,20 +188,20 @@ def _contacts(
     flat = len(statics.foot_loads) < len(statics.contact_forces)
     more: dict[doc.Column, Mapping[str, doc.Cell]] = {
         doc.Column(text("simulated-axis", axis=axis), "N"): {
-            foot: doc.number(force[index], "+.3f")
+            foot: doc.number_cell(force[index], "+.3f")
             for foot, force in verification.foot_forces.items()
         }
         for index, axis in enumerate("xyz")
     }
     least = doc.Column(text("minimum-peak-x-y-z"), "N", left=True, detail=True)
     more[least] = {
-        foot: doc.vector(load.force, "+.3f") for foot, load in minimum_peak.foot_loads.items()
+        foot: doc.vector_cell(load.force, "+.3f") for foot, load in minimum_peak.foot_loads.items()
     }
     notes = [
         text(
             "centre-of-pressure-of-foot",
             foot=doc.Name(foot),
-            place=doc.vector(load.centre_of_pressure, "+.4f"),
+            place=doc.vector_cell(load.centre_of_pressure, "+.4f"),
         )
         for foot, load in statics.foot_loads.items()
         if flat
@@ -216,9 +216,9 @@ def _contacts(
             margin=margin,
         )
     )
-    source = page("explanation/statics.md", "Which of them last")
+    source = page_of("explanation/statics.md", "Which of them last")
     table = contact_table(statics, more)
-    return replace(table, notes=tuple(notes), source=(source, proof(verification)))
+    return replace(table, notes=tuple(notes), source=(source, proof_text(verification)))
 
 
 def view_block(

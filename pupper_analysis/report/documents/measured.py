@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.words import joined, text, word
-from pupper_analysis.study.cells import labelled, measures_in
+from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.study.cells import column_label, measures_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,8 +27,10 @@ def measured_document(
     for measure in measures_in(table, tuple(variables)):
         column = table[measure].dropna()
         ends = (column.min(), column.median(), column.max())
-        numbers = (doc.number(float(value), ".5g") for value in ends)
-        rows.append((doc.Name(labelled(measure)), *numbers, doc.number(len(column), ".0f")))
+        numbers = (doc.number_cell(float(value), ".5g") for value in ends)
+        rows.append(
+            (doc.Name(column_label(measure)), *numbers, doc.number_cell(len(column), ".0f"))
+        )
     measured = doc.Table(
         text("what-was-measured"),
         (
@@ -48,7 +50,7 @@ def measured_document(
         failed=sum(int(count) for _, count in ordered),
     )
     if ordered:
-        named = joined(
+        named = join_words(
             text("count-kind", count=int(count), kind=word(str(kind))) for kind, count in ordered
         )
         told = text("designs-kinds", designs=told, kinds=named)

@@ -7,17 +7,17 @@ from pathlib import Path
 
 from pupper_analysis.checks.versions.compare import ModelChange, ModelDiff
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.documents.sources import quoted
-from pupper_analysis.report.words import joined, text, word
-from pupper_analysis.results import short
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.documents.sources import quote_line
+from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.results import shorten
 from pupper_analysis.robot.robot import Robot
 
 _FELT = 1e-3
 """Relative change of a torque or a mass that is shown: less changes no digit that is printed."""
 
 
-@build.register(ModelDiff)
+@build_document.register(ModelDiff)
 def diff_document(diff: ModelDiff, _: Robot | None = None) -> doc.Document:
     """Returns what has changed, and what it does to mass and torques; see ``build``."""
     count = len(diff.changes)
@@ -65,7 +65,7 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
 
 
 def _place(file: str, place: str, value: object, unit: str) -> doc.Place:
-    line = quoted(place, file) or f"{short(value)} {unit}".rstrip()
+    line = quote_line(place, file) or f"{shorten(value)} {unit}".rstrip()
     named = doc.Name(Path(place).name) if place else text("not-in-the-file")
     return doc.Place(named, doc.Name("-" if value is None else line), place)
 
@@ -74,7 +74,7 @@ def _effects(change: ModelChange) -> doc.Text:
     if not change.effects:
         return text("no-effect-on-the-dynamics").marked("quiet")
     effects = sorted(change.effects.items(), key=lambda item: -item[1].relative)
-    listed = joined(
+    listed = join_words(
         text("quantity-by-effect", quantity=word(name), effect=f"{effect.relative:.1e}")
         for name, effect in effects
     )
@@ -98,8 +98,8 @@ def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
-            doc.number(old, ".4g"),
-            doc.number(new, ".4g"),
+            doc.number_cell(old, ".4g"),
+            doc.number_cell(new, ".4g"),
             doc.Number(_percent(old, new), 100 * (new / old - 1) if old else float("nan")),
         )
         for name, (old, new) in changed.items()

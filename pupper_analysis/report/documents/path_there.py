@@ -9,17 +9,17 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
 from pupper_analysis.stance.path.leg_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath
 
 
-@build.register(PathThere)
+@build_document.register(PathThere)
 def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     """Returns the path to a stance, which its view steps through; see ``build``."""
     path, tracking = there.path, there.tracking
@@ -70,7 +70,7 @@ def _binding(binding: BindingLimit) -> doc.Words:
     """Names a limit, whose it is, and when it binds."""
     limit: doc.Words = word(binding.limit.value)
     if binding.names:
-        limit = text("limit-of", limit=limit, names=joined(map(doc.Name, binding.names)))
+        limit = text("limit-of", limit=limit, names=join_words(map(doc.Name, binding.names)))
     return text("binds-after", limit=limit, progress=binding.progress, leg=binding.leg)
 
 
@@ -153,7 +153,7 @@ def _facts(
         title,
         quantity_columns(),
         tuple(
-            (name, doc.number(value, form), doc.Name("" if unit == "1" else unit))
+            (name, doc.number_cell(value, form), doc.Name("" if unit == "1" else unit))
             for name, unit, value, form in facts
         ),
         () if note is None else (note,),

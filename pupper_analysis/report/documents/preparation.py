@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from pupper_analysis.diagnostics import grouped
+from pupper_analysis.diagnostics import merge_diagnostics
 from pupper_analysis.prepare.load import Preparation
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 
 
-@build.register(Preparation)
+@build_document.register(Preparation)
 def preparation_document(
     loading: Preparation, _: Robot | None = None, *, explained: bool = False
 ) -> doc.Document:
@@ -33,7 +33,9 @@ def preparation_document(
         doc.Name(loading.name),
         (_passes(loading),) if explained and loading.passes else (),
         told=(robot, *ready),
-        notes=tuple(map(doc.tell, grouped([note for note in loading.notes if note not in shown]))),
+        notes=tuple(
+            map(doc.tell, merge_diagnostics([note for note in loading.notes if note not in shown]))
+        ),
     )
 
 

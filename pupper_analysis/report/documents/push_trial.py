@@ -6,17 +6,19 @@ import math
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push_trial import PushTrial
 
 
-@build.register(PushTrial)
+@build_document.register(PushTrial)
 def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
     """Returns what one push makes of a stand; see ``build``."""
     columns = quantity_columns()
-    rows = ((text("change-of-velocity"), doc.number(trial.velocity_step, ".2f"), doc.Name("m/s")),)
+    rows = (
+        (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),
+    )
     return doc.Document(
         text("pushes"),
         text(

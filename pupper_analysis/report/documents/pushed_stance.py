@@ -12,7 +12,7 @@ from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import view_block
-from pupper_analysis.report.documents.registry import build, compare
+from pupper_analysis.report.documents.registry import build_document, compare_results
 from pupper_analysis.report.documents.standing import ground_text, made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.verdict import verdict_lines
@@ -22,7 +22,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push import PushRecovery
 
 
-@build.register(PushedStance)
+@build_document.register(PushedStance)
 def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Document:
     """Returns how hard a stance can be pushed, each way; see ``build``."""
     return doc.Document(
@@ -75,10 +75,10 @@ def _table(pushed: PushedStance) -> doc.Table:
     recovery = pushed.recovery
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.number(math.degrees(angle), ".0f"),
-            doc.number(recovery.impulses[index], ".2f"),
-            doc.number(recovery.velocity_steps[index], ".3f"),
-            doc.number(recovery.tipping_estimate[index], ".2f"),
+            doc.number_cell(math.degrees(angle), ".0f"),
+            doc.number_cell(recovery.impulses[index], ".2f"),
+            doc.number_cell(recovery.velocity_steps[index], ".3f"),
+            doc.number_cell(recovery.tipping_estimate[index], ".2f"),
             doc.tell(recovery.failures[index]),
         )
         for index, angle in enumerate(recovery.directions)
@@ -135,7 +135,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> plots.Direction
     )
 
 
-@compare.register(PushedStance)
+@compare_results.register(PushedStance)
 def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.Block, ...]:
     """Returns the largest pushes of several robots side by side, if they have the same directions.
 
@@ -149,8 +149,8 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
         return ()
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.number(math.degrees(angle), ".0f"),
-            *(doc.number(one.recovery.impulses[index], ".2f") for one in pushes),
+            doc.number_cell(math.degrees(angle), ".0f"),
+            *(doc.number_cell(one.recovery.impulses[index], ".2f") for one in pushes),
         )
         for index, angle in enumerate(directions)
     ]

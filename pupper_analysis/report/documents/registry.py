@@ -15,7 +15,7 @@ from importlib import import_module
 from importlib.util import find_spec
 
 from pupper_analysis.report.document import Block, Document, Name, Report, Words
-from pupper_analysis.report.words import english, joined, text
+from pupper_analysis.report.words import in_english, join_words, text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -26,7 +26,7 @@ MOST_NAMES = 6
 
 
 @singledispatch
-def build(result: object, _: Robot | None = None) -> Document:
+def build_document(result: object, _: Robot | None = None) -> Document:
     """Returns the document of a result; of one without a builder its fields, and what they mean.
 
     Args:
@@ -44,13 +44,13 @@ def build(result: object, _: Robot | None = None) -> Document:
 
 
 @singledispatch
-def compare(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
+def compare_results(_: object, __: Sequence[Result]) -> tuple[Block, ...]:
     """Returns what compares several results, all of the type of the first; nothing by default."""
     return ()
 
 
 def document(result: Result, robot: Robot | None = None, name: str = "") -> Document:
-    """Returns the document of a result, by the builder of its type; see ``build``.
+    """Returns the document of a result, by the builder of its type; see ``build_document``.
 
     Args:
         result: The result.
@@ -58,13 +58,13 @@ def document(result: Result, robot: Robot | None = None, name: str = "") -> Docu
         name: What it is called, where it does not say so itself.
     """
     _load_builder(type(result))
-    built = build(result, robot)
-    if english(built.title):
+    built = build_document(result, robot)
+    if in_english(built.title):
         return built
     return replace(built, title=Name(name or type(result).__name__))
 
 
-def report(
+def build_report(
     results: Iterable[tuple[str, Result]],
     robots: Iterable[Robot] = (),
     overview: Iterable[Block] = (),
@@ -84,7 +84,7 @@ def report(
     listed = [result for _, result in named]
     blocks = tuple(overview)
     if len({type(result) for result in listed}) == 1 and len(listed) > 1:
-        blocks += compare(listed[0], listed)
+        blocks += compare_results(listed[0], listed)
     return Report(_title(documents), documents, blocks)
 
 
@@ -92,12 +92,12 @@ def _title(documents: Sequence[Document]) -> Words:
     """Returns what documents are, and what of: a page's title."""
     if not documents:
         return text("report")
-    kinds = {english(one.kind) for one in documents}
+    kinds = {in_english(one.kind) for one in documents}
     kind = documents[0].kind if len(kinds) == 1 else text("report")
     named = [one.title for one in documents[:MOST_NAMES]]
     if len(documents) > MOST_NAMES:
         named.append(text("count-more", count=len(documents) - MOST_NAMES))
-    return text("kind-names", kind=kind, names=joined(named))
+    return text("kind-names", kind=kind, names=join_words(named))
 
 
 def _load_builder(kind: type) -> None:

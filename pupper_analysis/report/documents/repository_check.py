@@ -10,22 +10,28 @@ from pupper_analysis.checks.audit import RULES
 from pupper_analysis.guard.check import PairCheck, RepositoryCheck
 from pupper_analysis.guard.remarks import Remark
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.audit import MARKS, element, rule_words
-from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.documents.sources import quoted
-from pupper_analysis.report.guard import before_in_words, from_the_root, outdated, stale, summary
-from pupper_analysis.report.words import joined, text, word
+from pupper_analysis.report.documents.audit import MARKS, element_text, rule_words
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.documents.sources import quote_line
+from pupper_analysis.report.guard import (
+    before_in_words,
+    from_the_root,
+    renewal_hint,
+    stale_entries,
+    summarise_check,
+)
+from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 
 
-@build.register(RepositoryCheck)
+@build_document.register(RepositoryCheck)
 def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Document:
     """Returns what fails, with its place, and how much is known; see ``build``."""
     blocks: list[doc.Block] = [_group(group) for group in _groups(check.remarks)]
     if check.stale:
-        blocks.append(doc.Lines(tuple(map(doc.tell, stale(check))), "warn", text("stale")))
+        blocks.append(doc.Lines(tuple(map(doc.tell, stale_entries(check))), "warn", text("stale")))
     if check.outdated:
-        blocks.append(doc.Lines((doc.tell(outdated(check)),), "warn", text("notes-title")))
+        blocks.append(doc.Lines((doc.tell(renewal_hint(check)),), "warn", text("notes-title")))
     blocks.append(_pairs(check.pairs))
     notes = tuple(
         text("name-note", name=doc.Name(pair.name), note=doc.tell(note))
@@ -40,7 +46,7 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
         tuple(blocks),
         passed=check.passed,
         verdict=text("passed") if check.passed else text("FAILED"),
-        told=(summary(check),),
+        told=(summarise_check(check),),
     )
 
 
@@ -58,7 +64,7 @@ def _group(group: list[Remark]) -> doc.Sides:
     first, *others = group
     notes: list[doc.Words] = []
     if others:
-        names = joined(doc.Name(remark.element) for remark in others)
+        names = join_words(doc.Name(remark.element) for remark in others)
         notes.append(text("likewise-on-count-more-names", count=len(others), names=names))
     if first.before is not None:
         notes.append(before_in_words(first))
@@ -73,14 +79,14 @@ def _group(group: list[Remark]) -> doc.Sides:
     columns = tuple(
         doc.Place(
             doc.Name(from_the_root(place) or place),
-            doc.Name(quoted(place, first.file)),
+            doc.Name(quote_line(place, first.file)),
             from_the_root(place) or place,
         )
         for place in places
     )
     told: doc.Words = doc.tell(first.diagnostic)
     if first.check == "audit" and first.kind in RULES:
-        told = text("element-message", element=element(first.diagnostic), message=told)
+        told = text("element-message", element=element_text(first.diagnostic), message=told)
         notes.append(rule_words(first.kind, "todo"))
     sides = doc.Sides(told, columns, tuple(notes), tag)
     return replace(sides, detail=not any(remark.fails for remark in group))
@@ -98,8 +104,8 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
         (
             doc.Name(pair.name),
             text("FAILED").marked("bad") if pair.failures else text("all-ok").marked("good"),
-            doc.number(pair.failures, "g"),
-            doc.number(pair.known, "g"),
+            doc.number_cell(pair.failures, "g"),
+            doc.number_cell(pair.known, "g"),
             agree[pair.agree],
             doc.Name(", ".join(pair.files)),
         )

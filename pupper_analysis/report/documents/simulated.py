@@ -11,9 +11,9 @@ import numpy as np
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
-from pupper_analysis.report.documents.loads import proof
+from pupper_analysis.report.documents.loads import proof_text
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.sources import page
+from pupper_analysis.report.documents.sources import page_of
 from pupper_analysis.report.words import text
 from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
@@ -36,7 +36,7 @@ def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
         quantity_columns(text("with-feed-forward"), text("without")),
         (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
         (),
-        (page("explanation/static-deflection.md", "The equilibrium"), proof(run)),
+        (page_of("explanation/static-deflection.md", "The equilibrium"), proof_text(run)),
     )
     yield table
     for one, title in zip(
@@ -79,7 +79,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
 
 
 def _lost(run: StandVerification) -> doc.Words:
-    lost = doc.number(run.height_loss, ".2f", scale=1e3).text
+    lost = doc.number_cell(run.height_loss, ".2f", scale=1e3).text
     return text("loss-fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
 
 
@@ -108,7 +108,7 @@ def deviation_table(sweep: GainSweep) -> doc.Table:
     """Returns how much the base moves, by servo gains (mm); marked where it comes to no rest."""
     deviations = [
         [
-            doc.number(value, ".4f", "" if lasts else "bad", 1e3)
+            doc.number_cell(value, ".4f", "" if lasts else "bad", 1e3)
             if np.isfinite(value)
             else text("fell")
             for value, lasts in zip(*row, strict=True)
@@ -139,7 +139,7 @@ def _damping_cell(lasts: bool, doubling_time: float, damping_ratio: float) -> do
         return text("does-not-rest").marked("bad")
     if not lasts:
         return text("doubles-in-time", time=f"{doubling_time:.2g}").marked("bad")
-    return doc.number(damping_ratio if math.isfinite(damping_ratio) else None, ".2f")
+    return doc.number_cell(damping_ratio if math.isfinite(damping_ratio) else None, ".2f")
 
 
 def _by_gains(
@@ -156,7 +156,7 @@ def _by_gains(
             doc.Column(text("kp-kd"), "N m/rad \\ N m s/rad", left=True),
             *(doc.Column(doc.Name(f"kd {kd:g}"), unit) for kd in sweep.kd),
         ),
-        tuple((doc.number(kp, "g"), *row) for kp, row in zip(sweep.kp, cells, strict=True)),
+        tuple((doc.number_cell(kp, "g"), *row) for kp, row in zip(sweep.kp, cells, strict=True)),
         tuple(notes),
     )
 
@@ -210,7 +210,11 @@ def run_rows(
         names: Keys of the quantities; by default all.
     """
     return tuple(
-        (text(name), *(doc.number(of(run), format, scale=scale) for run in runs), doc.Name(unit))
+        (
+            text(name),
+            *(doc.number_cell(of(run), format, scale=scale) for run in runs),
+            doc.Name(unit),
+        )
         for name, unit, of, format, scale in _QUANTITIES
         if names is None or name in names
     )
@@ -223,7 +227,7 @@ def simulated_table(run: StandVerification) -> doc.Table:
         quantity_columns(text("with-feed-forward") if run.feedforward else text("without")),
         run_rows([run]),
         (),
-        (page("explanation/verification.md", "Random stances"), proof(run)),
+        (page_of("explanation/verification.md", "Random stances"), proof_text(run)),
         detail=True,
     )
 

@@ -17,12 +17,12 @@ MOST_LETTERS, MOST_LINES = 400, 8
 """Of an element of a file that is quoted: what stands on some lines of the page."""
 
 
-def page(name: str, heading: str) -> Text:
+def page_of(name: str, heading: str) -> Text:
     """Returns where the documentation says how something is computed."""
     return text("source-docs", page=name, heading=Name(heading))
 
 
-def files(robot: Robot | None) -> Text:
+def files_text(robot: Robot | None) -> Text:
     """Returns which two files a robot is from."""
     if robot is None:
         return text("source-own-files")
@@ -59,7 +59,7 @@ def _where(place: Place) -> str:
     return "" if place.line is None else str(place)
 
 
-def quoted(place: str | None, *paths: str) -> str:
+def quote_line(place: str | None, *paths: str) -> str:
     """Returns what stands at a place in a file, or nothing if there is none.
 
     Args:

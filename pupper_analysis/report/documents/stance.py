@@ -7,12 +7,12 @@ from collections.abc import Iterable
 from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import load_blocks, view_block
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.simulated import height_plot, motions_of, simulated_table
 from pupper_analysis.report.documents.standing import ground_text, robot_notes, stand_table
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import joined, text
+from pupper_analysis.report.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN
@@ -21,7 +21,7 @@ DISAGREEMENT = 1e-4
 """What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""
 
 
-@build.register(Stance)
+@build_document.register(Stance)
 def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     """Returns a stance, what it costs, and whether it holds; see ``build``."""
     run = stance.verification
@@ -78,7 +78,7 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
             contact=f"{1e3 * settled.contact_sag:.2f}",
         )
         if settled.failures:
-            why = joined(map(doc.tell, settled.failures), "semicolon")
+            why = join_words(map(doc.tell, settled.failures), "semicolon")
             settles = text("settles-but", settles=settles, why=why)
         elif settled.release_margin < RELEASE_MARGIN:
             settles = text(

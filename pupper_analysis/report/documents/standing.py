@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.diagnostics import grouped
+from pupper_analysis.diagnostics import merge_diagnostics
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.document import Text, Words, tell
 from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.sources import files
+from pupper_analysis.report.documents.sources import files_text
 from pupper_analysis.report.verdict import clause_text, of_the_file, on_servos
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServosUsed
@@ -19,12 +19,12 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
     """Returns a robot's files, what was assumed of it, and what its MJCF does by itself."""
-    return () if robot is None else (files(robot), *assumptions(robot))
+    return () if robot is None else (files_text(robot), *assumption_texts(robot))
 
 
-def assumptions(robot: Robot) -> tuple[Words, ...]:
+def assumption_texts(robot: Robot) -> tuple[Words, ...]:
     """Returns what was assumed when a robot was loaded, and what its MJCF does by itself."""
-    return (*map(clause_text, of_the_file(robot)), *map(tell, grouped(robot.notes)))
+    return (*map(clause_text, of_the_file(robot)), *map(tell, merge_diagnostics(robot.notes)))
 
 
 def ground_text(depths: Iterable[float]) -> Text:
@@ -56,7 +56,7 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
         ),
     )
     rows = tuple(
-        (text(name), doc.number(value, form, scale=scale), doc.Name(unit))
+        (text(name), doc.number_cell(value, form, scale=scale), doc.Name(unit))
         for name, value, unit, scale, form in known
         if value is not None
     )

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
-from pupper_analysis.report.documents.registry import build
-from pupper_analysis.report.documents.sources import page
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.documents.sources import page_of
 from pupper_analysis.report.documents.study_plots import LINES, front_plot, study_plots
 from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.cells import labelled, standing, unit_of
+from pupper_analysis.study.cells import column_label, standing_designs, unit_of
 from pupper_analysis.study.measures import MEASURES, text_key
 from pupper_analysis.study.outcome import MeasureSummary, StudyOutcome
 from pupper_analysis.study.tolerance import Chance
@@ -30,7 +30,7 @@ MOST_ROWS = 300
 """Of a table of designs: more than anyone reads, and pages stay small."""
 
 
-@build.register(StudyOutcome)
+@build_document.register(StudyOutcome)
 def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Document:
     """Returns what is shown of a study; see ``build``."""
     blocks: list[doc.Block] = [_variables(outcome), _measured(outcome)]
@@ -57,7 +57,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
 
 
 def _source() -> tuple[doc.Words, ...]:
-    return (page("explanation/studies.md", "Sensitivities and tolerances"),)
+    return (page_of("explanation/studies.md", "Sensitivities and tolerances"),)
 
 
 def _variables(outcome: StudyOutcome) -> doc.Table:
@@ -67,7 +67,12 @@ def _variables(outcome: StudyOutcome) -> doc.Table:
         listed = _listed(kind, numbers)
         count = outcome.table[name].nunique() if name in outcome.table else 0
         rows.append(
-            (doc.Name(labelled(name)), text(kind), doc.Name(listed), doc.number(count, ".0f"))
+            (
+                doc.Name(column_label(name)),
+                text(kind),
+                doc.Name(listed),
+                doc.number_cell(count, ".0f"),
+            )
         )
     return doc.Table(
         text("what-varies"),
@@ -95,8 +100,8 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(one.measure),
-            *(doc.number(value, ".5g") for value in (one.least, one.median, one.greatest)),
-            doc.number(one.designs, ".0f"),
+            *(doc.number_cell(value, ".5g") for value in (one.least, one.median, one.greatest)),
+            doc.number_cell(one.designs, ".0f"),
             doc.Name(one.unit),
             _meaning(one),
         )
@@ -130,7 +135,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
         (
             word(one.kind),
             doc.Name(one.measure or ""),
-            doc.number(one.designs, ".0f"),
+            doc.number_cell(one.designs, ".0f"),
             doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
             doc.Name(one.reason) if one.diagnostic is None else doc.tell(one.diagnostic),
         )
@@ -167,7 +172,7 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     title = text("designs-worth-building-no-other", objectives=ways)
     blocks: list[doc.Block] = []
     if len(objectives) == 2:
-        blocks.append(front_plot(standing(outcome.table), front, objectives))
+        blocks.append(front_plot(standing_designs(outcome.table), front, objectives))
     columns = [name for name in outcome.variables if name not in objectives]
     measured = [one.measure for one in outcome.measured if one.measure not in objectives]
     blocks.append(_table(title, front, [*objectives, *columns, *measured[:LINES]]))
@@ -265,8 +270,8 @@ def _chance(name: doc.Text | doc.Name, one: Chance) -> tuple[doc.Cell, ...]:
     return (
         name,
         likely,
-        doc.number(one.low, ".2%", scale=1.0),
-        doc.number(one.high, ".2%", scale=1.0),
+        doc.number_cell(one.low, ".2%", scale=1.0),
+        doc.number_cell(one.high, ".2%", scale=1.0),
     )
 
 
@@ -276,7 +281,7 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
     for name, given in spreads.items():
         ((kind, numbers),) = given.items()
         listed = _listed(kind, numbers)
-        rows.append((doc.Name(labelled(name)), text(kind), doc.Name(listed)))
+        rows.append((doc.Name(column_label(name)), text(kind), doc.Name(listed)))
     sure = text(
         "with-scale-of-the-studys",
         scale=f"{outcome.tolerance.scale:.1%}",
@@ -317,10 +322,10 @@ def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc
     rows: list[tuple[doc.Cell, ...]] = []
     shown = table if len(table) <= MOST_ROWS else table.head(MOST_ROWS)
     for order, (_, row) in enumerate(shown.iterrows(), start=1):
-        cells: list[doc.Cell] = [doc.number(order, "g")]
+        cells: list[doc.Cell] = [doc.number_cell(order, "g")]
         for name in places:
             value = float(row[name])
-            cells.append(doc.number(value if math.isfinite(value) else None, ".5g"))
+            cells.append(doc.number_cell(value if math.isfinite(value) else None, ".5g"))
         if failed:
             kind = row["failure"]
             cells.append(word(kind) if isinstance(kind, str) else doc.Name(""))

@@ -13,11 +13,11 @@ from pupper_analysis.report.words import text
 from pupper_analysis.study.cells import (
     Panel,
     check_columns,
+    column_label,
     end_map,
-    labelled,
     mean_map,
     measures_in,
-    panels,
+    split_panels,
     spread_in,
 )
 
@@ -72,7 +72,7 @@ def end_plots(
     title = text("what-becomes-of-designs-over", x=Name(x), y=Name(y))
     return [
         plots.EndsPlot(title, end_map(one.table, x, y), x, y, kinds, _part(one))
-        for one in panels(table, variables, x, y)
+        for one in split_panels(table, variables, x, y)
     ]
 
 
@@ -86,11 +86,12 @@ def mean_plots(
     """
     check_columns(table, x, y, measure)
     maps = [
-        (panel, mean_map(panel.table, x, y, measure)) for panel in panels(table, variables, x, y)
+        (panel, mean_map(panel.table, x, y, measure))
+        for panel in split_panels(table, variables, x, y)
     ]
     known = np.concatenate([one.means[np.isfinite(one.means)] for _, one in maps])
     ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    named = Name(labelled(measure))
+    named = Name(column_label(measure))
     title = text("measure-over-x-and-y", measure=named, x=Name(x), y=Name(y))
     return [
         plots.MeansPlot(title, found, x, y, measure, ends, _part(panel)) for panel, found in maps
@@ -134,7 +135,7 @@ def front_plot(
         labels: {column: what its axis says}.
         name: Which designs they are.
     """
-    said = {one: f"{labelled(one)}, {sense}" for one, sense in objectives.items()}
+    said = {one: f"{column_label(one)}, {sense}" for one, sense in objectives.items()}
     along, up = (dict(labels or {}).get(one, said[one]) for one in objectives)
     drawn = title or text("designs-worth-building-the-front")
     return plots.FrontPlot(drawn, table, front, (along, up), list(objectives), name)

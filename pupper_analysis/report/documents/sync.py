@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build
+from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.sync.choices import label, line_at
@@ -13,7 +13,7 @@ from pupper_analysis.sync.models import Sync
 from pupper_analysis.sync.plan import UnwrittenCause
 
 
-def question(sync: Sync, place: int) -> str:
+def question_text(sync: Sync, place: int) -> str:
     """Returns a difference with its number and with its two lines."""
     difference = sync.differences[place]
     lines = [f"\n{place + 1}. {difference.message}"]
@@ -23,7 +23,7 @@ def question(sync: Sync, place: int) -> str:
     return "\n".join(lines)
 
 
-@build.register(Sync)
+@build_document.register(Sync)
 def sync_document(
     sync: Sync,
     _: Robot | None = None,

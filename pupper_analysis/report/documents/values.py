@@ -7,9 +7,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from pupper_analysis.report.document import Cell, Name, number
+from pupper_analysis.report.document import Cell, Name, number_cell
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.results import Result, short
+from pupper_analysis.results import Result, shorten
 from pupper_analysis.stance.task import StandTask
 
 _MOST = 24
@@ -24,29 +24,29 @@ def value_cell(value: object) -> Cell:
     if isinstance(value, StandTask):
         return task_text(value)
     if isinstance(value, float | int) and not isinstance(value, bool):
-        return number(float(value), ".6g")
+        return number_cell(float(value), ".6g")
     text = _written(value)
-    return Name(text if len(text) <= _LONGEST else short(value))
+    return Name(text if len(text) <= _LONGEST else shorten(value))
 
 
 def _written(value: object) -> str:
     if isinstance(value, str):
         return str(value)
     if isinstance(value, float):
-        return number(value, ".6g").text
+        return number_cell(value, ".6g").text
     if isinstance(value, np.ndarray):
         if value.size > _MOST or value.ndim > 2:
-            return short(value)
+            return shorten(value)
         return _written(value.tolist())
     if isinstance(value, Mapping):
         listed = [f"{_written(key)}: {_written(one)}" for key, one in value.items()]
-        return "; ".join(listed) if 0 < len(listed) <= _MOST else short(value)
+        return "; ".join(listed) if 0 < len(listed) <= _MOST else shorten(value)
     if isinstance(value, tuple | list):
         if not 0 < len(value) <= _MOST:
-            return short(value) if value else "-"
+            return shorten(value) if value else "-"
         deep = any(isinstance(one, tuple | list) for one in value)
         return f"({('; ' if deep else ', ').join(map(_written, value))})"
     if isinstance(value, Result):
         names = [field.name for field in fields(value)]  # type: ignore[arg-type]  # all are dataclasses
         return ", ".join(f"{name} {_written(getattr(value, name))}" for name in names)
-    return short(value)
+    return shorten(value)

@@ -18,8 +18,8 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.loads import torque_plot
 from pupper_analysis.report.documents.simulated import deviation_table, height_plot
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw, looks_of
-from pupper_analysis.report.words import english
+from pupper_analysis.report.figures.drawing import draw_plot, looks_of
+from pupper_analysis.report.words import in_english
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -46,7 +46,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     figure, panels = style.panels_of(analyses, title, 0.16 * rows + 0.62)
     for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
         limits = [joint.effort for joint in analysis.joints]
-        handles = draw(torque_plot(analysis.statics, analysis.verification, limits), axes)
+        handles = draw_plot(torque_plot(analysis.statics, analysis.verification, limits), axes)
         low, high = min(limits), max(limits)
         span = f"{low:g}" + (f" to {high:g}" if high > low else "")
         style.title_panel(axes, f"{analysis.name}: limit {span} N m")
@@ -55,7 +55,7 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         if index % style.COLUMNS and names == [one.name for one in analyses[index - 1].joints]:
             axes.set_yticklabels([])
     style.put_legend(figure, handles)
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -74,7 +74,7 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
         runs = (analysis.verification, analysis.sagging)
         plot = height_plot(runs, float(analysis.stand.qpos[2]))
-        named.update({handle.get_label(): handle for handle in draw(plot, axes)})
+        named.update({handle.get_label(): handle for handle in draw_plot(plot, axes)})
         task = next(one for one in plot.series if one.reference)
         heights = np.concatenate([np.asarray(one.y, dtype=float) for one in plot.series])
         low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
@@ -82,7 +82,7 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_ylim(high - 1.3 * span, high + 0.1 * span)
         axes.set_xlim(0, max(run.time[-1] for run in runs))
         told = [
-            Line2D([], [], **look, label=english(one.note))
+            Line2D([], [], **look, label=in_english(one.note))
             for one, look in zip(plot.series, looks_of(plot.series), strict=True)
             if one.note is not None and not one.reference
         ]
@@ -98,13 +98,13 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             frameon=False,
             borderpad=0.1,
         )
-        said = "" if task.note is None else f" {english(task.note)}"
-        style.title_panel(axes, f"{analysis.name}: {english(task.name)}{said}")
+        said = "" if task.note is None else f" {in_english(task.note)}"
+        style.title_panel(axes, f"{analysis.name}: {in_english(task.name)}{said}")
         _label_outside(axes, index, len(analyses))
     if plot.note is not None:  # stands last
-        named["note"] = named.pop(english(plot.note))
+        named["note"] = named.pop(in_english(plot.note))
     style.put_legend(figure, list(named.values()))
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -155,7 +155,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         Line2D([], [], ls="", label=disturbance),
     ]
     style.put_legend(figure, named)
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def _label_outside(axes: Axes, index: int, count: int, *, y: bool = False) -> None:
@@ -186,7 +186,7 @@ def _write_cells(axes: Axes, table: doc.Table, norm: LogNorm, size: float) -> No
                 look: dict[str, Any] = {"fc": "#F1F1F1", "ec": style.GREY, "hatch": "////", "lw": 0}
                 axes.add_patch(Rectangle(place, 1, 1, **look))
                 box = {"fc": "white", "ec": "none", "pad": 1.0}
-                axes.text(column, row, english(cell), bbox=box, **at)
+                axes.text(column, row, in_english(cell), bbox=box, **at)
                 continue
             said = f"{cell.value:.3f}" if cell.value < 10 else f"{cell.value:.0f}"
             shade = "white" if norm(cell.value) < 0.5 else style.BLACK

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.report.figures import style
 from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
-from pupper_analysis.report.words import english
+from pupper_analysis.report.words import in_english
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ _DIRECTIONS = {0: "0°\nforward", 90: "90°\nleft", 180: "180°\nback", 270: "27
 
 
 @singledispatch
-def draw(plot: Plot, _: Axes) -> list[Artist]:
+def draw_plot(plot: Plot, _: Axes) -> list[Artist]:
     """Draws a plot.
 
     Args:
@@ -74,20 +74,20 @@ def plot_figure(plot: Plot, path: str | Path) -> None:
     Raises:
         OutputError: If the file cannot be written.
     """
-    figure = style.page_figure(english(plot.title), 3.4, layout="constrained")
+    figure = style.page_figure(in_english(plot.title), 3.4, layout="constrained")
     polar = isinstance(plot, DirectionPlot)
     axes = figure.add_subplot(projection="polar" if polar else None)
-    handles = draw(plot, axes)
+    handles = draw_plot(plot, axes)
     if not polar:
         style.title_panel(axes, "")
     if handles:
         style.put_legend(figure, handles)
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
-def labelled(axis: Axis) -> str:
+def axis_label(axis: Axis) -> str:
     """Returns what an axis says: the quantity and its unit."""
-    return f"{english(axis.name)} ({axis.unit})" if axis.unit else english(axis.name)
+    return f"{in_english(axis.name)} ({axis.unit})" if axis.unit else in_english(axis.name)
 
 
 def looks_of(series: Sequence[Series]) -> list[dict[str, Any]]:
@@ -100,7 +100,7 @@ def looks_of(series: Sequence[Series]) -> list[dict[str, Any]]:
     return found
 
 
-@draw.register
+@draw_plot.register
 def _lines(plot: LinePlot, axes: Axes) -> list[Artist]:
     handles: list[Artist] = []
     looks = looks_of(plot.series)
@@ -111,18 +111,18 @@ def _lines(plot: LinePlot, axes: Axes) -> list[Artist]:
         if one.fails:
             end = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[-1]
             axes.plot(x[end], y[end], **_FAILS)
-        handles.append(Line2D([], [], **look, label=english(one.name)))
+        handles.append(Line2D([], [], **look, label=in_english(one.name)))
     if plot.x.log:
         axes.set_xscale("log")
     if plot.y.log:
         axes.set_yscale("log")
     axes.grid(color=style.GRID, lw=0.6)
-    axes.set_xlabel(labelled(plot.x), size=style.FONT, parse_math=False)
-    axes.set_ylabel(labelled(plot.y), size=style.FONT, parse_math=False)
+    axes.set_xlabel(axis_label(plot.x), size=style.FONT, parse_math=False)
+    axes.set_ylabel(axis_label(plot.y), size=style.FONT, parse_math=False)
     if any(one.fails for one in plot.series):
         handles.append(Line2D([], [], **_FAILS, label="fails"))
     if plot.note is not None:
-        handles.append(Line2D([], [], ls="", label=english(plot.note)))
+        handles.append(Line2D([], [], ls="", label=in_english(plot.note)))
     return handles
 
 
@@ -138,7 +138,7 @@ def shares_of(plot: BarPlot) -> tuple[Array, Array]:
     return shares[0], shares[1]
 
 
-@draw.register
+@draw_plot.register
 def _bars(plot: BarPlot, axes: Axes) -> list[Artist]:
     """Draws values in percent of their limits, along a logarithm: 0.2 % and 30 % can be read."""
     places = np.arange(len(plot.bars))
@@ -157,10 +157,10 @@ def _bars(plot: BarPlot, axes: Axes) -> list[Artist]:
     axes.grid(axis="x", color=style.GRID, lw=0.6)
     axes.set_axisbelow(True)
     axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_yticks(places, [english(bar.name) for bar in plot.bars], parse_math=False)
-    name, limit = english(plot.axis.name), english(plot.legend[2])
+    axes.set_yticks(places, [in_english(bar.name) for bar in plot.bars], parse_math=False)
+    name, limit = in_english(plot.axis.name), in_english(plot.legend[2])
     axes.set_xlabel(f"{name} / {limit} (%)", size=style.FONT, parse_math=False)
-    said = [english(words) for words in plot.legend]
+    said = [in_english(words) for words in plot.legend]
     return [
         Line2D([], [], **_VALUE, label=said[0]),
         Line2D([], [], **_OTHER, label=said[1]),
@@ -185,7 +185,7 @@ def _mark_greatest(axes: Axes, plot: BarPlot, percents: Array) -> None:
     )
 
 
-@draw.register
+@draw_plot.register
 def _directions(plot: DirectionPlot, axes: Axes) -> list[Artist]:
     assert isinstance(axes, PolarAxes)
     axes.set_theta_zero_location("N")  # forward is up; angles grow to the left, as about z
@@ -197,8 +197,8 @@ def _directions(plot: DirectionPlot, axes: Axes) -> list[Artist]:
         if one.marked is not None:
             filled = {**look, "mfc": look["color"], "ms": 6.5, "zorder": 4}
             axes.plot(angles[one.marked], values[one.marked], **filled)
-        note = "" if one.note is None else f": {english(one.note)}"
-        handles.append(Line2D([], [], label=f"{english(one.name)}{note}", **look))
+        note = "" if one.note is None else f": {in_english(one.note)}"
+        handles.append(Line2D([], [], label=f"{in_english(one.name)}{note}", **look))
     shown = range(0, 360, 30)
     names = [_DIRECTIONS.get(angle, f"{angle}°") for angle in shown]
     axes.set_xticks(np.radians(list(shown)), names)

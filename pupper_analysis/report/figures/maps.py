@@ -17,10 +17,10 @@ from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw
+from pupper_analysis.report.figures.drawing import draw_plot
 from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
-from pupper_analysis.report.words import english
-from pupper_analysis.study.cells import Cells, EndMap, labelled
+from pupper_analysis.report.words import in_english
+from pupper_analysis.study.cells import Cells, EndMap, column_label
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ _HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": "white", "linewidt
 _PALETTE = "viridis"
 
 
-@draw.register
+@draw_plot.register
 def _means(plot: MeansPlot, axes: Axes) -> list[Artist]:
     """Draws means; hatched are those in which designs are missing, grey are those of none."""
     found = plot.found
@@ -61,7 +61,7 @@ def _means(plot: MeansPlot, axes: Axes) -> list[Artist]:
     return named
 
 
-@draw.register
+@draw_plot.register
 def _ends(plot: EndsPlot, axes: Axes) -> list[Artist]:
     found = plot.found
     shades = [_FAILED[index % len(_FAILED)] for index in range(len(plot.kinds) - 1)]
@@ -87,7 +87,7 @@ def _paled(found: EndMap, colours: Mapping[str, str]) -> Array:
     return image
 
 
-@draw.register
+@draw_plot.register
 def _parallel(plot: ParallelPlot, axes: Axes) -> list[Artist]:
     """Draws each design as a line over several columns; failed ones end in grey."""
     table, columns = plot.table, plot.columns
@@ -111,7 +111,7 @@ def _parallel(plot: ParallelPlot, axes: Axes) -> list[Artist]:
     axes.set_xlim(0, len(columns) - 1)
     axes.set_ylim(-0.08, 1.08)
     axes.set_yticks([])
-    axes.set_xticks(range(len(columns)), [_wrapped(labelled(name)) for name in columns])
+    axes.set_xticks(range(len(columns)), [_wrapped(column_label(name)) for name in columns])
     axes.spines["left"].set_visible(False)
     for place, (least, most) in enumerate(zip(low, high, strict=True)):
         axes.axvline(place, color=style.BLACK, linewidth=0.7)
@@ -123,7 +123,7 @@ def _parallel(plot: ParallelPlot, axes: Axes) -> list[Artist]:
     return []
 
 
-@draw.register
+@draw_plot.register
 def _front(plot: FrontPlot, axes: Axes) -> list[Artist]:
     """Draws a cloud with its front, in the next colour of the axes'."""
     x, y = plot.objectives
@@ -133,7 +133,7 @@ def _front(plot: FrontPlot, axes: Axes) -> list[Artist]:
     axes.plot(plot.front[x], plot.front[y], linewidth=1.2, **look)
     axes.set_xlabel(plot.axes[0], size=style.FONT, parse_math=False)
     axes.set_ylabel(plot.axes[1], size=style.FONT, parse_math=False)
-    said = "" if plot.name is None else f"{english(plot.name)}: "
+    said = "" if plot.name is None else f"{in_english(plot.name)}: "
     return [Line2D([], [], label=f"{said}no other design beats these", **look)]
 
 
@@ -144,15 +144,15 @@ def put_scale(
     first = axes[0] if isinstance(axes, list) else axes
     mappable = ScalarMappable(Normalize(*ends), colormaps[_PALETTE])
     bar = first.figure.colorbar(mappable, ax=axes, **place)
-    bar.set_label(labelled(column), size=style.FONT)
+    bar.set_label(column_label(column), size=style.FONT)
     bar.ax.tick_params(labelsize=style.FONT)
 
 
 def _frame(axes: Axes, plot: MeansPlot | EndsPlot) -> None:
     """Gives a map its axes' names, ticks and title."""
-    style.title_panel(axes, "" if plot.part is None else english(plot.part))
-    axes.set_xlabel(labelled(plot.x), size=style.FONT)
-    axes.set_ylabel(labelled(plot.y), size=style.FONT)
+    style.title_panel(axes, "" if plot.part is None else in_english(plot.part))
+    axes.set_xlabel(column_label(plot.x), size=style.FONT)
+    axes.set_ylabel(column_label(plot.y), size=style.FONT)
     _ticks(axes, plot.found.x, plot.found.y)
 
 

@@ -24,11 +24,11 @@ from pupper_analysis.report.figures.ground import draw_ground, step_corners
 from pupper_analysis.report.figures.skeleton import (
     BOX_FACES,
     Skeleton,
+    draw_skeleton,
     hull_corners,
     nearest_edge_point,
-    skeleton,
 )
-from pupper_analysis.report.scene import Standing, standing
+from pupper_analysis.report.scene import Standing, describe_scene
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     Raises:
         OutputError: If the file cannot be written.
     """
-    lines, seen = skeleton(robot, stand.qpos), standing(robot, stand, statics)
+    lines, seen = draw_skeleton(robot, stand.qpos), describe_scene(robot, stand, statics)
     figure = style.page_figure(f"{robot.name}: how it stands", 0.6 * style.WIDTH)
     text = f"{stand.task}; mass {robot.total_mass:.2f} kg; minimum tangential contact forces"
     figure.text(0.012, 0.925, textwrap.fill(text, 120), size=style.FONT, va="top")
@@ -96,7 +96,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
         Patch(facecolor=_SUPPORT, edgecolor=style.BLUE, hatch="//", label="support polygon"),
     ]
     style.put_legend(figure, handles)
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: Standing) -> None:

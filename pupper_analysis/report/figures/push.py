@@ -9,8 +9,8 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.documents.pushed_stance import push_plot
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw
-from pupper_analysis.report.words import english
+from pupper_analysis.report.figures.drawing import draw_plot
+from pupper_analysis.report.words import in_english
 from pupper_analysis.simulation.push import PushRecovery
 
 
@@ -40,7 +40,7 @@ def push_figure(
     plot = push_plot(results, rigid)
     title = "Largest horizontal push that the stand survives"
     figure = style.page_figure(title, 0.72 * style.WIDTH)
-    handles = draw(plot, figure.add_axes((0.06, 0.09, 0.58, 0.77), projection="polar"))
+    handles = draw_plot(plot, figure.add_axes((0.06, 0.09, 0.58, 0.77), projection="polar"))
     for handle, one in zip(handles, plot.series, strict=True):
         if one.reference:  # beside the circle there is room for half a line
             handle.set_label(str(handle.get_label()).replace(": ", ":\n", 1))
@@ -50,7 +50,7 @@ def push_figure(
         bbox_to_anchor=(0.68, 0.86),
         fontsize=style.FONT,
         frameon=False,
-        title=None if plot.note is None else english(plot.note).replace(" (", "\n(", 1),
+        title=None if plot.note is None else in_english(plot.note).replace(" (", "\n(", 1),
         title_fontsize=style.FONT,
         alignment="left",
         handlelength=3.2,
@@ -58,4 +58,4 @@ def push_figure(
     )
     for text in legend.get_texts():
         text.set_parse_math(False)
-    style.save(figure, path)
+    style.save_figure(figure, path)

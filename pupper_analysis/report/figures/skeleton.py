@@ -37,7 +37,7 @@ class Skeleton:
         return np.concatenate([self.boxes.reshape(-1, 3), *self.legs.values(), *self.arms])
 
 
-def skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
+def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     """Returns a robot as lines.
 
     Args:

@@ -15,11 +15,11 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.report.document import Name
 from pupper_analysis.report.documents import study_plots
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw, plot_figure
+from pupper_analysis.report.figures.drawing import draw_plot, plot_figure
 from pupper_analysis.report.figures.maps import ALL_MEASURED, put_scale
 from pupper_analysis.report.plots import EndsPlot, MeansPlot, Plot
-from pupper_analysis.report.words import english
-from pupper_analysis.study.cells import check_columns, spread_in, standing
+from pupper_analysis.report.words import in_english
+from pupper_analysis.study.cells import check_columns, spread_in, standing_designs
 from pupper_analysis.study.pareto import pareto_front
 
 if TYPE_CHECKING:
@@ -135,12 +135,12 @@ def pareto_figure(
         )
         for name, part in groups
     ]
-    figure = style.page_figure(english(shown), 3.4, layout="constrained")
+    figure = style.page_figure(in_english(shown), 3.4, layout="constrained")
     axes = figure.add_subplot()
-    handles = [handle for plot in plots for handle in draw(plot, axes)]
+    handles = [handle for plot in plots for handle in draw_plot(plot, axes)]
     style.title_panel(axes, "")
     style.put_legend(figure, handles)
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def draw_study(
@@ -164,7 +164,7 @@ def draw_study(
         paths.append(folder / f"{name}.png")
         _write(plots, paths[-1])
     if objectives is not None and len(objectives) == 2:
-        up = standing(table)
+        up = standing_designs(table)
         if not up.dropna(subset=list(objectives)).empty:
             paths.append(folder / "front.png")
             pareto_figure(up, objectives, paths[-1])
@@ -177,11 +177,11 @@ def _write(plots: Sequence[Plot], path: str | Path) -> None:
     if not isinstance(first, MeansPlot | EndsPlot):
         plot_figure(first, path)
         return
-    figure, panels = _panels(english(first.title), len(plots))
+    figure, panels = _panels(in_english(first.title), len(plots))
     named = {
         handle.get_label(): handle
         for axes, plot in zip(panels, plots, strict=True)
-        for handle in draw(plot, axes)
+        for handle in draw_plot(plot, axes)
     }
     if isinstance(first, MeansPlot):
         put_scale(panels, first.ends, first.measure)
@@ -189,7 +189,7 @@ def _write(plots: Sequence[Plot], path: str | Path) -> None:
         named = _counted(named, [plot for plot in plots if isinstance(plot, EndsPlot)])
     if named:
         style.put_legend(figure, list(named.values()))
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def _counted(named: Mapping[object, Artist], plots: Sequence[EndsPlot]) -> dict[object, Artist]:

@@ -108,7 +108,7 @@ def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
     )
 
 
-def save(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path) -> None:
     """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
 
     Raises:

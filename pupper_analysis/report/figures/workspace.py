@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.skeleton import Skeleton, hull_corners, skeleton
+from pupper_analysis.report.figures.skeleton import Skeleton, draw_skeleton, hull_corners
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace, stand_at
@@ -58,10 +58,10 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         else:
             title = f"{1e3 * low:+.1f} to {1e3 * high:+.1f} mm"
         style.title_panel(axes, f"{direction}: {title}")
-        drawn = [skeleton(robot, start.qpos)]
+        drawn = [draw_skeleton(robot, start.qpos)]
         _draw(axes, drawn[0], style.GREY, across, up)
         for end, value in (("low", low), ("high", high)):
-            drawn.append(skeleton(robot, stand_at(robot, start, direction, value).qpos))
+            drawn.append(draw_skeleton(robot, stand_at(robot, start, direction, value).qpos))
             _draw(axes, drawn[-1], _ENDS[end], across, up)
         shown = 1e3 * np.concatenate([lines.points() for lines in drawn])
         if up == 2:
@@ -77,7 +77,7 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
     style.put_legend(
         figure, [Line2D([], [], color=color, lw=2, label=name) for name, color in names.items()]
     )
-    style.save(figure, path)
+    style.save_figure(figure, path)
 
 
 def _draw(axes: Axes, lines: Skeleton, color: str, across: int, up: int) -> None:

@@ -17,16 +17,16 @@ from pupper_analysis.report.html.plots import (
     WIDTH,
     Drawing,
     Mark,
-    draw,
-    frame,
-    grid,
-    straight,
-    ticks,
+    draw_axes,
+    draw_grid,
+    draw_line,
+    draw_svg,
+    round_ticks,
     word_at,
 )
 from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
 from pupper_analysis.report.words import text, word
-from pupper_analysis.study.cells import Cells, labelled, span
+from pupper_analysis.study.cells import Cells, column_label, value_span
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,7 +56,7 @@ _ENDS = ("#009e73", "#d55e00", "#e69f00", "#7f7f7f", "#56b4e9", "#cc79a7", "#f0e
 """Okabe and Ito's colours: measured, then kinds of failure, the most frequent first."""
 
 
-def colour(share: float) -> str:
+def colour_of_share(share: float) -> str:
     """Returns the colour of a share from 0 to 1."""
     place = min(max(share, 0.0), 1.0) * (len(_VIRIDIS) - 1)
     first = min(int(place), len(_VIRIDIS) - 2)
@@ -65,18 +65,18 @@ def colour(share: float) -> str:
     return "#{:02x}{:02x}{:02x}".format(*mixed)
 
 
-@draw.register
+@draw_svg.register
 def _means(plot: MeansPlot) -> Drawing:
     """Draws means, which show under the pointer."""
     found, x, y = plot.found, plot.x, plot.y
     low, high = plot.ends
-    wide = span(low, high)
+    wide = value_span(low, high)
 
     def filled(row: int, column: int) -> tuple[str, float]:
         mean = float(found.means[row, column])
         if not math.isfinite(mean):
             return "", 1.0
-        return colour((mean - low) / wide if wide else 0.5), 1.0
+        return colour_of_share((mean - low) / wide if wide else 0.5), 1.0
 
     def told(row: int, column: int) -> str:
         mean = float(found.means[row, column])
@@ -89,11 +89,11 @@ def _means(plot: MeansPlot) -> Drawing:
     cells = _Grid(found.x, found.y)
     marks = [*cells.cells(filled), *cells.crossed(found.partial), *cells.axes(x, y)]
     marks += _bar(low, high)
-    marks.append(cells.labels(Name(labelled(plot.measure)), x, y, told))
+    marks.append(cells.labels(Name(column_label(plot.measure)), x, y, told))
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
 
 
-@draw.register
+@draw_svg.register
 def _ends(plot: EndsPlot) -> Drawing:
     found, x, y, kinds = plot.found, plot.x, plot.y, plot.kinds
     total, most = found.counts.sum(axis=0), found.counts.argmax(axis=0)
@@ -130,13 +130,13 @@ def _titled(plot: MeansPlot | EndsPlot) -> Words:
     return plot.title if plot.part is None else text("name-note", name=plot.title, note=plot.part)
 
 
-@draw.register
+@draw_svg.register
 def _parallel(plot: ParallelPlot) -> Drawing:
     table, columns, shade = plot.table, plot.columns, plot.shade
     shown = _evenly(table, MOST_LINES)
     places, numbers = shown.index.to_numpy(), shown[list(columns)].to_numpy(float)
     low, high = (table[list(columns)].agg(end).to_numpy(float) for end in ("min", "max"))
-    wide = np.array([span(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True)])
+    wide = np.array([value_span(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True)])
     values = shown[shade].to_numpy(float)
     least, most = float(table[shade].min()), float(table[shade].max())
     foot, top = MAP_HEIGHT - 62.0, TOP + 18.0
@@ -146,29 +146,29 @@ def _parallel(plot: ParallelPlot) -> Drawing:
         known = np.flatnonzero(np.isfinite(numbers[row]))
         share = (numbers[row, known] - low[known]) / np.where(wide > 0, wide, 1.0)[known]
         up = foot - (foot - top) * np.where((wide > 0)[known], share, 0.5)
-        tone = (values[row] - least) / span(least, most) if span(least, most) else 0.5
+        tone = (values[row] - least) / value_span(least, most) if value_span(least, most) else 0.5
         mark: dict[str, Any] = {
             "tag": "polyline",
             "class": "series pc",
             "points": np.round(np.column_stack([across[known], up]), 1).tolist(),
             "labels": [_plain(f"{columns[i]} {numbers[row, i]:.4g}") for i in known],
             "name": text("design-number", number=int(places[row]) + 1),
-            "stroke": colour(tone) if math.isfinite(values[row]) else "#8a8a8a",
+            "stroke": colour_of_share(tone) if math.isfinite(values[row]) else "#8a8a8a",
         }
         marks.append(mark)
     for index, (at, name) in enumerate(zip(across, columns, strict=True)):
-        marks.append(straight(at, top, at, foot, "axis"))
+        marks.append(draw_line(at, top, at, foot, "axis"))
         marks.append(word_at(at, top - 6, Name(f"{high[index]:.4g}"), "middle"))
         marks.append(word_at(at, foot + 14, Name(f"{low[index]:.4g}"), "middle"))
         # Names below one another in turn, so that long ones do not run into their neighbours.
         marks.append(
-            word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(labelled(name))), "middle")
+            word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(column_label(name))), "middle")
         )
     marks += _bar(least, most)
     return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks))
 
 
-@draw.register
+@draw_svg.register
 def _front(plot: FrontPlot) -> Drawing:
     table, front = plot.table, plot.front
     x, y = plot.objectives
@@ -184,12 +184,12 @@ def _front(plot: FrontPlot) -> Drawing:
         return np.asarray(np.round(points, 1))
 
     across, up = (
-        {value: place(np.array([value, value]))[axis] for value in ticks(least, most, 6)}
+        {value: place(np.array([value, value]))[axis] for value in round_ticks(least, most, 6)}
         for axis, (least, most) in enumerate(zip(low, high, strict=True))
     )
     marks = [
-        *grid(across, up, wide, tall),
-        *frame(Name(plot.axes[0]), Name(plot.axes[1]), wide, tall),
+        *draw_grid(across, up, wide, tall),
+        *draw_axes(Name(plot.axes[0]), Name(plot.axes[1]), wide, tall),
     ]
     cloud = _evenly(known, MOST_DOTS)
     for part, style, name in (
@@ -244,7 +244,9 @@ class _Grid:
                 (0.5, 0.0, 1.0, 0.5),
             ):
                 begin = left + x0 * self.across, foot - y0 * self.up
-                marks.append(straight(*begin, left + x1 * self.across, foot - y1 * self.up, "axis"))
+                marks.append(
+                    draw_line(*begin, left + x1 * self.across, foot - y1 * self.up, "axis")
+                )
         return marks
 
     def labels(
@@ -270,7 +272,7 @@ class _Grid:
 
     def axes(self, x: str, y: str) -> list[Mark]:
         """Returns the axes, with the values of some cells."""
-        marks = frame(Name(labelled(x)), Name(labelled(y)), self.wide, self.tall)
+        marks = draw_axes(Name(column_label(x)), Name(column_label(y)), self.wide, self.tall)
         for index in _some(len(self.x.centres)):
             at = LEFT + (index + 0.5) * self.across
             words = Name(f"{self.x.centres[index]:.4g}")
@@ -292,7 +294,7 @@ def _bar(low: float, high: float) -> list[Mark]:
     left, height = WIDTH - BAR_ROOM + 16.0, tall / 40
     marks: list[Mark] = [
         {"tag": "rect", "class": "cell", "x": left, "y": TOP + tall - (step + 1) * height,
-         "width": 14.0, "height": height + 0.5, "fill": colour((step + 0.5) / steps),
+         "width": 14.0, "height": height + 0.5, "fill": colour_of_share((step + 0.5) / steps),
          "opacity": 1.0}
         for step in range(steps)
     ]  # fmt: skip

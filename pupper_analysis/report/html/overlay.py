@@ -16,12 +16,12 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.document import OverlayScene
-from pupper_analysis.report.formats import visible
+from pupper_analysis.report.formats import escape_control
 from pupper_analysis.report.html.scene import (
     bodies_of,
     extent_of,
     geoms_of,
-    packed,
+    pack_poses,
     scene_of,
     short_numbers,
 )
@@ -64,7 +64,7 @@ def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
         "bodies": bodies,
         "geoms": geoms,
         "meshes": meshes,
-        "motions": [packed(text("zero-angles"), np.zeros(1), poses)],
+        "motions": [pack_poses(text("zero-angles"), np.zeros(1), poses)],
         "joints": _joints(comparison, model),
         "contacts": [],
         "lines": [short_numbers(line) for line in placed],
@@ -125,7 +125,7 @@ def _joints(comparison: Comparison, model: mujoco.MjModel) -> list[dict[str, Any
         found = [one.diagnostic for one in comparison.differences if one.element == name]
         listed.append(
             {
-                "name": visible(name),
+                "name": escape_control(name),
                 "body": int(model.jnt_bodyid[joint]) - 1,
                 "anchor": short_numbers(model.jnt_pos[joint]),
                 "axis": short_numbers(model.jnt_axis[joint]),
@@ -140,6 +140,6 @@ def _in_both(found: Iterable[Diagnostic]) -> dict[str, str]:
     told = tuple(found)
     between = {"en": "; ", "zh": "；"}  # noqa: RUF001 (Chinese)
     return {
-        language: visible(comma.join(one.text(language) for one in told))
+        language: escape_control(comma.join(one.text(language) for one in told))
         for language, comma in between.items()
     }

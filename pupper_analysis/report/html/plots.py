@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.document import Name, Text, Words, number
+from pupper_analysis.report.document import Name, Text, Words, number_cell
 from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
 from pupper_analysis.report.words import text
 
@@ -62,7 +62,7 @@ class Drawing:
 
 
 @singledispatch
-def draw(plot: Plot) -> Drawing:
+def draw_svg(plot: Plot) -> Drawing:
     """Draws a plot.
 
     Raises:
@@ -76,17 +76,17 @@ _FLAT = 1e-3
 same six digits at all of its lines."""
 
 
-def scaled(axis: Axis, values: Array) -> Array:
+def scale_values(axis: Axis, values: Array) -> Array:
     """Returns values as they are drawn along an axis."""
     return np.log10(values) if axis.log else values
 
 
-def label(axis: Axis, value: float) -> str:
+def draw_label(axis: Axis, value: float) -> str:
     """Writes a value with its unit."""
-    return f"{number(value, axis.form).text} {axis.unit}"
+    return f"{number_cell(value, axis.form).text} {axis.unit}"
 
 
-def ticks(low: float, high: float, count: int = 5) -> list[float]:
+def round_ticks(low: float, high: float, count: int = 5) -> list[float]:
     """Returns round values between two, about as many as asked for."""
     span = max(high - low, 1e-12)
     power = 10.0 ** math.floor(math.log10(span / count))
@@ -95,7 +95,7 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
     return [round(index * step, 12) for index in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-@draw.register
+@draw_svg.register
 def _lines(plot: LinePlot) -> Drawing:
     x, y, series = plot.x, plot.y, plot.series
     lines = []
@@ -104,7 +104,7 @@ def _lines(plot: LinePlot) -> Drawing:
         good = np.isfinite(across) & np.isfinite(up)
         lines.append(_thinned(np.column_stack([across[good], up[good]])))
     points = np.concatenate(lines)
-    along, upward = scaled(x, points[:, 0]), scaled(y, points[:, 1])
+    along, upward = scale_values(x, points[:, 0]), scale_values(y, points[:, 1])
     left, right = _range(along, 0.0 if not x.log else 0.03)
     low, high = _range(upward, 0.06)
     flat = 0.0 if y.log else _FLAT * max(abs(low), abs(high)) - (high - low)
@@ -113,22 +113,25 @@ def _lines(plot: LinePlot) -> Drawing:
     wide, tall = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
 
     def place(values: Array) -> Array:
-        across = LEFT + wide * (scaled(x, values[:, 0]) - left) / (right - left)
-        up = TOP + tall * (high - scaled(y, values[:, 1])) / (high - low)
+        across = LEFT + wide * (scale_values(x, values[:, 0]) - left) / (right - left)
+        up = TOP + tall * (high - scale_values(y, values[:, 1])) / (high - low)
         return np.column_stack([across, up])
 
     columns = {v: place(np.array([[v, points[0, 1]]]))[0, 0]
               for v in _values(x, left, right, points[:, 0])}  # fmt: skip
     rows = {v: place(np.array([[points[0, 0], v]]))[0, 1]
           for v in _values(y, low, high, points[:, 1])}  # fmt: skip
-    marks = [*grid(columns, rows, wide, tall), *frame(x.name, y.name, wide, tall, (x.unit, y.unit))]
+    marks = [
+        *draw_grid(columns, rows, wide, tall),
+        *draw_axes(x.name, y.name, wide, tall, (x.unit, y.unit)),
+    ]
     for index, (one, line) in enumerate(zip(series, lines, strict=True)):
-        labels = [f"{label(x, across)}, {label(y, up)}" for across, up in line]
+        labels = [f"{draw_label(x, across)}, {draw_label(y, up)}" for across, up in line]
         marks += _series(place(line), labels, one, index)
     return Drawing(plot.title, WIDTH, HEIGHT, tuple(marks), _legend(series), plot.note)
 
 
-@draw.register
+@draw_svg.register
 def _bars(plot: BarPlot) -> Drawing:
     axis, bars = plot.axis, plot.bars
     shown = [_shortened(bar.name) for bar in bars]
@@ -143,8 +146,8 @@ def _bars(plot: BarPlot) -> Drawing:
         return names + wide * (value - low) / (reach - low)
 
     marks: list[Mark] = []
-    for value in ticks(low, reach):
-        marks.append(straight(at(value), TOP, at(value), TOP + tall, "grid"))
+    for value in round_ticks(low, reach):
+        marks.append(draw_line(at(value), TOP, at(value), TOP + tall, "grid"))
         marks.append(word_at(at(value), TOP + tall + 16, Name(f"{value:g}"), "middle"))
     for index, (bar, name) in enumerate(zip(bars, shown, strict=True)):
         middle = TOP + step * (index + 0.5)
@@ -154,19 +157,19 @@ def _bars(plot: BarPlot) -> Drawing:
         if bar.limit is not None and math.isfinite(bar.limit):
             for side in (1.0,) if one_sided else (1.0, -1.0):
                 edge = at(side * bar.limit)
-                marks.append(straight(edge, middle - 8, edge, middle + 8, "limit"))
+                marks.append(draw_line(edge, middle - 8, edge, middle + 8, "limit"))
         if bar.other is not None and math.isfinite(bar.other):
             edge = at(bar.other)
-            marks.append(straight(edge, middle - 8, edge, middle + 8, "other"))
+            marks.append(draw_line(edge, middle - 8, edge, middle + 8, "other"))
         marks.append(word_at(names - 8, middle + 4, name, "end"))
-        marks.append(word_at(WIDTH - 4, middle + 4, Name(label(axis, bar.value)), "end"))
-    marks.append(straight(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
+        marks.append(word_at(WIDTH - 4, middle + 4, Name(draw_label(axis, bar.value)), "end"))
+    marks.append(draw_line(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
     marks.append(word_at(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
     legend = tuple(zip(plot.legend, ("bar", "other", "limit"), strict=True))
     return Drawing(plot.title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend)
 
 
-@draw.register
+@draw_svg.register
 def _directions(plot: DirectionPlot) -> Drawing:
     axis, series = plot.axis, plot.series
     size = 420.0
@@ -180,20 +183,20 @@ def _directions(plot: DirectionPlot) -> Drawing:
         return places
 
     marks: list[Mark] = []
-    for value in ticks(0.0, reach, 4)[1:]:
+    for value in round_ticks(0.0, reach, 4)[1:]:
         ring = {"tag": "circle", "class": "grid", "cx": middle, "cy": middle, "r": scale * value}
         marks.append(ring)
         marks.append(word_at(middle + 4, middle - scale * value - 3, Name(f"{value:g}"), "start"))
     for degrees in range(0, 360, 45):
         angle = np.array([math.radians(degrees)])
         end = place(angle, np.array([reach]))[0]
-        marks.append(straight(middle, middle, end[0], end[1], "grid"))
+        marks.append(draw_line(middle, middle, end[0], end[1], "grid"))
         text = place(angle, np.array([reach + 20 / scale]))[0]
         marks.append(word_at(text[0], text[1] + 4, Name(f"{degrees}°"), "middle"))
     for index, one in enumerate(series):
         directions, values = (np.asarray(one.x, dtype=float), np.asarray(one.y, dtype=float))
         labels = [
-            f"{math.degrees(angle):.0f}°, {label(axis, value)}"
+            f"{math.degrees(angle):.0f}°, {draw_label(axis, value)}"
             for angle, value in zip(directions, values, strict=True)
         ]
         places = place(directions, values)
@@ -247,34 +250,34 @@ def _values(axis: Axis, low: float, high: float, given: Iterable[float]) -> list
 
 def _round(axis: Axis, low: float, high: float) -> list[float]:
     if not axis.log:
-        return ticks(low, high, 6)
+        return round_ticks(low, high, 6)
     decades = range(math.floor(low), math.ceil(high) + 1)
     every = [size * 10.0**decade for decade in decades for size in (1, 2, 3, 5)]
     return [value for value in every if low <= math.log10(value) <= high]
 
 
-def grid(
+def draw_grid(
     across: Mapping[float, float], up: Mapping[float, float], wide: float, tall: float
 ) -> list[Mark]:
     """Returns lines at values of both axes, {value: where}, with the values beside them."""
     marks: list[Mark] = []
     for value, at in across.items():
-        marks.append(straight(at, TOP, at, TOP + tall, "grid"))
+        marks.append(draw_line(at, TOP, at, TOP + tall, "grid"))
         marks.append(word_at(at, TOP + tall + 16, Name(f"{value:g}"), "middle"))
     for value, at in up.items():
-        marks.append(straight(LEFT, at, LEFT + wide, at, "grid"))
+        marks.append(draw_line(LEFT, at, LEFT + wide, at, "grid"))
         marks.append(word_at(LEFT - 6, at + 4, Name(f"{value:g}"), "end"))
     return marks
 
 
-def frame(
+def draw_axes(
     x: Words, y: Words, wide: float, tall: float, units: tuple[str, str] = ("", "")
 ) -> list[Mark]:
     """Returns both axes, with what they say."""
     up = word_at(14, TOP + tall / 2, y, "middle", units[1])
     return [
-        straight(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
-        straight(LEFT, TOP, LEFT, TOP + tall, "axis"),
+        draw_line(LEFT, TOP + tall, LEFT + wide, TOP + tall, "axis"),
+        draw_line(LEFT, TOP, LEFT, TOP + tall, "axis"),
         word_at(LEFT + wide / 2, TOP + tall + 36, x, "middle", units[0]),
         {**up, "transform": f"rotate(-90 14 {TOP + tall / 2:g})"},
     ]
@@ -296,16 +299,16 @@ def _series(
     ]
     marks += [
         {"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy,
-         "r": MARKED if number == one.marked else DOT}
-        for number, (cx, cy) in enumerate(rounded if one.points else [])
+         "r": MARKED if number_cell == one.marked else DOT}
+        for number_cell, (cx, cy) in enumerate(rounded if one.points else [])
     ]  # fmt: skip
     if one.fails:
         x, y = rounded[-1]
-        marks += [straight(x - DOT, y - side, x + DOT, y + side, "cross") for side in (DOT, -DOT)]
+        marks += [draw_line(x - DOT, y - side, x + DOT, y + side, "cross") for side in (DOT, -DOT)]
     return marks
 
 
-def straight(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
+def draw_line(x1: float, y1: float, x2: float, y2: float, style: str) -> Mark:
     """Returns a straight line."""
     return {"tag": "line", "class": style, "x1": x1, "y1": y1, "x2": x2, "y2": y2}
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.analysis.robot import joint_summaries
 from pupper_analysis.report.document import Motion, StandScene, Text
-from pupper_analysis.report.formats import visible
-from pupper_analysis.report.scene import JointAxis, Mesh, shapes_of, shown_geoms, standing
+from pupper_analysis.report.formats import escape_control
+from pupper_analysis.report.scene import JointAxis, Mesh, describe_scene, shapes_of, shown_geoms
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 
@@ -50,7 +50,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
     low, high = extent_of(model, data)
     still = Motion(text("the-stand"), np.zeros(1), stand.qpos[None])
     geoms, meshes = geoms_of(model)
-    seen = standing(robot, stand, statics)
+    seen = describe_scene(robot, stand, statics)
     layers = ["shapes", "axes", *(["forces"] if statics else []), "support", "masses"]
     motions = {one.name: one.motion for one in joint_summaries(robot)}
     return {
@@ -61,7 +61,7 @@ def _stand(scene: StandScene) -> dict[str, Any]:
         "joints": [_joint(one, motions[one.name]) for one in seen.joints],
         "contacts": [
             {
-                "name": visible(one.foot),
+                "name": escape_control(one.foot),
                 "point": short_numbers(one.point),
                 "force": short_numbers(one.force),
             }
@@ -98,10 +98,10 @@ def _frames(robot: Robot, data: mujoco.MjData, motion: Motion) -> dict[str, Any]
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         poses.append(np.concatenate([data.xpos, data.xquat], axis=1)[1:])
-    return packed(motion.name, motion.time[chosen], np.array(poses))
+    return pack_poses(motion.name, motion.time[chosen], np.array(poses))
 
 
-def packed(name: Text, time: Array, poses: Array) -> dict[str, Any]:
+def pack_poses(name: Text, time: Array, poses: Array) -> dict[str, Any]:
     """Returns poses in few letters.
 
     Args:
@@ -146,7 +146,7 @@ def bodies_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
     """Returns the bodies but the world: names, masses (kg) and coms in their own frames (m)."""
     return [
         {
-            "name": visible(str(model.body(body).name)),
+            "name": escape_control(str(model.body(body).name)),
             "mass": round(float(model.body_mass[body]), 6),
             "com": short_numbers(model.body_ipos[body]),
         }
@@ -157,7 +157,7 @@ def bodies_of(model: mujoco.MjModel) -> list[dict[str, Any]]:
 def _joint(one: JointAxis, motion: str) -> dict[str, Any]:
     """Returns a joint's axis, what it does, where it is and what its motor holds."""
     return {
-        "name": visible(one.name),
+        "name": escape_control(one.name),
         "body": one.body - 1,
         "anchor": short_numbers(one.anchor),
         "axis": short_numbers(one.axis),
@@ -202,7 +202,7 @@ def _mesh(mesh: Mesh) -> dict[str, Any]:
     }
 
 
-def shared(scenes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def share_meshes(scenes: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Takes meshes out of scenes, where several robots have the same, and returns each once.
 
     The scenes' own are replaced by the names under which they are returned.

@@ -17,12 +17,12 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.report.document import Block, Document, Lines, Report, Table, Text, View
-from pupper_analysis.report.documents.registry import report
-from pupper_analysis.report.formats import visible
+from pupper_analysis.report.documents.registry import build_report
+from pupper_analysis.report.formats import escape_control
 from pupper_analysis.report.html import maps, overlay  # noqa: F401  (say how they are drawn)
 from pupper_analysis.report.html.library import installed_library
-from pupper_analysis.report.html.plots import draw
-from pupper_analysis.report.html.scene import scene_of, shared
+from pupper_analysis.report.html.plots import draw_svg
+from pupper_analysis.report.html.scene import scene_of, share_meshes
 from pupper_analysis.report.plots import Plot
 from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
@@ -74,13 +74,13 @@ def write_report(
         raise ConfigurationError("results", diagnose("no-result", given=reprlib.repr(odd[0])))
     if not named:
         raise ConfigurationError("results", diagnose("nothing-to-report"))
-    shown = report(
+    shown = build_report(
         [(name or "", result) for name, result in named if not isinstance(result, Table)],
         robots,
         [result for _, result in named if isinstance(result, Table)],
     )
     with whole_file(Path(path)) as file:
-        file.write(page(shown, language).encode())
+        file.write(render_page(shown, language).encode())
 
 
 def _named(
@@ -94,7 +94,7 @@ def _named(
     return [(None, result) for result in results]
 
 
-def page(shown: Report, language: str = "en") -> str:
+def render_page(shown: Report, language: str = "en") -> str:
     """Returns a report as one HTML page.
 
     Args:
@@ -104,7 +104,7 @@ def page(shown: Report, language: str = "en") -> str:
     library = installed_library()
     scenes: list[dict[str, Any]] = []
     sections = tuple(_drawn(document, scenes) for document in shown.documents)
-    meshes = shared(scenes)
+    meshes = share_meshes(scenes)
     judged = [section for section in sections if section.passed is not None]
     page: str = (
         _environment()
@@ -138,7 +138,7 @@ def _drawn(document: Document, scenes: list[dict[str, Any]]) -> Document:
 def _block(block: Block, scenes: list[dict[str, Any]]) -> Any:
     """Returns what the template shows of a block; None where nothing is to be shown."""
     if isinstance(block, Plot):
-        return draw(block)
+        return draw_svg(block)
     if not isinstance(block, View):
         return block
     if block.scene is None:
@@ -227,7 +227,7 @@ def _environment() -> jinja2.Environment:
 
     def shown(value: object) -> object:
         plain = isinstance(value, str) and not isinstance(value, markupsafe.Markup)
-        return "\n".join(map(visible, str(value).split("\n"))) if plain else value
+        return "\n".join(map(escape_control, str(value).split("\n"))) if plain else value
 
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("pupper_analysis.report.html"),

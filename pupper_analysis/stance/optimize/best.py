@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
@@ -56,7 +56,7 @@ class BestStance(Result):
     evaluations: int
 
 
-@checked
+@check_arguments
 def best_stance(
     robot: Robot,
     objective: Objective = Objective.UTILISATION,

@@ -10,7 +10,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
@@ -77,7 +77,7 @@ class FastestPath(Result):
     path: StancePath
 
 
-@checked
+@check_arguments
 def fastest_path(
     robot: Robot,
     stances: Sequence[StandTask],

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
@@ -163,7 +163,7 @@ class StancePath(Tabular):
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-@checked
+@check_arguments
 def stance_path(
     robot: Robot,
     stances: Sequence[StandTask],

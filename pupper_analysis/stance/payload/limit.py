@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
@@ -97,7 +97,7 @@ class PayloadLimit(Result):
         return self.bound.where
 
 
-@checked
+@check_arguments
 def payload_limit(
     robot: Robot,
     stand: Stand,

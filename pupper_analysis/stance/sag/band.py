@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
@@ -65,7 +65,7 @@ class SteadyStateBand(Result):
         return tuple(found)
 
 
-@checked
+@check_arguments
 def steady_state_band(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, feedforward: bool = False
 ) -> SteadyStateBand:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import checked
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
@@ -106,7 +106,7 @@ class SteadyState(Result):
     failures: tuple[Diagnostic, ...]
 
 
-@checked
+@check_arguments
 def steady_state(
     robot: Robot,
     stand: Stand,
@@ -246,7 +246,7 @@ def release_margin(way: Way) -> float:
     return float(min(left) / (robot.total_mass * np.linalg.norm(robot.gravity)))
 
 
-@checked
+@check_arguments
 def minimum_stiffness(
     robot: Robot, stand: Stand, *, feet: Feet = "pinned", tolerance: float = 0.01
 ) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import crosses
+from pupper_analysis.arrays import cross_matrices
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.sag.solution import Anchor
 
@@ -48,7 +48,7 @@ class Touch:
         # MuJoCo has the contact half way into the penetration.
         reach = np.array([radius[foot] for foot in feet]) - deep / 2
         arms = reach[:, None] * self._normal  # from the contact to the centre
-        self._offsets = crosses(arms)
+        self._offsets = cross_matrices(arms)
         self._twists = config.foot_twists(feet)
         self._centre, self.turning = self._twists[:, :3], self._twists[:, 3:]
         self.jacobians = frame @ (self._centre + self._offsets @ self.turning)
@@ -68,7 +68,7 @@ class Touch:
         turns = logs.transpose(0, 2, 1) @ self.turning
         rates: Array = self._centre + self._offsets @ turns
         # The arm gets shorter by half of what the foot goes deeper.
-        sideways = crosses(self._turns) @ (self._normal / 2)
+        sideways = cross_matrices(self._turns) @ (self._normal / 2)
         rates += sideways[:, :, None] * deeper[:, None, :]
         rates = self._frame @ rates
         rates[:, 2] = deeper
@@ -101,7 +101,7 @@ class Touch:
             wrenches[:, 3:] += moments @ self._frame
         rates = self.config.pushed_rates(self._twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
-        nearer = pushing @ (crosses(self._normal[None])[0].T / 2)
+        nearer = pushing @ (cross_matrices(self._normal[None])[0].T / 2)
         moved = (nearer[:, None] @ self.turning)[:, 0]
         change: Array = rates - moved.T @ self._deeper()
         return change

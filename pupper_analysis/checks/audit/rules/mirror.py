@@ -9,7 +9,7 @@ import numpy as np
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Vector, bound, diagnose
+from pupper_analysis.diagnostics import Quantity, Vector, describe_bound, diagnose
 from pupper_analysis.robot_model.model import HINGE, Inertial, Joint, Link, RobotModel
 from pupper_analysis.robot_model.pose import Array
 
@@ -226,7 +226,7 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
             )
         elif one.effort != other.effort and not np.isclose(one.effort, other.effort, rtol=0.01):
             unit = "N m" if other.kind == HINGE else "N"
-            effort, its = bound(other.effort, unit), bound(one.effort, unit)
+            effort, its = describe_bound(other.effort, unit), describe_bound(one.effort, unit)
             told = diagnose("mirror-effort", effort=effort, other=one.name, its=its)
         else:
             continue
