@@ -10,7 +10,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from mujoco import MjModel
 
 
 @dataclass(frozen=True)
@@ -26,10 +29,11 @@ class JointAttribute:
         felt: Whether forward dynamics depend on it.
         unstated: What it is where a file does not state it.
         urdf: The element below ``<joint>`` and its attribute; None where a URDF has no words.
-        mjcf: The attributes of an MJCF's joint, or its actuators, any of which states it; none
-            where an MJCF has no words.
+        mjcf: The attributes of an MJCF's joint, or its actuators, any of which states it, its own
+            first; none where an MJCF has no words.
         pinocchio: The vector of Pinocchio's model, one entry per velocity; "" if there is none.
         mujoco: The array of MuJoCo's model, one entry per velocity; "" if there is none.
+        of_joints: The one with an entry per joint, of what has none per velocity.
         resists: Whether it resists motion, whatever a motor does.
         signed: Whether it can be negative.
     """
@@ -45,12 +49,19 @@ class JointAttribute:
     mjcf: tuple[str, ...] = ()
     pinocchio: str = ""
     mujoco: str = ""
+    of_joints: str = ""
     resists: bool = False
     signed: bool = False
 
     def unit(self, slides: bool) -> str:
         """Returns its unit, of a joint that slides or turns."""
         return self.units[slides]
+
+    def compiled(self, model: MjModel, joint: int) -> float:
+        """Returns what MuJoCo makes of it at a joint (its id), which it has an array for."""
+        if self.mujoco:
+            return float(getattr(model, self.mujoco)[model.jnt_dofadr[joint]])
+        return float(getattr(model, self.of_joints)[joint])
 
     @property
     def in_both(self) -> bool:
@@ -109,7 +120,7 @@ JOINT_ATTRIBUTES: Final = (
         "damping",
         felt=True,
         urdf=("dynamics", "damping"),
-        mjcf=("damping",),
+        mjcf=("damping", "springdamper"),
         pinocchio="damping",
         mujoco="dof_damping",
         resists=True,
@@ -142,7 +153,8 @@ JOINT_ATTRIBUTES: Final = (
         ("N m/rad", "N/m"),
         "dynamics",
         felt=True,
-        mjcf=("stiffness",),
+        mjcf=("stiffness", "springdamper"),
+        of_joints="jnt_stiffness",
         resists=True,
     ),
 )

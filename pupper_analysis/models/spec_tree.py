@@ -148,9 +148,23 @@ class SpecTree:
                     if actuator.biastype == mujoco.mjtBias.mjBIAS_NONE:  # its command is a force
                         actuator.ctrlrange = np.array(actuator.ctrlrange) * factor
             return
-        for word in attribute.mjcf:
-            value = getattr(element, word)
-            setattr(element, word, np.array(value) * factor if np.ndim(value) else value * factor)
+        if "springdamper" in attribute.mjcf and np.any(element.springdamper):
+            self._state_spring_and_damper(element)
+        word = attribute.mjcf[0]
+        value = getattr(element, word)
+        setattr(element, word, np.array(value) * factor if np.ndim(value) else value * factor)
+        self._forget()
+
+    def _state_spring_and_damper(self, element: mujoco.MjsJoint) -> None:
+        """States what ``springdamper`` makes of a joint in numbers of their own."""
+        model = self._compiled
+        joint = model.joint(element.name).id
+        for kind in ("spring", "damping"):
+            attribute = BY_KIND[kind]
+            values = np.atleast_1d(np.array(getattr(element, attribute.mjcf[0]), dtype=float))
+            values[0] = attribute.compiled(model, joint)
+            setattr(element, attribute.mjcf[0], values if len(values) > 1 else values[0])
+        element.springdamper = (0.0, 0.0)
 
     def use_implicit_damping(self) -> None:
         """Steps so that a servo's damping does not shake light joints."""

@@ -183,22 +183,30 @@ def _joint(
         position=to_base.point(data.xanchor[joint]),
         axis=to_base.rotation @ data.xaxis[joint] if kind in (HINGE, SLIDE) else np.zeros(3),
         raw_axis=np.array(model.jnt_axis[joint] if written is None else written.axis),
-        stated=_stated(file, names[body], written, limits),
+        stated=_stated(file, model, joint, names[body], written, limits),
         **limits,
     )
 
 
 def _stated(
-    file: MjcfFile, body: str, joint: mujoco.MjsJoint | None, limits: Mapping[str, float]
+    file: MjcfFile,
+    model: mujoco.MjModel,
+    joint: int,
+    body: str,
+    written: mujoco.MjsJoint | None,
+    limits: Mapping[str, float],
 ) -> dict[str, float]:
     """Returns what a file states of a joint; zero is stated where an element or a class says so."""
     found = {one.kind: limits[one.field] for one in IN_A_TREE if one.field in limits}
     found = {kind: value for kind, value in found.items() if math.isfinite(value)}
-    if joint is None:
+    if written is None:
         return found
     for one in PASSIVE:
-        value = float(np.atleast_1d(getattr(joint, one.mjcf[0]))[0])
-        if value or file.stated("joint", joint.name or body, one.mjcf) is not None:
+        own, *others = one.mjcf
+        value = float(np.atleast_1d(getattr(written, own))[0])
+        if any(np.any(getattr(written, other)) for other in others):  # it goes before its own
+            value = one.compiled(model, joint)
+        if value or file.stated("joint", written.name or body, one.mjcf) is not None:
             found[one.kind] = value
     return found
 

@@ -128,7 +128,7 @@ def test_a_factor_is_on_that_number_alone(
     mjcf.scale("j", attribute, 2.0)
     new = mjcf.spec.compile()
     for one in PASSIVE:
-        name = one.mujoco or "jnt_stiffness"
+        name = one.mujoco or one.of_joints
         ratio = 2.0 if one == attribute else 1.0
         assert getattr(new, name)[-1] == ratio * getattr(old, name)[-1], one.kind
 
@@ -147,3 +147,31 @@ def test_a_comparison_names_each_number_that_differs(files: tuple[Path, Path]) -
         assert difference.urdf == pytest.approx(0.9 * VALUES[one.kind])
         assert difference.mjcf == VALUES[one.kind]
         assert difference.unit == one.unit(slides=False)
+
+
+SPRUNG = MJCF.replace('damping="0.125"', "").replace(
+    'stiffness="0.7"', 'stiffness="9" springdamper="0.2 0.5"'
+)
+
+
+def test_a_springdamper_is_read_told_and_multiplied_as_what_it_makes(tmp_path: Path) -> None:
+    one, two = tmp_path / "one.xml", tmp_path / "two.xml"
+    one.write_text(SPRUNG)
+    two.write_text(SPRUNG.replace("0.2 0.5", "0.4 0.5"))
+    file = read_mjcf(one)
+    damping, spring = (next(a for a in PASSIVE if a.kind == kind) for kind in ("damping", "spring"))
+    made = damping.compiled(file.model, 1), spring.compiled(file.model, 1)
+    # Of a time constant T and a damping ratio z, MuJoCo makes d = 2 M / T and k = M / (T z)^2.
+    assert made[0] / made[1] == pytest.approx(2 * 0.2 * 0.5**2)
+    stated = read_mjcf_model(file).joints["j"].stated
+    assert (stated["damping"], stated["spring"]) == made
+    tree = SpecTree(file.spec.copy())
+    tree.scale("j", damping, 2.0)
+    model = tree.spec.compile()
+    assert damping.compiled(model, 1) == pytest.approx(2 * made[0])
+    assert spring.compiled(model, 1) == pytest.approx(made[1])
+    found = {change.kind: change for change in pa.diff_models(one, two).changes}
+    assert {"damping", "spring"} <= set(found)
+    assert found["damping"].old == pytest.approx(made[0])
+    assert found["damping"].new == pytest.approx(made[0] / 2)
+    assert found["damping"].old_place.endswith("one.xml:1")
