@@ -225,6 +225,7 @@ def no_slips(path: str) -> Iterator[tuple[int, int, int, int]]:
             inner = [*node.decorator_list]
         if isinstance(node, ast.FunctionDef):
             inner += [node.returns]
+            yield from stars(node)
         elif isinstance(node, ast.arg | ast.AnnAssign):
             inner = [node.annotation]
         elif isinstance(node, ast.Raise) or (
@@ -235,6 +236,15 @@ def no_slips(path: str) -> Iterator[tuple[int, int, int, int]]:
             inner = [word.value for word in node.keywords if word.arg == "strict"]
         for one in filter(None, inner):
             yield one.lineno, one.col_offset, one.end_lineno, one.end_col_offset  # type: ignore[attr-defined]
+
+
+def stars(function: ast.FunctionDef) -> Iterator[tuple[int, int, int, int]]:
+    """Yields where a function's head is, but for its defaults: its * and / are no operators."""
+    place = function.lineno, function.col_offset
+    for one in (*function.args.defaults, *function.args.kw_defaults, function.body[0]):
+        if one is not None:
+            yield *place, one.lineno, one.col_offset
+            place = one.end_lineno, one.end_col_offset  # type: ignore[assignment]
 
 
 def drawn(paths: Sequence[str], sample: int, seed: int) -> list[Any]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.matching.alignment import digits, digits_in_all, with_base
+from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 
 
 def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:
@@ -33,3 +34,23 @@ def test_a_base_seen_from_another_frame_is_the_same_matter() -> None:
     np.testing.assert_allclose(found.com, masses @ moved / masses.sum(), atol=1e-12)
     np.testing.assert_allclose(found.inertia, inertia_of(moved, masses), atol=1e-12)
     assert found.mass == body.mass
+
+
+def leg(frame: tuple[float, float, float]) -> MultibodyTree:
+    joint = TreeJoint(
+        "trunk", np.array([0.1, 0.2, 0.3]), np.eye(3), np.array([0.0, 1.0, 0.0]), False,
+        -1.0, 1.0, 5.0, 10.0, 0.01, 0.1, 0.2,
+    )  # fmt: skip
+    body = TreeBody(1.0, np.array([0.0, 0.0, -0.1]), 0.01 * np.eye(3))
+    frames = {"foot": ("knee", np.array(frame))}
+    bodies = {"trunk": body, "knee": body}
+    return MultibodyTree("trunk", True, bodies, {"knee": joint}, frames, np.array([0, 0, -9.81]))
+
+
+def test_only_what_differs_takes_digits_to_tell() -> None:
+    tolerances = Tolerances()
+    one = leg((0.01, 0.0, -0.2))
+    assert digits_in_all(one, leg((0.01, 0.0, -0.2)), tolerances) == 0
+    there = digits_in_all(one, leg((0.01, 0.03, -0.16)), tolerances)
+    np.testing.assert_allclose(there, digits(0.05, tolerances.position))
+    assert there > 3

@@ -21,6 +21,7 @@ REFUSED = {
     "impratio -1": ("<option ", '<option impratio="-1" ', "it is a positive number"),
     "iterations 0": ("<option ", '<option iterations="0" ', "needs one at least"),
     "tolerance 1e9": ("<option ", '<option tolerance="1e9" ', "before contact forces mean"),
+    "tolerance 0.02": ("<option ", '<option tolerance="0.02" ', "before contact forces mean"),
     "armature -0.01": ('name="FL_knee"', 'armature="-0.01" name="FL_knee"', "negative inertia"),
     "a margin of 1e9": (
         'type="plane"',

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.robot.stability import Mode
 from pupper_analysis.robot.transition import transition
 from pupper_analysis.simulation.causes import unstable
 from pupper_analysis.simulation.nudge import response
@@ -299,3 +300,16 @@ def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:
         swings.append(least.frequency)
     assert swings == pytest.approx([math.sqrt(1 / 0.01) / (2 * math.pi)] * 2, rel=1e-2)
     assert model.jnt_range[0].tolist() == [-1.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("frequency", "time_constant", "shakes"),
+    [(2.0, 1.0, True), (2.0, 0.05, False), (0.07, 100.0, False), (0.1, 100.0, True)],
+)
+def test_shaking_swings_sooner_than_it_grows_and_than_a_stand_lasts(
+    frequency: float, time_constant: float, shakes: bool
+) -> None:
+    """Faster than once in 12 s, and by more than a radian of its phase while it grows by e."""
+    mode = Mode(0.01, frequency, -0.1, time_constant, 0.7 * time_constant, ("knee",), ())
+    assert mode.shakes == shakes
+    assert mode.grows_within(12.0) == (shakes or time_constant < 1)

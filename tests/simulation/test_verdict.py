@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace as Stub
 from typing import Any
 
@@ -18,7 +19,7 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.fall import has_collapsed
-from pupper_analysis.simulation.verdict import Ending, VerdictCode, judge
+from pupper_analysis.simulation.verdict import Ending, VerdictCode, expect, judge
 
 
 def run(loss: float = 0.001, *, passed: bool = True) -> Any:
@@ -127,3 +128,29 @@ def test_the_worst_decides() -> None:
     assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED
     assert verdict.commands_alone is Ending.COLLAPSES
     assert "were added" in in_words(verdict)
+
+
+@pytest.mark.parametrize(
+    ("shares", "doubling", "code"),
+    [
+        ((0.5, 0.9), None, VerdictCode.IN_BALANCE),
+        ((0.5, 1.1), None, VerdictCode.OVERLOADED),
+        ((0.5, 0.9), 0.3, VerdictCode.UNSTABLE),
+        ((0.5, 1.1), 0.3, VerdictCode.OVERLOADED),
+    ],
+)
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_only_expected_never_passes(
+    shares: tuple[float, float], doubling: float | None, code: VerdictCode, known: bool
+) -> None:
+    """Of a stance that is in balance, before it is simulated: its motors, and whether it lasts."""
+    if not known:
+        code = VerdictCode.OVERLOADED if max(shares) > 1 else VerdictCode.IN_BALANCE
+    statics: Any = Stub(joint_names=("hip", "knee"), motor_utilisation=shares)
+    stability: Any = Stub(lasts=lambda: doubling is None, doubling_time=doubling)
+    verdict = expect(statics, FILE, stability if known else None)
+    assert verdict.code is code
+    assert not verdict.passed
+    assert verdict.seconds == 0
+    assert verdict.overloaded == (("knee",) if max(shares) > 1 else ())
+    assert verdict.doubling_time == (doubling if known and doubling else math.inf)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.problem import Goal, goal_of
 from tests.support.variants import NAMES, load
 
 
@@ -48,3 +48,20 @@ def test_margins_narrow_the_limits() -> None:
         goal_of(robot, pa.StandTask(joint_margin=2.0), {})
     with pytest.raises(pa.ConfigurationError, match="com_margin"):
         goal_of(robot, pa.StandTask(com_margin=0.2), {})
+
+
+def test_feet_on_one_line_carry_nothing() -> None:
+    """Three that are left, the front one brought between the rear ones; 4 mm away, it is a base."""
+    robot = load("original")
+    places = goal_of(robot, pa.StandTask(), {}).targets
+    swing, moved, one, two = "FL", "FR", "RL", "RR"
+    middle = (places[one] + places[two]) / 2 - places[moved]
+
+    def goal(ahead: float) -> Goal:
+        offsets = {moved: (float(middle[0]) + ahead, float(middle[1]))}
+        return goal_of(robot, pa.StandTask(swing={swing: 0.02}, foot_offsets=offsets), {})
+
+    with pytest.raises(pa.ConfigurationError, match="along one line alone"):
+        goal(0.0)
+    corners = np.array(goal(0.004).corners)
+    assert np.ptp(corners[:, 0]) == pytest.approx(0.004)

@@ -11,16 +11,18 @@ from scipy.interpolate import CubicHermiteSpline
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.demo import DEMOS, demo_stances
+from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.simulation.tracking import track_path
 from pupper_analysis.stance.path.fastest import RESERVE, RISE, fastest_path, ground_lag
 from pupper_analysis.stance.path.path_limits import PathLimit
 from pupper_analysis.stance.path.stance_path import stance_path
+from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.dynamics import joint_resistance
 from tests.stance.path.test_stance_path import Task, stances
 from tests.support.cases import some
 from tests.support.repository import benchmark
-from tests.support.variants import load
+from tests.support.variants import load, stand_of
 
 
 def down(name: str) -> list[pa.StandTask]:
@@ -224,3 +226,18 @@ def test_mujoco_follows_the_fastest_paths_of_others(name: str) -> None:
         assert tracking.passed, tracking.failures
         assert tracking.torque_error < 0.05
         assert found.lower_bound < found.seconds < 1.3 * found.lower_bound
+
+
+def test_the_ground_lags_under_a_foots_share_of_the_weight() -> None:
+    """Under a load that grows by F' a second the depth's rate r' is that of the static law.
+
+    k d r + b r' = R f: with f and r growing alike, the depth is behind by b / (k d) seconds.
+    """
+    robot = load("v3")
+    forces = stand_statics(robot, stand_of("v3")).contact_forces
+    share = sum(float(force[2]) for force in forces.values()) / len(forces)
+    lags = []
+    for foot in robot.feet:
+        law = GroundLaw.of(robot, foot)
+        lags.append(law.damping / (law.stiffness * law.impedance(law.depth(share))))
+    assert ground_lag(robot) == pytest.approx(max(lags))
