@@ -21,7 +21,7 @@ from rich.table import Table
 from stances import OTHERS, Demand, other_robot, random_task
 
 import pupper_analysis as pa
-from pupper_analysis.stance.demands import numbers_of
+from pupper_analysis.stance.demands import Numbers
 
 NEAR = 5e-3
 """A refused stance whose feet miss by less is within reach's edge (m)."""
@@ -124,11 +124,9 @@ def share_beyond(
     robot: pa.Robot, end: pa.StandTask, task: pa.StandTask, fields: list[str]
 ) -> float:
     """What share of the way from a limit to what was asked is ``BEYOND`` it."""
-    limits = [number for field in fields for number in numbers_of(robot, end, field)]
-    asked = [number for field in fields for number in numbers_of(robot, task, field)]
-    size = sum(abs(number.value - number.nominal) for number in limits)
-    given = sum(abs(a.value - n.value) for a, n in zip(asked, limits, strict=True))
-    return BEYOND * size / given
+    limits, asked = Numbers(robot, end, fields), Numbers(robot, task, fields)
+    size = np.abs(limits.values - limits.nominal).sum()
+    return float(BEYOND * size / np.abs(asked.values - limits.values).sum())
 
 
 def as_printed(task: pa.StandTask, text: str, limits: dict[str, object], unit: str) -> pa.StandTask:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
-from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.footholds import feet_places, nominal_feet
 from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
 
 _FIELDS: dict[str, list[Field]] = {}
 for _field in FIELDS.values():
@@ -39,32 +40,88 @@ _DOUBTFUL = 50.0
 _MOST_DIGITS = 12
 
 
-@dataclass(frozen=True)
-class Number:
-    """One number of a demand.
+class Number(NamedTuple):
+    """Which number of a task: a field's, a foot's where it has some, of a point that of an axis."""
+
+    field: str
+    foot: str = ""
+    axis: str = ""
+
+
+class Numbers:
+    """The numbers of some demands of a task, as a vector (n,), and how far each may give.
+
+    Margins and lifts only become less, a slope or a step as well; all else may go either way.
+
+    Args:
+        robot: The robot.
+        task: The task.
+        demands: Which of ``DEMANDS``.
 
     Attributes:
-        key: Which: a field of the task or its ground, or (field, foot), or (field, foot, axis).
-        value: Its value (m, or rad).
-        nominal: That of the nominal stand.
+        keys: Which numbers they are.
+        demands: Of each, its demand.
+        values: (n,) what the task has (m, rad).
+        nominal: (n,) what the nominal stand has.
+        low: (n,) the least that they may become where their demand gives.
+        high: (n,) the most.
+        units: (n,) in which it is counted how much they give: a stand height, or a radian.
     """
 
-    key: tuple[str, ...]
-    value: float
-    nominal: float
+    def __init__(self, robot: Robot, task: StandTask, demands: Sequence[str]) -> None:
+        self._task = task
+        self.keys: list[Number] = []
+        self.demands: list[str] = []
+        rows = []
+        for demand in demands:
+            for field in _FIELDS[demand]:
+                for foot, value in _values(task, field):
+                    nominal = _nominal(robot, task, field, foot)
+                    for axis, one, usual in _parts(value, nominal):
+                        self.keys.append(Number(field.name, foot, axis))
+                        self.demands.append(demand)
+                        rows.append((one, float(usual), *_range(robot, field, one)))
+        self.values, self.nominal, self.low, self.high = np.array(rows).reshape(-1, 4).T
+        angles = [FIELDS[key.field].kind == "angle" for key in self.keys]
+        self.units = np.where(angles, 1.0, robot.stand_height)
+
+    def of(self, task: StandTask) -> Array:
+        """Returns what a task with the same feet has of them (n,)."""
+        has = task.values()
+        found = [has[key.field][key.foot] if key.foot else has[key.field] for key in self.keys]
+        pairs = zip(found, self.keys, strict=True)
+        return np.array([one["xy".index(key.axis)] if key.axis else one for one, key in pairs])
+
+    def task(self, values: Array) -> StandTask:
+        """Returns the task with others (n,)."""
+        changed: dict[str, dict[str, list[float]]] = {}
+        for (field, foot, _), value in zip(self.keys, values.tolist(), strict=True):
+            changed.setdefault(field, {}).setdefault(foot, []).append(value)
+        return self._task.having(
+            {
+                name: {foot: _one(parts) for foot, parts in of.items()}
+                if FIELDS[name].per_foot
+                else _one(of[""])
+                for name, of in changed.items()
+            }
+        )
+
+    def inside(self, values: Array) -> Array:
+        """Returns values (n,) no further than they may go."""
+        inside: Array = np.clip(values, self.low, self.high)
+        return inside
 
 
-def numbers_of(robot: Robot, task: StandTask, demand: str) -> Iterator[Number]:
-    """Yields the numbers of a demand."""
-    for field in _FIELDS[demand]:
-        for foot, value in _values(task, field):
-            nominal = _nominal(robot, task, field, foot)
-            key = (field.name, foot) if foot else (field.name,)
-            if isinstance(value, tuple):
-                for axis, one, other in zip("xy", value, nominal, strict=True):
-                    yield Number((*key, axis), one, float(other))
-            else:
-                yield Number(key, value, nominal)
+def _parts(value: Any, nominal: Any) -> Iterator[tuple[str, float, float]]:
+    """Yields the axis, the value and the nominal value of each number of a field."""
+    if isinstance(value, tuple):
+        yield from zip("xy", value, nominal, strict=True)
+    else:
+        yield "", value, nominal
+
+
+def _one(parts: list[float]) -> float | tuple[float, ...]:
+    return parts[0] if len(parts) == 1 else tuple(parts)
 
 
 def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
@@ -97,12 +154,9 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def range_of(robot: Robot, asked: Number) -> tuple[float, float]:
-    """Returns the least and the most that a number may become where its demand gives (m, rad).
-
-    Margins and lifts only become less, a slope or a step as well; all else may go either way.
-    """
-    field, value, far = FIELDS[asked.key[0]], asked.value, _FAR * robot.stand_height
+def _range(robot: Robot, field: Field, value: float) -> tuple[float, float]:
+    """Returns the least and the most that a number may become; see ``Numbers`` (m, rad)."""
+    far = _FAR * robot.stand_height
     if field.gives == "less":
         least = _LEAST * value if field.open else min(0.0, value)
         return least, max(0.0, value)
@@ -111,72 +165,31 @@ def range_of(robot: Robot, asked: Number) -> tuple[float, float]:
     return (_LEAST * value if field.open else value - far), value + far
 
 
-def with_numbers(
-    task: StandTask, values: dict[tuple[str, ...], float], demands: Sequence[str]
-) -> StandTask:
-    """Returns a task with other numbers for some demands, by the keys of ``numbers_of``.
-
-    They are not checked: nobody's but our own.
-    """
-    changed: dict[str, dict[str, Any]] = {"task": {}, "ground": {}}
-    for demand in demands:
-        for field in _FIELDS[demand]:
-            new = {foot: _new(field, foot, one, values) for foot, one in _values(task, field)}
-            if new or field.per_foot:
-                changed[field.part][field.name] = FrozenDict(new) if field.per_foot else new[""]
-    if changed["ground"]:
-        changed["task"]["ground"] = replace(task.ground, **changed["ground"])
-    return task.filled(**changed["task"])
-
-
-def _new(field: Field, foot: str, had: Any, values: Mapping[tuple[str, ...], float]) -> Any:
-    key = (field.name, foot) if foot else (field.name,)
-    return tuple(values[*key, axis] for axis in "xy") if isinstance(had, tuple) else values[key]
-
-
 def differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
     """Tells whether some demands are not the nominal stand's."""
-    return any(
-        number.value != number.nominal
-        for demand in demands
-        for number in numbers_of(robot, task, demand)
-    )
+    numbers = Numbers(robot, task, demands)
+    return bool((numbers.values != numbers.nominal).any())
 
 
 def far_off(robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]) -> bool:
     """Tells whether a task asks for so much more than is possible that its unit is in doubt."""
-    return any(
-        abs(asked.value - asked.nominal) > _DOUBTFUL * abs(found.value - found.nominal)
-        for demand in demands
-        for asked, found in zip(
-            numbers_of(robot, task, demand), numbers_of(robot, possible, demand), strict=True
-        )
-    )
+    asked, found = Numbers(robot, task, demands), Numbers(robot, possible, demands)
+    more = np.abs(asked.values - asked.nominal) > _DOUBTFUL * np.abs(found.values - found.nominal)
+    return bool(more.any())
 
 
 def given_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the nominal stand's numbers for some demands; lifts are next to none."""
-    values = {}
-    had = [demand for demand in demands if any(True for _ in numbers_of(robot, task, demand))]
-    for demand in had:
-        for number in numbers_of(robot, task, demand):
-            least, most = range_of(robot, number)
-            values[number.key] = min(max(number.nominal, least), most)
-    return with_numbers(task, values, had)
+    numbers = Numbers(robot, task, demands)
+    return numbers.task(numbers.inside(numbers.nominal))
 
 
 def further(
     robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
     """Returns a task in which some demands give more, by a share of what they give already."""
-    values = {}
-    for demand in demands:
-        both = numbers_of(robot, task, demand), numbers_of(robot, asked, demand)
-        for number, before in zip(*both, strict=True):
-            least, most = range_of(robot, before)
-            more = number.value + share * (number.value - before.value)
-            values[number.key] = min(max(more, least), most)
-    return with_numbers(task, values, demands)
+    now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
+    return now.task(before.inside(now.values + share * (now.values - before.values)))
 
 
 def rounded(
@@ -192,28 +205,25 @@ def rounded(
     By up to 0.1 mm, 0.1 degrees or 1/200 of the distance from the nominal stand, whichever is
     least; ``back`` rounds towards what was asked.
     """
-    values = {
-        number.key: _rounded(number, before.value, back=back)
-        for demand in demands
-        for number, before in zip(
-            numbers_of(robot, task, demand), numbers_of(robot, asked, demand), strict=True
-        )
-    }
-    return with_numbers(task, values, demands)
+    now, before = Numbers(robot, task, demands), Numbers(robot, asked, demands)
+    numbers = zip(now.keys, now.values, now.nominal, before.values, strict=True)
+    told = [_rounded(FIELDS[key.field], *map(float, three), back=back) for key, *three in numbers]
+    return now.task(before.inside(np.array(told)))
 
 
-def _rounded(number: Number, asked: float, *, back: bool) -> float:
-    unit = math.radians(1.0) if is_angle(number.key) else 1e-3  # degrees, millimetres
-    value, nominal = number.value / unit, number.nominal / unit
-    if number.value == asked or number.value == number.nominal:
-        return number.value
+def _rounded(field: Field, number: float, usual: float, asked: float, *, back: bool) -> float:
+    angle = field.kind == "angle"
+    unit = math.radians(1.0) if angle else 1e-3  # degrees, millimetres
+    value, nominal = number / unit, usual / unit
+    if number in (asked, usual):
+        return number
     digits = max(1, math.ceil(-math.log10(_FINE * abs(value - nominal))))
-    step, up = 10.0 ** -min(_MOST_DIGITS, digits), (number.value > asked) != back
+    step, up = 10.0 ** -min(_MOST_DIGITS, digits), (number > asked) != back
     away = math.ceil if up else math.floor
     result = round(away(value / step + (-1e-6 if up else 1e-6)) * step, digits)
     if (result - nominal) * (value - nominal) <= 0:  # nothing would be left of it
-        return number.value
-    return math.radians(result) if is_angle(number.key) else round(result * 1e-3, digits + 3)
+        return number
+    return math.radians(result) if angle else round(result * 1e-3, digits + 3)
 
 
 def in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
@@ -226,11 +236,6 @@ def in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
 def _short(angle: float) -> float:
     """Returns an angle rounded towards zero, as limits are."""
     return math.trunc(angle * 1e4) / 1e4
-
-
-def is_angle(key: tuple[str, ...]) -> bool:
-    """Tells whether a number is in radians; all others are in metres."""
-    return FIELDS[key[0]].kind == "angle"
 
 
 def told_limit(

@@ -228,7 +228,7 @@ def _filled(robot: Robot, task: StandTask) -> StandTask:
     com, height = task.com, task.height
     if com is None:
         com = "inside" if task.offset is None and not moves_com(robot) else "centre"
-    return task.filled(com=com, height=robot.stand_height if height is None else height)
+    return task.filled(robot.stand_height if height is None else height, com)
 
 
 def _centred(task: StandTask) -> bool:

@@ -19,7 +19,7 @@ from scipy import linalg
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.constraints import Constraint, constraints_of
-from pupper_analysis.stance.demands import is_angle, numbers_of, range_of, with_numbers
+from pupper_analysis.stance.demands import Numbers
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.task import StandTask
 
@@ -154,16 +154,13 @@ class Programme:
         self._constraints: list[Constraint] = sorted(kept, key=lambda one: not one.equal)
         self._unit = robot.stand_height
         self._allowed = allowed
-        numbers = [(d, number) for d in demands for number in numbers_of(robot, goal.task, d)]
-        self._fields = [demand for demand, _ in numbers]
-        self._keys = [number.key for _, number in numbers]
-        self._asked = np.array([number.value for _, number in numbers])
-        self._units = np.array([1.0 if is_angle(key) else self._unit for key in self._keys])
-        ranges = np.array([range_of(robot, number) for _, number in numbers]).reshape(-1, 2)
-        least, most = (ranges.T - self._asked) / self._units
+        self._numbers = numbers = Numbers(robot, goal.task, demands)
+        least, most = (
+            (end - numbers.values) / numbers.units for end in (numbers.low, numbers.high)
+        )
         free = np.full(robot.nu, np.inf)
         within = (-free, free) if "joint_margin" in demands else (goal.lower, goal.upper)
-        nothing, anywhere = np.zeros(2 * len(numbers)), np.full(2, np.inf)
+        nothing, anywhere = np.zeros(2 * len(numbers.keys)), np.full(2, np.inf)
         self._low = np.concatenate([-anywhere, within[0], nothing])
         self._high = np.concatenate([anywhere, within[1], -least, most])
         self._cost = np.concatenate([np.zeros(2 + robot.nu), nothing + 1.0])
@@ -184,10 +181,12 @@ class Programme:
         x = self._minimised(
             lambda x: (float(self._cost @ x), self._cost), start, 1e-9, most, ends=not self._demands
         )
-        values, given = self._values(x), dict.fromkeys(self._demands, 0.0)
-        for demand, slack in zip(self._fields, (values - self._asked) / self._units, strict=True):
-            given[demand] += abs(float(slack))
-        return Relaxation(self._task(values), self._point(x).qpos, given, self._missed(x))
+        numbers, values = self._numbers, self._values(x)
+        given = dict.fromkeys(self._demands, 0.0)
+        slacks = np.abs(values - numbers.values) / numbers.units
+        for demand, slack in zip(numbers.demands, slacks.tolist(), strict=True):
+            given[demand] += slack
+        return Relaxation(numbers.task(values), self._point(x).qpos, given, self._missed(x))
 
     def nearest(self, qpos: Array) -> Array:
         """Returns where the feet are as near to their places as they can come (nq,), from a start.
@@ -272,10 +271,9 @@ class Programme:
         return float(max(off, -left[equal:].min(initial=0.0)))
 
     def _start(self, qpos: Array, task: StandTask | None) -> Array:
-        given = np.zeros(len(self._asked))
-        if task is not None:
-            had = [n.value for d in self._demands for n in numbers_of(self._robot, task, d)]
-            given = (np.array(had) - self._asked) / self._units
+        numbers = self._numbers
+        had = numbers.values if task is None else numbers.of(task)
+        given = (had - numbers.values) / numbers.units
         parts = qpos[:2] / self._unit, qpos[7:], np.maximum(-given, 0.0), np.maximum(given, 0.0)
         start: Array = np.clip(np.concatenate(parts), self._low, self._high)
         return start
@@ -283,12 +281,8 @@ class Programme:
     def _values(self, x: Array) -> Array:
         """Returns the demands' numbers there (m, rad)."""
         less, more = np.split(x[2 + self._robot.nu :], 2)
-        values: Array = self._asked + self._units * (more - less)
-        return values
-
-    def _task(self, values: Array) -> StandTask:
-        given = dict(zip(self._keys, values.tolist(), strict=True))
-        return with_numbers(self._goal.task, given, self._demands)
+        numbers = self._numbers
+        return numbers.inside(numbers.values + numbers.units * (more - less))
 
     def _look(self, x: Array) -> _Point:
         goal = self._goal_at(self._values(x), self._goal)
@@ -303,7 +297,9 @@ class Programme:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _goal_at(self, values: Array, like: Goal) -> Goal:
-        return goal_of(self._robot, self._task(values), self._goal.depths, like, checked=False)
+        return goal_of(
+            self._robot, self._numbers.task(values), self._goal.depths, like, checked=False
+        )
 
     def _point(self, x: Array) -> _Point:
         """Returns what is there; each constraint asks for it in turn, and it is made once."""
@@ -338,10 +334,13 @@ class Programme:
         at = self._shapes.at(there.qpos)
         moved = np.concatenate(rates)
         ends = np.cumsum([len(rate) for rate in rates])
-        columns = []
-        for number, (demand, unit) in enumerate(zip(self._fields, self._units, strict=True)):
+        columns, numbers = [], self._numbers
+        towards = np.copysign(_STEP * numbers.units, numbers.values - values)
+        for number, (demand, unit) in enumerate(zip(numbers.demands, numbers.units, strict=True)):
             near = values.copy()  # towards what is asked: beyond it there may be nothing
-            near[number] += math.copysign(_STEP * unit, self._asked[number] - values[number])
+            near[number] += towards[number]
+            if near[number] > numbers.high[number] > numbers.low[number]:
+                near[number] -= 2 * towards[number]  # nothing is turned by more than 180 degrees
             step = near[number] - values[number]
             goal = self._goal_at(near, there.goal)
             column = moved[:, :6] @ (_twist(there.goal, goal) / step)

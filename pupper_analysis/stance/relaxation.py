@@ -17,11 +17,11 @@ from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.demands import (
     DEMANDS,
+    Numbers,
     differ,
     further,
     given_up,
     in_radians,
-    numbers_of,
     rounded,
     told_limit,
 )
@@ -248,7 +248,7 @@ class _Ways:
                 ends.append(rounded(robot, now.task, self.goal.task, [demand], back=True))
             before, now = now, None
             for end in ends:
-                trial = task.filled(**{demand: getattr(end, demand)})
+                trial = replace(task, **{demand: getattr(end, demand)})
                 if not left:
                     return trial
                 way = Programme(self.context.shapes, self._goal(trial), left).solve(
@@ -291,6 +291,5 @@ class _Ways:
 
 def _is_nothing(robot: Robot, task: StandTask, demand: str) -> bool:
     """Tells whether next to nothing is left of a demand of which that is no limit."""
-    return demand in _NOTHING_LEFT and any(
-        number.value < _NOTHING * robot.stand_height for number in numbers_of(robot, task, demand)
-    )
+    least = _NOTHING * robot.stand_height
+    return demand in _NOTHING_LEFT and bool((Numbers(robot, task, [demand]).values < least).any())

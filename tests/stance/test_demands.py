@@ -13,14 +13,13 @@ import pupper_analysis as pa
 from pupper_analysis.diagnostics.record import from_record, to_record
 from pupper_analysis.stance.demands import (
     DEMANDS,
+    Numbers,
     differ,
     far_off,
     given_up,
     in_radians,
-    numbers_of,
     rounded,
     told_limit,
-    with_numbers,
 )
 from tests.support.variants import load
 
@@ -38,8 +37,16 @@ TASK = pa.StandTask(
 
 def test_numbers_come_back_as_the_task() -> None:
     robot = load("v3")
-    values = {n.key: n.value for demand in DEMANDS for n in numbers_of(robot, TASK, demand)}
-    assert with_numbers(TASK, values, [d for d in DEMANDS if differ(robot, TASK, [d])]) == TASK
+    numbers = Numbers(robot, TASK, DEMANDS)
+    assert numbers.task(numbers.values) == TASK
+    np.testing.assert_array_equal(numbers.of(TASK), numbers.values)
+    numbers = Numbers(robot, TASK, ["height", "foot_offsets", "ground"])
+    less = numbers.values - 0.01
+    moved = numbers.task(less)
+    assert moved.height == 0.15 - 0.01
+    assert moved.foot_offsets == {"FL": (0.02 - 0.01, 0.0)}
+    assert moved.ground.heights == {"FR": 0.02 - 0.01}
+    np.testing.assert_array_equal(numbers.of(moved), less)
     assert not differ(robot, pa.StandTask(yaw=0.3), ["roll", "height", "ground"])
     assert differ(robot, pa.StandTask(yaw=0.3), ["roll", "yaw"])
 
