@@ -18,7 +18,7 @@ from scipy import linalg
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.constraints import Constraint, constraints_of
+from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, constraints_of
 from pupper_analysis.stance.demands import Numbers
 from pupper_analysis.stance.problem import Goal, goal_of
 from pupper_analysis.stance.task import StandTask
@@ -114,7 +114,7 @@ class _Progress:
         Raises:
             _NoProgressError: After some steps in a row that did not help.
         """
-        helps = missed <= max(_MET, _HARDLY * self._least)
+        helps = missed <= max(TASK_TOLERANCE, _HARDLY * self._least)
         self._in_vain = 0 if helps else self._in_vain + 1
         if missed < self._least:
             self._least, self.x = missed, x.copy()

@@ -53,7 +53,7 @@ _CLEAR_STARTS = 32
 _ATTEMPTS_INSIDE = 4
 """Choices of branches for each of the places where a com that may be anywhere inside begins."""
 
-_SAME, _AGREE = 1e-3, 8
+_SAME, _AGREE = 0.1, 8
 """Where the feet come no nearer from so many seeds than from the best of them, by such a part of
 what they miss by, they come no nearer. Of 400 stands, most at the end of reach, all but one that
 took more than PlaCo were found before two agreed, that one when four had."""
