@@ -1037,3 +1037,28 @@ def test_of_a_link_without_shapes_a_com_beyond_the_robot_is_told(tmp_path: Path)
     )
     assert told.severity == "warning"
     assert told.diagnostic.code == "com-far-from-joints"
+
+
+def rules_of(folder: Path, text: str) -> set[str]:
+    file = folder / "arm.urdf"
+    file.write_text(text)
+    return {found.rule for found in audit_model(file).findings}
+
+
+ARM = """<robot name="arm"><link name="base"/><link name="upper">{shape}</link><link name="lower"/>
+<joint name="one" type="revolute"><parent link="base"/><child link="upper"/>
+<axis xyz="0 1 0"/><limit lower="{limit}" upper="{limit}" effort="1" velocity="1"/></joint>
+<joint name="two" type="continuous"><parent link="upper"/><child link="lower"/>
+<origin xyz="0.3 0 0"/><axis xyz="0 1 0"/></joint></robot>"""
+BOX = '<collision><geometry><box size="{} 0.1 0.1"/></geometry></collision>'
+
+
+def test_a_shape_of_many_times_the_robots_extent_is_told(tmp_path: Path) -> None:
+    """Twenty times its joints' 0.3 m are 6 m: a box in millimetres."""
+    for size, told in ((5.9, False), (6.1, True), (100.0, True)):
+        rules = rules_of(tmp_path, ARM.format(shape=BOX.format(size), limit=0))
+        assert ("scale-unusual" in rules) == told
+
+
+def test_a_joint_that_cannot_move_has_no_start_to_be_outside_of(tmp_path: Path) -> None:
+    assert "start-outside-limits" not in rules_of(tmp_path, ARM.format(shape="", limit=0.5))

@@ -440,6 +440,19 @@ def run(folder: Path, *arguments: str) -> Answer:
     return answer("diff", *arguments, folder=folder)
 
 
+def test_what_comes_from_a_revision_is_told_by_it(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On either side: nobody knows the folder in which git's file was read."""
+    monkeypatch.chdir(repository)
+    Path("robot.urdf").write_text(urdf_text(changed(ROBOT, "base", mass=7.0)))
+    for names in (("HEAD:./robot.urdf", "robot.urdf"), ("robot.urdf", "HEAD:./robot.urdf")):
+        (change,) = pa.diff_models(*names).changes
+        places = [place.rpartition(":")[0] for place in (change.old_place, change.new_place)]
+        assert ["HEAD:" in place for place in places] == ["HEAD:" in name for name in names]
+        assert all(Path(place).name == "robot.urdf" for place in places)
+
+
 @pytest.mark.parametrize("given", ["HEAD:robots/robot.urdf", "HEAD:./robot.urdf"])
 def test_a_revision(repository: Path, given: str) -> None:
     assert run(repository, given, "robot.urdf").returncode == 0

@@ -32,3 +32,9 @@ def test_a_gear_makes_no_other_drive(gear: float) -> None:
 def test_of_two_servos_the_stiffer_one_at_the_joint_says_where_it_goes() -> None:
     assert drive(position(10) + position(-10, 2)) is Drive.WRONG_SIGN  # 10 - 40 N m/rad
     assert drive(position(10, 2) + position(-10)) is Drive.SERVO
+
+
+def test_what_an_actuator_makes_of_its_command_is_no_stiffness() -> None:
+    away = '<general joint="hinge" gainprm="40" biastype="affine" biasprm="0 40 0"/>'
+    assert drive(position(30) + away) is Drive.WRONG_SIGN  # 30 - 40 N m/rad
+    assert drive(position(50) + away) is Drive.SERVO

@@ -236,3 +236,18 @@ def test_a_refusal_says_what_was_asked_in_both_languages() -> None:
     assert "FL 抬起 20 mm" in chinese
     assert "height" not in chinese
     assert from_record(to_record(told)).text("zh") == chinese
+
+
+def test_lengths_may_change_by_as_much_as_the_robot_is_large() -> None:
+    """A leg that is twice as long reaches twice as far: ranges go with the stand's height."""
+    widths, heights = [], []
+    for name in ("original", "long-leg"):
+        robot = load(name)
+        numbers = Numbers(robot, pa.StandTask(offset=(0.01, 0.0)), ["offset"])
+        low, high = numbers.inside(np.full(2, -1e3))[0], numbers.inside(np.full(2, 1e3))[0]
+        assert (low + high) / 2 == pytest.approx(0.01)
+        widths.append(high - low)
+        heights.append(robot.stand_height)
+    assert heights[1] > 1.1 * heights[0]
+    assert widths[1] / widths[0] == pytest.approx(heights[1] / heights[0])
+    assert widths[0] > 2 * heights[0]

@@ -1,0 +1,29 @@
+"""A mass is written into the body that has one, also where that has no joint of its own."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import pytest
+
+import pupper_analysis as pa
+from tests.support.robots import changed, mjcf_text, quadruped, urdf_text, write
+
+
+def test_the_body_that_weighs_is_changed(tmp_path: Path) -> None:
+    """The joint's own body is empty; what it carries without a joint has all of its mass."""
+    robot = quadruped()
+    head, rest = mjcf_text(robot).split('<body name="thigh1"', 1)
+    rest, count = re.subn("(<inertial [^>]*/>)", r'<body name="core">\1</body>', rest, count=1)
+    assert count == 1
+    heavier = urdf_text(changed(robot, "thigh1", mass=1.25))
+    files = write(tmp_path, heavier, f'{head}<body name="thigh1"{rest}')
+    result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
+    assert result.agree
+    ((edit),) = result.edits
+    assert (edit.attribute, edit.new) == ("mass", "1.25")
+    model = mujoco.MjModel.from_xml_path(str(files.mjcf))
+    assert model.body("core").mass[0] == pytest.approx(1.25)
+    assert model.body("thigh1").mass[0] == 0
