@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.errors import OutputError
 from pupper_analysis.models.xml_bytes import read_document
-from pupper_analysis.sync.writing import as_given, staged
+from pupper_analysis.sync.writing import as_given, stage_files
 from pupper_analysis.together import Writing, write_together
 from tests.support.robots import changed, quadruped, write_parts
 
@@ -221,7 +221,7 @@ def test_hidden_trial_files_are_called_by_the_names_that_were_given(tmp_path: Pa
     files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
     document = read_document(files.mjcf)
     document.root.set("model", "another")
-    with staged({files.mjcf: document}) as (trial,):
+    with stage_files({files.mjcf: document}) as (trial,):
         assert trial != files.mjcf
         assert as_given(f"{trial}:3: no such body") == f"{files.mjcf}:3: no such body"
         assert as_given(f"Error opening '{trial.name}'") == f"Error opening '{files.mjcf.name}'"

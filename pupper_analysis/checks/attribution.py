@@ -10,21 +10,21 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.armature import armature_differences, armature_of
 from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_acting
-from pupper_analysis.checks.changes import changes_between, patched_with
+from pupper_analysis.checks.changes import apply_changes, changes_between
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, RelativeError
 from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.mimics import split_mimics
-from pupper_analysis.checks.size import Entries, affordable, is_large
+from pupper_analysis.checks.size import Entries, affordable_states, is_large
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.matching.alignment import Alignment, aligned
+from pupper_analysis.matching.alignment import Alignment, align_frames
 from pupper_analysis.matching.conventions import Conventions
 from pupper_analysis.matching.mimics import Mimics
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot
@@ -43,7 +43,7 @@ _STATES = 10  # at which each difference is weighed
 _GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's and MuJoCo's default (m/s^2)
 
 
-def explain(
+def explain_differences(
     robot: Robot,
     *,
     tolerances: Tolerances | None = None,
@@ -74,15 +74,15 @@ def explain(
     reference = reference or Reference(
         robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base
     )
-    first, raw = trees(robot)
+    first, raw = kinematic_trees(robot)
     if float(np.linalg.norm(raw.gravity - _GRAVITY)) > tolerances.gravity:
         first = replace(first, gravity=_GRAVITY)
-    alignment = alignment or align(robot, tolerances)
+    alignment = alignment or align_robot(robot, tolerances)
     second = replace(alignment.values, gravity=raw.gravity)
     found = mjcf_only_effects(reference)
     coupled, uncoupled = split_mimics(found, reference, mimics or {}, tolerances.limit)
     found = [extra for extra in found if extra not in coupled]
-    states = random_states(robot, affordable(robot, _STATES), seed=0)
+    states = random_states(robot, affordable_states(robot, _STATES), seed=0)
     entries = _entries(robot, first, reference) if is_large(robot) else None
     behaviour = Behaviour(robot, states, entries)
     urdf = behaviour(first)
@@ -108,7 +108,7 @@ def explain(
         extra.switch(bare, None)
         differences.append(_extra(extra, effects))
     differences += [_mimic(name, (mimics or {})[name]) for name in uncoupled]
-    patched = behaviour(patched_with(first, second))
+    patched = behaviour(apply_changes(first, second))
     left = _left(judge, patched, stripped)
     differences.sort(key=lambda difference: difference.rank)
     return Explanation(
@@ -157,15 +157,15 @@ def _undamped(values: MultibodyTree, names: Collection[str]) -> MultibodyTree:
     return replace(values, joints={**values.joints, **bare})
 
 
-def align(robot: Robot, tolerances: Tolerances) -> Alignment:
+def align_robot(robot: Robot, tolerances: Tolerances) -> Alignment:
     """Puts the MJCF's link frames to the URDF's."""
-    urdf, mjcf = trees(robot)
+    urdf, mjcf = kinematic_trees(robot)
     model = robot.mj_model
     joints = [model.joint(name).id for name in robot.joint_names]
     last = model.body_jntadr + model.body_jntnum - 1
     # MuJoCo tells the axes of a body, which later joints turn.
     still = [j for j in joints if last[model.jnt_bodyid[j]] != j]
-    return aligned(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
+    return align_frames(mjcf, urdf, tolerances, {model.joint(joint).name for joint in still})
 
 
 def _extra(extra: MjcfOnlyEffect, effects: dict[str, Effect]) -> Difference:

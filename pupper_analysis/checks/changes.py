@@ -91,7 +91,7 @@ def changes_between(
         yield Change("frame", name, position, other, "m", told, _take_frame(name), felt=True)
 
 
-def patched_with(
+def apply_changes(
     first: MultibodyTree, second: MultibodyTree, sides: ModelNames = FORMATS
 ) -> MultibodyTree:
     """Returns the first parameters with the second's value for every difference.

@@ -8,22 +8,22 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.attribution import EXPLAINED, align, explain
+from pupper_analysis.checks.attribution import EXPLAINED, align_robot, explain_differences
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
 from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
 from pupper_analysis.checks.mount import Mount, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
-from pupper_analysis.checks.patterns import Cause, causes
-from pupper_analysis.checks.shares import shares
+from pupper_analysis.checks.patterns import Cause, find_causes
+from pupper_analysis.checks.shares import mass_shares
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.words import with_names_of_models
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.conventions import Conventions
-from pupper_analysis.matching.match import Match, match
+from pupper_analysis.matching.match import Match, match_models
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
@@ -147,7 +147,7 @@ def compare_models(
     check_states(configurations, seed)
     tolerances = tolerances or Tolerances()
     urdf_file, mjcf_file = _first(urdf, packages), _second(mjcf)
-    matched = match(
+    matched = match_models(
         urdf_file, mjcf_file, names=names, feet=feet, tolerances=tolerances, strict=strict_names
     )
     mount = mount_of(matched, urdf_file.root, tolerances)
@@ -157,7 +157,7 @@ def compare_models(
     if not robot.total_mass > 0:
         mass = Quantity(robot.total_mass, "kg")
         raise ModelError(urdf_file.path, diagnose("robot-without-mass", mass=mass))
-    alignment = align(robot, tolerances)
+    alignment = align_robot(robot, tolerances)
     check = cross_check(
         robot,
         configurations=configurations,
@@ -166,7 +166,7 @@ def compare_models(
         mimics=matched.mimics,
         moved=alignment.moved,
     )
-    explanation = explain(
+    explanation = explain_differences(
         robot,
         tolerances=tolerances,
         reference=matched.reference,
@@ -193,7 +193,7 @@ def compare_models(
         notes=(*matched.notes, *armature_notes(explanation), *unstated_notes(matched, explanation)),
         check=check,
         differences=differences,
-        causes=causes(robot, alignment.values, differences, tolerances),
+        causes=find_causes(robot, alignment.values, differences, tolerances),
         deviations=explanation.deviations,
         left=explanation.left,
         explained=_explained(max(explanation.deviations.values()), max(explanation.left.values())),
@@ -218,7 +218,7 @@ def _second(path: str | Path) -> MjcfFile:
 
 def _in_any_coordinates(matched: Match) -> Match:
     """Makes notes of the files' conventions of coordinates: then they are no differences."""
-    changes = convention_changes(matched.conventions, trees(matched.robot)[0])
+    changes = convention_changes(matched.conventions, kinematic_trees(matched.robot)[0])
     notes = (*matched.notes, *(difference.diagnostic for difference, _ in changes))
     return replace(matched, conventions=Conventions(), notes=notes)
 
@@ -248,7 +248,7 @@ def _placed(
             diagnostic=with_names_of_models(difference.diagnostic, usds),
             urdf_place=one.place(difference.kind, difference.element).path,
             mjcf_place=two.place(difference.kind, difference.element).path,
-            made_of=shares(difference, one, two),
+            made_of=mass_shares(difference, one, two),
         )
 
 

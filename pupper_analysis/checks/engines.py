@@ -30,7 +30,7 @@ from pupper_analysis.checks.backends.yourdfpy import yourdfpy_evaluation
 from pupper_analysis.checks.mjcf_only.effect import as_it_is, without
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.mimics import split_mimics
-from pupper_analysis.checks.size import affordable, is_large, size_notes, some_of
+from pupper_analysis.checks.size import affordable_states, is_large, size_notes, some_of
 from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
@@ -175,7 +175,7 @@ def cross_check(
     check_states(configurations, seed)
     if not tolerance > 0:
         raise ConfigurationError("tolerance", diagnose("not-positive", value=tolerance))
-    configurations, asked = affordable(robot, configurations), configurations
+    configurations, asked = affordable_states(robot, configurations), configurations
     states = random_states(robot, configurations, seed)
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
     found = mjcf_only_effects(reference)

@@ -111,7 +111,7 @@ def _placed(body: TreeBody, pose: pin.SE3) -> TreeBody:
     return replace(body, com=np.array(pose.act(body.com)), inertia=turn @ body.inertia @ turn.T)
 
 
-def fold(*bodies: TreeBody) -> TreeBody:
+def fold_bodies(*bodies: TreeBody) -> TreeBody:
     """Returns one body that is made of some, all in the same frame."""
     return from_moments(sum((moments(body) for body in bodies), start=np.zeros(10)))
 

@@ -17,7 +17,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.places import poses_at_zero
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import base_pose, trees
+from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.results import Result
@@ -70,7 +70,7 @@ def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mo
     if matched.conventions.base is not None:
         stands = stands @ matched.conventions.base.rotation
     turn = stands @ _in_root(urdf, matched.urdf_link[robot.base]).T
-    one, two = trees(robot)
+    one, two = kinematic_trees(robot)
     down = turn @ _GRAVITY
     tilt = math.atan2(float(np.linalg.norm(np.cross(down, two.gravity))), float(down @ two.gravity))
     if not two.gravity.any() or tilt <= tolerances.rotation:

@@ -7,7 +7,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.sources import Sources
 
 
-def shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
+def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
     """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
     if difference.kind not in ("mass", "com", "inertia"):
         return ()

@@ -40,7 +40,7 @@ def is_large(robot: Robot) -> bool:
     return robot.nv > MOST_IN_PINOCCHIO
 
 
-def affordable(robot: Robot, count: int) -> int:
+def affordable_states(robot: Robot, count: int) -> int:
     """Returns at how many of so many states a robot is compared: all, unless it is large."""
     if not is_large(robot):
         return count
@@ -70,7 +70,7 @@ def size_notes(
         return
     gigabytes, most = 32e-9 * robot.nv**3, MOST_IN_PINOCCHIO
     yield diagnose("large-without-pinocchio", count=robot.nv, gigabytes=gigabytes, most=most)
-    states = affordable(robot, count)
+    states = affordable_states(robot, count)
     if states < count:
         yield diagnose("large-at-fewer-states", states=states, count=count)
     some = len(some_of(robot, frames))

@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.xml_text import words
-from pupper_analysis.prepare.contact_points import lowest
+from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, stand_statics
 
@@ -110,7 +110,7 @@ def lift_base(mjcf: MjcfXml, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
         if model.body_weldid[model.geom_bodyid[geom]]
         and (model.geom_contype[geom] or model.geom_conaffinity[geom])
     ]
-    heights = [-lowest(model, data, touching)] if touching else []
+    heights = [-lowest_point(model, data, touching)] if touching else []
     home = mjcf.home
     if home is not None:
         heights.append(float(home[2]))

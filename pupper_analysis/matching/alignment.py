@@ -38,7 +38,7 @@ class Alignment:
     moved: Mapping[str, Array]
 
 
-def aligned(
+def align_frames(
     second: MultibodyTree,
     first: MultibodyTree,
     tolerances: Tolerances,

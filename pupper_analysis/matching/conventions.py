@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Vector, diagnose
 from pupper_analysis.matching.alignment import (
-    aligned,
+    align_frames,
     digits,
     digits_in_all,
     digits_of,
@@ -70,7 +70,7 @@ class Conventions:
         return values if self.base is None else with_base(values, self.base.inverse())
 
 
-def conventions(
+def find_conventions(
     first: MultibodyTree, second: MultibodyTree, tolerances: Tolerances, *, fixed: bool
 ) -> Conventions:
     """Finds how the conventions of two trees differ.
@@ -84,10 +84,10 @@ def conventions(
     """
     base = _base(first, second, tolerances, fixed=fixed)
     placed = first if base is None else with_base(first, base)
-    in_place = aligned(second, placed, tolerances).values
+    in_place = align_frames(second, placed, tolerances).values
     if base is not None:
         # What is on the base must not have to pay for it further out.
-        as_it_is = aligned(second, first, tolerances).values
+        as_it_is = align_frames(second, first, tolerances).values
         told = digits_in_all(first, as_it_is, tolerances)
         if told < digits_in_all(placed, in_place, tolerances):
             base, placed, in_place = None, first, as_it_is
@@ -191,7 +191,7 @@ def _digits_at_base(
     """Says how many digits tell the differences of the base's body, and of each joint on it."""
     body = digits_of_body(first.bodies[first.base], second.bodies[second.base], tolerances)
     names = first.children(first.base)
-    second = aligned(second, first, tolerances, only=names).values
+    second = align_frames(second, first, tolerances, only=names).values
     return body, [digits_of(first, second, name, tolerances) for name in names]
 
 
@@ -218,7 +218,7 @@ def _poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
         pose = _fitted(*(points[chosen] for points in coms))
         if pose is not None:
             yield pose
-    for turn in quarters():
+    for turn in quarter_turns():
         yield pin.SE3(turn, np.zeros(3))
         yield pin.SE3(turn, there.mean(axis=0) - turn @ here.mean(axis=0))
 
@@ -256,7 +256,7 @@ def _fitted(one: Array, two: Array) -> pin.SE3 | None:
     return pin.SE3(turn, two.mean(axis=0) - turn @ one.mean(axis=0))
 
 
-def quarters() -> Iterator[Array]:
+def quarter_turns() -> Iterator[Array]:
     """Yields the 24 rotations that map the axes onto each other."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -267,7 +267,9 @@ def quarters() -> Iterator[Array]:
                 yield matrix
 
 
-def rewrite(root: etree._Element, link: str, found: Conventions, first: MultibodyTree) -> None:
+def take_conventions(
+    root: etree._Element, link: str, found: Conventions, first: MultibodyTree
+) -> None:
     """Gives a URDF the MJCF's conventions, in place: another base frame, other zeros.
 
     Args:

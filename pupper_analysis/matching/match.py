@@ -15,7 +15,12 @@ from lxml import etree
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.matching.conventions import Conventions, conventions, pose_told, rewrite
+from pupper_analysis.matching.conventions import (
+    Conventions,
+    find_conventions,
+    pose_told,
+    take_conventions,
+)
 from pupper_analysis.matching.loops import ball_joints, open_loops
 from pupper_analysis.matching.mimics import Mimics, urdf_mimics
 from pupper_analysis.matching.mjcf import (
@@ -30,9 +35,9 @@ from pupper_analysis.matching.pairs import pair_up
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.structure import common_frames
-from pupper_analysis.matching.subtrees import removable, take_off
+from pupper_analysis.matching.subtrees import removable_subtrees, take_off
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import base_pose, trees
+from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.matching.unstated import take_unknown, take_unstated
 from pupper_analysis.matching.urdf import (
     links_of,
@@ -138,7 +143,7 @@ def read_mapping(path: Path) -> dict[str, str]:
     return values
 
 
-def match(
+def match_models(
     urdf: UrdfFile,
     mjcf: MjcfFile,
     *,
@@ -192,7 +197,7 @@ def match(
         spec.delete(key)  # its size may no longer fit
     opened, freed = open_loops(spec, at_bodies, only_mjcf) if complete else ((), [])
     sides, paths = (UrdfTree(root), SpecTree(spec)), (urdf.path, mjcf.path)
-    ways = removable(sides, only_urdf, only_mjcf)
+    ways = removable_subtrees(sides, only_urdf, only_mjcf)
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
     parts = [] if complete else take_off(sides, paths, ways, pairs)
@@ -254,7 +259,7 @@ def _in_one_convention(
     robot = build_robot(description)
     meant, notes = _conventions(robot, tolerances)
     if meant.base is not None or meant.zeros:
-        rewrite(root, robot.base, meant, trees(robot)[0])
+        take_conventions(root, robot.base, meant, kinematic_trees(robot)[0])
         text = for_engines(root)
         robot = build_robot(replace(description, urdf=text))
     return robot, meant, notes
@@ -262,14 +267,14 @@ def _in_one_convention(
 
 def _conventions(robot: Robot, tolerances: Tolerances) -> tuple[Conventions, list[Diagnostic]]:
     """Finds how the files' conventions differ, and tells where a fixed base stands."""
-    urdf, mjcf = trees(robot)
+    urdf, mjcf = kinematic_trees(robot)
     if robot.floating:
-        return conventions(urdf, mjcf, tolerances, fixed=False), []
+        return find_conventions(urdf, mjcf, tolerances, fixed=False), []
     pose, notes, base = base_pose(robot), [], ("body", robot.mj_base)
     if not pose.isIdentity(1e-9):
         notes.append(diagnose("fixed-base-stands", subject=base, pose=pose_told(pose)))
     one, two = (with_base(tree, pose.inverse()) for tree in (urdf, mjcf))
-    found = conventions(one, two, tolerances, fixed=True)
+    found = find_conventions(one, two, tolerances, fixed=True)
     if found.base is not None and found.shown:
         notes.append(diagnose("fixed-base-frame-moved", subject=base, pose=pose_told(found.base)))
     return found, notes

@@ -12,7 +12,7 @@ from lxml import etree
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.names import without_affixes
-from pupper_analysis.matching.structure import guess as guess_by_structure
+from pupper_analysis.matching.structure import match_by_structure
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 
@@ -48,7 +48,7 @@ def pair_up(
     by_link = _by_link(root, spec, pairs)
     guessed |= by_link
     pairs |= by_link
-    guess = guess_by_structure(root, spec, *files, pairs)
+    guess = match_by_structure(root, spec, *files, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
     choices = {one: others for one, others in guess.choices.items() if one not in pairs}

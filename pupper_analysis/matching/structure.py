@@ -13,7 +13,7 @@ import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.matching.conventions import quarters
+from pupper_analysis.matching.conventions import quarter_turns
 from pupper_analysis.matching.mjcf import mjcf_tree
 from pupper_analysis.matching.places import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
@@ -75,7 +75,7 @@ class Guess:
     choices: Mapping[str, tuple[str, ...]]
 
 
-def guess(
+def match_by_structure(
     root: etree._Element,
     spec: mujoco.MjSpec,
     urdf: Path,
@@ -101,7 +101,7 @@ def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, s
     if pairs or len(best.pairs) == min(free, rest):
         return best
     tried = [(best, distance)]
-    for turn in quarters():
+    for turn in quarter_turns():
         turned = with_base(one, pin.SE3(turn, np.zeros(3)))
         tried.append(_in_place(turned, two, pairs))
     tried.sort(key=lambda i: (-len(i[0].pairs), _exchanges_sides(i[0].pairs), i[1]))

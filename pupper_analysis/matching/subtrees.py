@@ -133,7 +133,7 @@ def _ways(
 Ways = Mapping[str, list[list[RemovablePart]]]
 
 
-def removable(
+def removable_subtrees(
     trees: tuple[UrdfTree, SpecTree], only_urdf: Collection[str], only_mjcf: Collection[str]
 ) -> tuple[Ways, Ways]:
     """Returns the ways to take off the joints that one file lacks, of the URDF and of the MJCF."""

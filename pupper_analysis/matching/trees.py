@@ -12,7 +12,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot
 
 
-def trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
+def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
     """Returns the parameters of the URDF and of the MJCF; of a fixed base, in the world's frame."""
     frames = {**robot.description.feet, **robot.description.frames}
     urdf = multibody.from_pinocchio(

@@ -8,16 +8,16 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.models.unlimited import unlimited
+from pupper_analysis.models.unlimited import unlimited_joints
 from pupper_analysis.models.xml import to_text
 
 
 def for_engines(root: etree._Element) -> str:
     """Writes a URDF as Pinocchio and PlaCo can read it; hinges without limits are continuous."""
     known = without_capsules(root)
-    if unlimited(root):
+    if unlimited_joints(root):
         known = deepcopy(root) if known is None else known
-        for joint in unlimited(known):
+        for joint in unlimited_joints(known):
             joint.element.set("type", "continuous")
     return to_text(root if known is None else known)
 

@@ -21,7 +21,7 @@ def flat_mesh(error: BaseException) -> str | None:
     return found[1] if found else None
 
 
-def compiled(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
+def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjModel, list[str], str]:
     """Compiles a spec with its flat meshes as shells.
 
     A mesh gives its geom a centre and axes, a mass only where a body has no <inertial>: then a

@@ -10,7 +10,7 @@ import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_tree import Node, Tree
-from pupper_analysis.models.packages import existing, is_pointer
+from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place, refusal
 
 
@@ -22,7 +22,7 @@ def leave_out_missing(
 
     def missing(file: str, folder: str) -> bool:
         name = Path(file).name if spec.strippath else file
-        return bool(file) and not any(existing(top / folder / name) for top in folders)
+        return bool(file) and not any(existing_file(top / folder / name) for top in folders)
 
     meshes = {m.name: m.file for m in spec.meshes if missing(m.file, m.compiler.meshdir)}
     hfields = {h.name: h.file for h in spec.hfields if missing(h.file, h.compiler.meshdir)}

@@ -18,8 +18,8 @@ from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
 from pupper_analysis.models.mjcf import no_number, quiet, spec_of
-from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating, walk
-from pupper_analysis.models.places import Place, innermost, one_line, refusal, refusal_at
+from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating_element, walk
+from pupper_analysis.models.places import Place, innermost_element, one_line, refusal, refusal_at
 from pupper_analysis.models.xml import parse
 
 
@@ -65,7 +65,7 @@ class MjcfFile:
             Its file and line; the file alone where there is no such element.
         """
         node = self._index.get((kind, name))
-        return Place(self.path) if node is None else innermost(node, child, _child).place
+        return Place(self.path) if node is None else innermost_element(node, child, _child).place
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
         """Finds where an element's attributes are stated: in itself, or in a default class.
@@ -81,7 +81,7 @@ class MjcfFile:
         node = self._index.get((kind, name))
         if node is None or not self._roots:
             return None
-        found = stating(self._roots[0], node, attributes)
+        found = stating_element(self._roots[0], node, attributes)
         return None if found is None else found.place
 
     def weighing(self, body: str) -> Place:
@@ -180,7 +180,7 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     model, refused, as_it_is = None, None, None
     try:
         # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
-        model, shells, said = flat.compiled(lambda: _spec(tree, index)[0])
+        model, shells, said = flat.compile_with_shells(lambda: _spec(tree, index)[0])
         if shells:
             flat.put_shells(spec, shells)
             notes.append(flat.taken_as_shells(shells))

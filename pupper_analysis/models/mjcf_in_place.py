@@ -9,8 +9,8 @@ import mujoco
 import pinocchio as pin
 
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.orientation import AngleUnits, numbers, stated_rotation
-from pupper_analysis.models.packages import existing
+from pupper_analysis.models.orientation import AngleUnits, parse_numbers, stated_rotation
+from pupper_analysis.models.packages import existing_file
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 
 
@@ -42,7 +42,7 @@ class MjcfInPlace:
         found = self._bodies.get(body)
         if found is None:
             return None
-        joints = [e for e in within(found) if e.tag in ("joint", "freejoint")]
+        joints = [e for e in elements_within(found) if e.tag in ("joint", "freejoint")]
         named = [joint for joint in joints if joint.get("name") == name]
         unnamed = [joint for joint in joints if joint.get("name") is None]
         return (*named, *unnamed, None)[0]
@@ -76,7 +76,7 @@ class MjcfInPlace:
 
     def _pose(self, frame: Element) -> pin.SE3:
         """Returns the pose that a <frame> states."""
-        return pin.SE3(stated_rotation(frame, self.units), numbers(frame.get("pos"), "0 0 0"))
+        return pin.SE3(stated_rotation(frame, self.units), parse_numbers(frame.get("pos"), "0 0 0"))
 
     def _sections(self, tag: str) -> Iterator[Element]:
         return (section for section in self.root.children if section.tag == tag)
@@ -107,16 +107,16 @@ class MjcfInPlace:
     def _included(self, element: Element, path: Path) -> Element | None:
         name = element.get("file") or ""
         for folder in (self._main.parent, path.parent):
-            found = existing(folder / name)
+            found = existing_file(folder / name)
             if found is not None:
                 return self._read(found)
         return None
 
 
-def within(body: Element) -> Iterator[Element]:
+def elements_within(body: Element) -> Iterator[Element]:
     """Yields what is in a body and in its frames, without the bodies in it."""
     for child in body.children:
         if child.tag == "frame":
-            yield from within(child)
+            yield from elements_within(child)
         elif child.tag != "body":
             yield child

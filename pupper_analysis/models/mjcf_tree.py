@@ -13,7 +13,7 @@ from typing import Final
 from lxml import etree
 
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.models.packages import existing
+from pupper_analysis.models.packages import existing_file
 from pupper_analysis.models.places import Place, line_of, refusal, refusal_at, short
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_ELEMENTS, NUMBER, parse
 
@@ -171,7 +171,7 @@ class Tree:
         if not name:
             raise refusal_at(path, element, diagnose("element-without-file", tag=element.tag))
         for folder in (self.path.parent, path.parent):
-            found = existing(folder / name)
+            found = existing_file(folder / name)
             if found is not None:
                 return found
         missing = diagnose("included-file-missing", tag=element.tag, file=short(name))
@@ -257,7 +257,7 @@ def index_of(root: Node) -> dict[tuple[str, str], Node]:
     return fallback | index
 
 
-def stating(root: Node, node: Node, attributes: Collection[str]) -> Node | None:
+def stating_element(root: Node, node: Node, attributes: Collection[str]) -> Node | None:
     """Returns the element that states one of an element's attributes: itself, or a default class.
 
     The class is its own, or the childclass of a body above it; what a class does not state is that

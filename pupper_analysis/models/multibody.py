@@ -273,7 +273,7 @@ def _inertia(body: TreeBody) -> pin.Inertia:
     return inertia
 
 
-def renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
+def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
     """Returns the same robot with other names of joints, {name: new name}; others stay."""
 
     def new(name: str) -> str:

@@ -39,7 +39,7 @@ class AngleUnits:
         return float(np.pi / 180) if self.degrees else 1.0
 
 
-def numbers(text: str | None, default: str) -> Array:
+def parse_numbers(text: str | None, default: str) -> Array:
     """Returns the numbers of an attribute."""
     return np.array([float(word) for word in (default if text is None else text).split()])
 
@@ -48,7 +48,7 @@ def origin(element: Element | None) -> pin.SE3:
     """Returns the pose that a URDF's <origin> states."""
     if element is None:
         return pin.SE3.Identity()
-    xyz, rpy = (numbers(element.get(key), "0 0 0") for key in ("xyz", "rpy"))
+    xyz, rpy = (parse_numbers(element.get(key), "0 0 0") for key in ("xyz", "rpy"))
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
 
 
@@ -62,7 +62,7 @@ def origin_changes(element: Element | None, pose: pin.SE3, digits: Digits) -> di
     rotation = np.array(pose.rotation)
     if float(np.abs(np.array(origin(element).rotation) - rotation).max()) > 1e-12:
         rpy = None if element is None else element.get("rpy")
-        near = numbers(rpy, "0 0 0")
+        near = parse_numbers(rpy, "0 0 0")
         text = digits.words((rpy or "0 0 0").split(), _angles("XYZ", rotation, near), 1.0)
         if text is not None:
             changes["rpy"] = text
@@ -102,7 +102,7 @@ def orientation_change(
     if float(np.abs(now - wanted).max()) <= 1e-12:
         return {}
     form = stated_orientation(element) or "quat"
-    old = numbers(element.get(form), "1 0 0 0" if form == "quat" else "")
+    old = parse_numbers(element.get(form), "1 0 0 0" if form == "quat" else "")
     if form == "axisangle":
         vector = pin.log3(wanted)
         angle = float(np.linalg.norm(vector))

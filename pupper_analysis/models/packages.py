@@ -9,7 +9,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.models.xml import LFS_POINTER, parse
 
 
-def existing(path: Path) -> Path | None:
+def existing_file(path: Path) -> Path | None:
     """Returns the path if there is such a file; the name may be any text of a model file.
 
     A pointer that Git LFS leaves in place of a file is none.
@@ -44,7 +44,7 @@ def folders_of_package(folder: Path, package: str) -> Iterator[Path]:
 
 def _package_name(folder: Path) -> str | None:
     """Returns the name that a folder's package.xml gives."""
-    manifest = existing(folder / "package.xml")
+    manifest = existing_file(folder / "package.xml")
     if manifest is None:
         return None
     try:

@@ -50,7 +50,7 @@ class Place:
         return Source(str(self.file), self.line, self.prim or "")
 
 
-def innermost(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
+def innermost_element(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
     """Returns the innermost element that exists on a path below one.
 
     Args:

@@ -51,12 +51,12 @@ def states_no_limits(joint: UrdfJoint) -> bool:
         return False  # no number: whoever reads it says so
 
 
-def unlimited(root: etree._Element) -> list[UrdfJoint]:
+def unlimited_joints(root: etree._Element) -> list[UrdfJoint]:
     """Returns the joints of a URDF that state no limits; see ``states_no_limits``."""
     return [joint for joint in UrdfTree(root).joints.values() if states_no_limits(joint)]
 
 
 def taken_as_unlimited(root: etree._Element) -> Diagnostic | None:
     """Tells which joints state no limits."""
-    names = [joint.name for joint in unlimited(root)]
+    names = [joint.name for joint in unlimited_joints(root)]
     return diagnose("range-unstated", names=names) if names else None

@@ -124,7 +124,7 @@ def leave_out_odd_materials(root: etree._Element) -> bool:
     return found
 
 
-def distinct(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
+def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
     """Returns the root's children of a kind by name; the names are to be distinct."""
     found: dict[str, etree._Element] = {}
     for element in root.findall(tag):

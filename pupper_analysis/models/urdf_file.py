@@ -14,8 +14,8 @@ from lxml import etree
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.capsules import for_engines
-from pupper_analysis.models.packages import existing, folders_of_package
-from pupper_analysis.models.places import Place, innermost, line_of, refusal, refusal_at
+from pupper_analysis.models.packages import existing_file, folders_of_package
+from pupper_analysis.models.places import Place, innermost_element, line_of, refusal, refusal_at
 from pupper_analysis.models.unlimited import complete_limits, taken_as_unlimited
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
@@ -23,7 +23,7 @@ from pupper_analysis.models.urdf_checks import (
     check_element,
     check_joint,
     check_tree,
-    distinct,
+    distinct_children,
     leave_out_odd_materials,
     leave_out_undeclared,
 )
@@ -71,7 +71,7 @@ class UrdfFile:
         element = self._named.get((kind, name))
         if element is None:
             return Place(self.path)
-        found = innermost(element, child, lambda parent, tag: parent.find(tag))
+        found = innermost_element(element, child, lambda parent, tag: parent.find(tag))
         return Place(self.path, line_of(found))
 
     @cached_property
@@ -92,14 +92,14 @@ class UrdfFile:
         """
         scheme, separator, rest = filename.partition("://")
         if not separator:
-            return existing(self.path.parent / filename)
+            return existing_file(self.path.parent / filename)
         if scheme == "file":
-            return existing(self.path.parent / rest)
+            return existing_file(self.path.parent / rest)
         if scheme not in ("package", "model"):
             return None
         package, _, inside = rest.lstrip("/").partition("/")
         for folder in self._package_folders(package):
-            found = existing(folder / inside)
+            found = existing_file(folder / inside)
             if found is not None:
                 return found
         return None
@@ -150,9 +150,9 @@ def urdf_from(
     undeclared, completed = leave_out_undeclared(root), complete_limits(root)
     notes = [note for note in (undeclared, completed) if note is not None]
     rewritten = leave_out_odd_materials(root) or bool(notes)
-    materials = distinct(path, root, "material")
-    links = distinct(path, root, "link")
-    joints = distinct(path, root, "joint")
+    materials = distinct_children(path, root, "material")
+    links = distinct_children(path, root, "link")
+    joints = distinct_children(path, root, "joint")
     if not links:
         raise refusal(Place(path), diagnose("no-links"))
     if len(links) > MAX_LINKS:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.digits import SAME, Digits
-from pupper_analysis.models.orientation import numbers, origin, origin_changes
+from pupper_analysis.models.orientation import origin, origin_changes, parse_numbers
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 
@@ -64,7 +64,7 @@ class UrdfInPlace:
         """States a joint's axis (3,), unless it has that direction."""
         old = joint.child("axis")
         stated = None if old is None else old.get("xyz")
-        before = numbers(stated, "1 0 0")
+        before = parse_numbers(stated, "1 0 0")
         text = self.digits.words((stated or "1 0 0").split(), axis, 1.0)
         apart = np.abs(before / float(np.linalg.norm(before)) - axis)
         if text is not None and float(apart.max()) > SAME:

@@ -17,7 +17,7 @@ _BALL = 0.1
 """A foot is a ball if no point of that cap is off the sphere by more than this part of it."""
 
 
-def osculating(
+def osculating_sphere(
     model: mujoco.MjModel, data: mujoco.MjData, geom: int, down: Array
 ) -> tuple[Array, float]:
     """Returns centre (3,) and radius of the sphere that an ellipsoid is like where it is lowest.
@@ -34,7 +34,7 @@ def osculating(
     return data.geom_xpos[geom] + turn @ tip - radius * down, radius
 
 
-def fitted(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
+def fit_sphere(points: Array, tip: Array, down: Array) -> tuple[Array, float]:
     """Returns centre (3,) and radius of the sphere at the lower end of points (n, 3), if it is one.
 
     Else the tip itself, and no radius. A sphere |p - c| = r is linear in c and r^2 - |c|^2.

@@ -111,7 +111,7 @@ def _ground(model: mujoco.MjModel) -> float | None:
     return None
 
 
-def placed(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData | None:
+def place_published(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData | None:
     """Returns the published model's data in a configuration of the robot; None if it cannot be.
 
     Args:
@@ -248,7 +248,7 @@ def _filters(model: mujoco.MjModel, ctrl: Array) -> Array:
     return act
 
 
-def roll(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float) -> Array:
+def simulate_published(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float) -> Array:
     """Simulates the published model from its data on, in place.
 
     Returns:

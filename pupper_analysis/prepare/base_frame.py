@@ -8,7 +8,7 @@ import numpy as np
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.prepare.contact_points import lowest
+from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.feet import limb_ends
 
 
@@ -38,7 +38,7 @@ def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
         ends = {end for end in limb_ends(model) if end != body}
         weld = model.body_weldid
         geoms = [g for g in range(model.ngeom) if int(weld[model.geom_bodyid[g]]) in ends]
-        bottom = lowest(model, data, geoms)
+        bottom = lowest_point(model, data, geoms)
         if data.xpos[body][2] > bottom:
             return []  # nor with what is only seen, with which a limb may end lower
     up = float(data.xipos[body][2] - data.xpos[body][2])

@@ -73,7 +73,7 @@ def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
     return replace(cause, line=line)
 
 
-def candidates(bare: Bare, robot: Robot) -> list[Candidate]:
+def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     """Returns what in an MJCF may make it differ from what is computed of its robot."""
     model = bare.model
     return [
@@ -310,7 +310,7 @@ def _replaced(bare: Bare, robot: Robot, geom: int) -> bool:
     return bool(other.body_geomnum[same] > model.body_geomnum[body])
 
 
-def altered(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
+def altered_on_loading(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
     """Returns what was changed on loading, and cannot be switched off in the file.
 
     Bodies whose own shapes were replaced by balls, and joints whose actuator, neither a servo nor a

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.models.joint_kinds import free_joints
-from pupper_analysis.prepare.balls import fitted, osculating
-from pupper_analysis.prepare.soles import BALL, TILT, TILTS, corners, stays_flat
+from pupper_analysis.prepare.balls import fit_sphere, osculating_sphere
+from pupper_analysis.prepare.soles import BALL, TILT, TILTS, sole_corners, stays_flat
 from pupper_analysis.robot.contact import ground_geom
 
 Array = NDArray[np.float64]
@@ -157,16 +157,16 @@ def _tip(
     A mesh that is not round there has a small ball in the middle of what is lowest.
     """
     down = np.array([0.0, 0.0, -1.0])
-    geom = min(geoms, key=lambda geom: lowest(model, data, [geom]), default=None)
+    geom = min(geoms, key=lambda geom: lowest_point(model, data, [geom]), default=None)
     if geom is None:
         return ()
     outline = list(_outline(model, data, geom))
     place, radius = min(outline, key=lambda sphere: float(sphere[0][2]) - sphere[1])
     if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID.value:
-        place, radius = osculating(model, data, geom, down)
+        place, radius = osculating_sphere(model, data, geom, down)
     elif not radius and len(outline) > 3:
         points = np.array([point for point, _ in outline])
-        place, radius = fitted(points, place, down)
+        place, radius = fit_sphere(points, place, down)
         if not radius and model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH.value:
             on = points[(place - points) @ down < _FLAT]
             radius = BALL
@@ -176,7 +176,7 @@ def _tip(
     return (ContactPoint(geom, center, radius),)
 
 
-def lowest(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geoms: Sequence[int]) -> float:
     """Returns the height of the lowest point of some geoms (m); infinite if there is none."""
     return min(
         (
@@ -197,15 +197,15 @@ def _round_ones(
     at the lower end, too.
     """
     sphere = mujoco.mjtGeom.mjGEOM_SPHERE.value
-    end = min(geoms, key=lambda geom: lowest(model, data, [geom]))
-    bottom = lowest(model, data, [end])
+    end = min(geoms, key=lambda geom: lowest_point(model, data, [geom]))
+    bottom = lowest_point(model, data, [end])
 
     def rise(geom: int) -> float:
         away = (data.geom_xpos[geom] - data.geom_xpos[end])[:2]
         return _END + math.tan(lean) * float(np.linalg.norm(away))
 
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
-    return [geom for geom in spheres if lowest(model, data, [geom]) < bottom + rise(geom)]
+    return [geom for geom in spheres if lowest_point(model, data, [geom]) < bottom + rise(geom)]
 
 
 def _sole(points: Array, radii: Array, down: Array) -> tuple[Array, bool]:
@@ -306,7 +306,7 @@ def _cornered(
     ]
     found = []
     level = max(float(point @ down) for _, point in surface)
-    for number in corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
+    for number in sole_corners(np.array([point for _, point in surface]), down, 2 * _PRESSED):
         geom, point = surface[number]
         own = int(model.geom_bodyid[geom])
         place = point + (level - float(point @ down) - BALL) * down
@@ -329,7 +329,7 @@ def _pressed(
     mujoco.mju_mulQuat(quat, turned, data.qpos[at + 3 : at + 7].copy())
     data.qpos[at + 3 : at + 7] = quat
     mujoco.mj_kinematics(model, data)
-    data.qpos[at + 2] -= lowest(model, data, geoms) + _PRESSED
+    data.qpos[at + 2] -= lowest_point(model, data, geoms) + _PRESSED
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
     mujoco.mj_collision(model, data)

@@ -52,7 +52,7 @@ A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between
 the ground at 2 ms, and is at rest at 0.5 ms."""
 
 
-def following(robot: Robot) -> list[int]:
+def following_joints(robot: Robot) -> list[int]:
     """Returns the numbers of the joints that follow others: no servo is theirs."""
     return [] if robot.closure is None else robot.closure.following.tolist()
 
@@ -63,7 +63,9 @@ def with_motors(robot: Robot) -> Robot:
     Motors come first in the order of joints: where some joints follow others, that order is to be
     the last one before a stand is solved.
     """
-    lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(following(robot))
+    lacking = set(np.flatnonzero(robot.mj_convention.actuator_index < 0)) - set(
+        following_joints(robot)
+    )
     if robot.closure is None or not lacking:
         return robot
     spec = robot.description.mjcf.copy()
@@ -72,7 +74,9 @@ def with_motors(robot: Robot) -> Robot:
     return rebuilt(robot, mjcf=spec)
 
 
-def driven(robot: Robot, stand: Stand, original: mujoco.MjSpec) -> tuple[Robot, Array, Array, int]:
+def add_position_servos(
+    robot: Robot, stand: Stand, original: mujoco.MjSpec
+) -> tuple[Robot, Array, Array, int]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Of those with which it does, the first with which it is then as predicted: light feet on stiff
@@ -130,8 +134,8 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     if stand is None:
         return robot, []
     own = own_servos(robot)
-    built, kp, kd, rests = driven(robot, stand, mjcf.spec)
-    idle = following(robot)
+    built, kp, kd, rests = add_position_servos(robot, stand, mjcf.spec)
+    idle = following_joints(robot)
     model = mjcf.model
     made = []
     for index, name in enumerate(robot.joint_names):
@@ -139,7 +143,7 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
             joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
             what = Drive.NONE if joint < 0 else drive_of(model, joint)
             made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
-    told = [*notes.made(made, len(own), built.mj_model.opt.timestep)]
+    told = [*notes.made_servos(made, len(own), built.mj_model.opt.timestep)]
     if not rests:
         told.append(diagnose("no-servos-bring-it-to-rest"))
     elif rests == 1:
@@ -148,7 +152,7 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     return replace(built, description=described), told
 
 
-def advice(robot: Robot, stand: Stand) -> Diagnostic | None:
+def suggest_servos(robot: Robot, stand: Stand) -> Diagnostic | None:
     """Tells so, with gains that would hold it, if a robot falls over on servos of its own.
 
     They are the robot's, and so they stay as they are.
@@ -187,7 +191,7 @@ def _kept(
     """Returns gains (nu,) with those of the robot's own servos in them."""
     given = zip(robot.joint_names, kp.tolist(), kd.tolist(), strict=True)
     both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
-    both[following(robot)] = 0.0
+    both[following_joints(robot)] = 0.0
     return both[:, 0], both[:, 1]
 
 
@@ -245,7 +249,7 @@ def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujo
     """
     spec, own = spec.copy(), own_servos(robot)
     tree: MjcfEdits = SpecTree(spec)
-    idle = {robot.joint_names[joint] for joint in following(robot)}
+    idle = {robot.joint_names[joint] for joint in following_joints(robot)}
     for name, stiffness, damping, limit in zip(
         robot.joint_names, kp, kd, robot.efforts, strict=True
     ):

@@ -17,7 +17,7 @@ from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest
+from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.feet import limb_ends
@@ -56,7 +56,7 @@ class Foot:
     points: tuple[ContactPoint, ...]
 
 
-def posed(robot: Robot, joints: Array) -> mujoco.MjData:
+def pose_at_joints(robot: Robot, joints: Array) -> mujoco.MjData:
     """Returns MuJoCo's data with the base upright at the origin, at joint positions (nu,)."""
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.posed(joints)
@@ -105,9 +105,9 @@ def find_feet(robot: Robot, poses: Iterable[Array]) -> tuple[Foot, ...]:
 
 
 def _lowest_limbs(robot: Robot, joints: Array) -> tuple[Foot, ...]:
-    model, data = robot.mj_model, posed(robot, joints)
+    model, data = robot.mj_model, pose_at_joints(robot, joints)
     ends = {body: geoms_of(model, body) for body in limb_ends(model)}
-    heights = {body: lowest(model, data, geoms) for body, geoms in ends.items() if geoms}
+    heights = {body: lowest_point(model, data, geoms) for body, geoms in ends.items() if geoms}
     base = float(data.xpos[model.body(robot.mj_base).id][2])
     if not heights or min(heights.values()) >= base:
         limbs = [model.body(body).name for body in ends]
@@ -158,7 +158,7 @@ def named_foot(robot: Robot, name: str, frames: tuple[str, str], joints: Array) 
         UnknownNameError: If neither file has it.
         ModelError: If nothing there touches the ground.
     """
-    model, data = robot.mj_model, posed(robot, joints)
+    model, data = robot.mj_model, pose_at_joints(robot, joints)
     _, frame = frames
     places = [
         (kind, mujoco.mj_name2id(model, kind, frame))
@@ -226,7 +226,7 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
 def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     """Returns the robot's description with a frame at every contact point, in both files."""
     model, spec = robot.mj_model, robot.description.mjcf.copy()
-    data = posed(robot, np.zeros(robot.nu))
+    data = pose_at_joints(robot, np.zeros(robot.nu))
     still = Configuration(robot, robot.neutral())
     tree = UrdfTree.of(robot.description.urdf)
     bodies = {body.name: body for body in spec.bodies}
@@ -329,7 +329,7 @@ def apart_at(robot: Robot, foot: Foot) -> float:
     joint = _last_joint(robot, foot.body, turning=True)
     if joint is None:
         return 0.0
-    data = posed(robot, np.zeros(robot.nu))
+    data = pose_at_joints(robot, np.zeros(robot.nu))
     still = Configuration(robot, robot.neutral())
     apart = still.joint_position(joint) - data.xanchor[robot.mj_model.joint(joint).id]
     axis = still.joint_axis(joint)

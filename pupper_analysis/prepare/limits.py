@@ -18,7 +18,7 @@ _TURNS = 2 * math.pi
 """What a joint without limits may turn, either way, where loops bind it (rad): round."""
 
 
-def bounded(robot: Robot) -> Description | None:
+def bound_turning_joints(robot: Robot) -> Description | None:
     """Returns the description with limits for joints that turn round and round; None without loops.
 
     Where loops bind joints, PlaCo's constraints on joints know no others. No note tells, as the
@@ -37,7 +37,7 @@ def bounded(robot: Robot) -> Description | None:
     return replace(robot.description, urdf=to_text(tree.root))
 
 
-def within_both(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
+def narrow_limits(robot: Robot) -> tuple[Description | None, list[Diagnostic]]:
     """Returns the description with the URDF's limits narrowed to the MJCF's; None if they are.
 
     A stand at an angle that MuJoCo's limit excludes is thrown out of it by the first step.

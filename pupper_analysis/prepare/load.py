@@ -105,7 +105,7 @@ def robot_of(
     """Makes a robot of two files that have been read; see ``load_robot``."""
     frames = None if feet is None else feet_frames(feet)
     request = Request(frames, fixed_base, name, joints, keyframe, as_is)
-    robot, _ = prepared(urdf, mjcf, request)
+    robot, _ = prepare_robot(urdf, mjcf, request)
     return self_checked(robot, mjcf, keyframe) if self_check else robot
 
 
@@ -139,7 +139,7 @@ def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[P
         ModelError: If no robot can be made of them.
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
-    robot, runs = prepared(urdf, mjcf, request)
+    robot, runs = prepare_robot(urdf, mjcf, request)
     told = Preparation(
         name=robot.name,
         mass=robot.total_mass,
@@ -152,7 +152,7 @@ def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[P
     return told, robot
 
 
-def prepared(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
+def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
     """Makes two files a robot; returns the passes that were run, too: none if they are ready.
 
     Raises:

@@ -12,7 +12,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_tree import SpecTree
 
 
-def coupled(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
+def couple_mimics(matched: Match, description: Description) -> tuple[Description, list[Diagnostic]]:
     """Returns the description with the URDF's ``<mimic>`` in its MJCF, where that says nothing.
 
     A joint that has a motor of its own in the MJCF, or is bound there, stays as it is; so does one

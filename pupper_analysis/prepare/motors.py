@@ -31,7 +31,7 @@ def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
     if len(driven) == len(set(driven)):
         return []
     model = compile_spec(spec.copy(), source)
-    joints = several(model)
+    joints = joints_of_several_motors(model)
     if not joints:
         return []
     actuators = list(spec.actuators)
@@ -46,7 +46,7 @@ def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
     return [diagnose("motors-taken-together", joints=names)]
 
 
-def several(model: mujoco.MjModel) -> dict[int, list[int]]:
+def joints_of_several_motors(model: mujoco.MjModel) -> dict[int, list[int]]:
     """Returns {hinge or slide: its motors} of those that have several."""
     found: dict[int, list[int]] = {}
     for motor in range(model.nactuator):

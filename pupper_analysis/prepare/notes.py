@@ -41,7 +41,7 @@ def joints(matched: Match) -> Iterator[Diagnostic]:
             yield diagnose("joints-held-at-zero", joints=names, file=where)
 
 
-def named(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
+def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic:
     """Tells which feet there are, and with how many contact points."""
     told = [
         diagnose(
@@ -79,13 +79,13 @@ def planar(robot: Robot) -> Iterator[Diagnostic]:
         yield diagnose("com-anywhere-inside")
 
 
-def bound(robot: Robot) -> Iterator[Diagnostic]:
+def bound_joints(robot: Robot) -> Iterator[Diagnostic]:
     """Tells which joints follow others."""
     if robot.closure is not None:
         yield robot.closure.told()
 
 
-def made(servos: Sequence[MadeServo], own: int, timestep: float) -> Iterator[Diagnostic]:
+def made_servos(servos: Sequence[MadeServo], own: int, timestep: float) -> Iterator[Diagnostic]:
     """Tells which servos were made up, and instead of what.
 
     Args:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.match import match
+from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -24,14 +24,14 @@ from pupper_analysis.prepare.base import free_base, free_of_friction
 from pupper_analysis.prepare.base_frame import lift_base_frame
 from pupper_analysis.prepare.draft import Draft, PassRun
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
-from pupper_analysis.prepare.limits import bounded, within_both
-from pupper_analysis.prepare.mimics import coupled
+from pupper_analysis.prepare.limits import bound_turning_joints, narrow_limits
+from pupper_analysis.prepare.mimics import couple_mimics
 from pupper_analysis.prepare.motors import one_at_each_joint
 from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.request import Request
 from pupper_analysis.prepare.simulable import check_masses
-from pupper_analysis.prepare.solver import solvable
-from pupper_analysis.prepare.start_pose import started
+from pupper_analysis.prepare.solver import choose_exact_solver
+from pupper_analysis.prepare.start_pose import find_start_pose
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
 from pupper_analysis.robot.build import build_robot, like
 from pupper_analysis.robot.feet import limb_ends
@@ -119,7 +119,7 @@ def _lift_base_frame(draft: Draft) -> Made:
 
 def _match(draft: Draft) -> Made:
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
-    found = match(*files, names=draft.request.joints, complete=True)
+    found = match_models(*files, names=draft.request.joints, complete=True)
     description = found.robot.description
     told = (*found.notes, *notes.joints(found))
     return replace(draft, found=found, description=description), told
@@ -132,7 +132,7 @@ def _weigh_parts(draft: Draft) -> Made:
 
 
 def _couple_mimics(draft: Draft) -> Made:
-    description, told = coupled(draft.match, draft.described)
+    description, told = couple_mimics(draft.match, draft.described)
     return replace(draft, description=description), told
 
 
@@ -162,11 +162,11 @@ def _build(draft: Draft) -> Made:
 
 
 def _bound_joints(draft: Draft) -> Made:
-    return _rebuilt(draft, bounded(draft.robot)), ()
+    return _rebuilt(draft, bound_turning_joints(draft.robot)), ()
 
 
 def _narrow_limits(draft: Draft) -> Made:
-    description, told = within_both(draft.robot)
+    description, told = narrow_limits(draft.robot)
     return _rebuilt(draft, description), told
 
 
@@ -181,7 +181,7 @@ def _rebuilt(draft: Draft, description: Description | None) -> Draft:
 
 def _put_feet(draft: Draft) -> Made:
     bare, given = draft.robot, draft.request.feet
-    poses = [start.inside(bare, pose) for pose in (*draft.keyframes.values(), None)]
+    poses = [start.clip_to_limits(bare, pose) for pose in (*draft.keyframes.values(), None)]
     try:
         feet = _feet(bare, given, poses)
     except ModelError as error:
@@ -196,7 +196,7 @@ def _put_feet(draft: Draft) -> Made:
         raise ModelError(draft.mjcf.path, problem) from error
     if not feet:
         return draft, ()
-    told = [notes.named(bare, feet, given=given is not None)]
+    told = [notes.named_feet(bare, feet, given=given is not None)]
     apart = {foot.name: apart_at(bare, foot) for foot in feet}
     worst = max(apart, key=apart.__getitem__)
     if apart[worst] > _APART:
@@ -220,7 +220,7 @@ def _add_motors(draft: Draft) -> Made:
 
 def _start(draft: Draft) -> Made:
     told = list(notes.planar(draft.robot))
-    robot, pose = started(draft.robot, draft.keyframes)
+    robot, pose = find_start_pose(draft.robot, draft.keyframes)
     return replace(draft, built=robot), told + pose
 
 
@@ -235,17 +235,17 @@ def _of_robots(step: Callable[[Robot], tuple[Robot, list[Diagnostic]]]) -> Calla
 
 
 def _tell_what_follows(draft: Draft) -> Made:
-    return draft, (*notes.bound(draft.robot), *notes.uncommanded(draft.robot))
+    return draft, (*notes.bound_joints(draft.robot), *notes.uncommanded(draft.robot))
 
 
 def _add_servos(draft: Draft) -> Made:
     robot = draft.robot
-    idle = {robot.joint_names[joint] for joint in drives.following(robot)}
+    idle = {robot.joint_names[joint] for joint in drives.following_joints(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
         robot, made = drives.with_added_servos(robot, draft.mjcf)
         return replace(draft, built=robot), made
     stand = start.first_stand(robot)
-    advice = None if stand is None else drives.advice(robot, stand)
+    advice = None if stand is None else drives.suggest_servos(robot, stand)
     return draft, () if advice is None else (advice,)
 
 
@@ -321,19 +321,19 @@ PASSES = (
     Pass(
         "touch-with-feet-alone",
         Term("lets feet alone touch the ground"),
-        _of_robots(touching.on_feet_alone),
+        _of_robots(touching.touch_with_feet_alone),
         _altered,
     ),
     Pass(
         "keep-apart",
         Term("excludes contacts of parts that overlap"),
-        _of_robots(touching.apart),
+        _of_robots(touching.exclude_overlaps),
         _altered,
     ),
     Pass(
         "solve-exactly",
         Term("chooses a solver that solves the equations of motion"),
-        _of_robots(solvable),
+        _of_robots(choose_exact_solver),
         _altered,
     ),
     Pass(

@@ -14,9 +14,9 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import notes
 from pupper_analysis.prepare.base import free_of_friction
-from pupper_analysis.prepare.motors import several
+from pupper_analysis.prepare.motors import joints_of_several_motors
 from pupper_analysis.prepare.request import Request
-from pupper_analysis.prepare.solver import inexact
+from pupper_analysis.prepare.solver import solver_error
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
@@ -40,7 +40,7 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
     robot = _built(urdf, mjcf, request)
     if robot is None or (robot.floating and _needs_more(robot)):
         return None
-    said = (*notes.bound(robot), *notes.uncommanded(robot))
+    said = (*notes.bound_joints(robot), *notes.uncommanded(robot))
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
 
 
@@ -100,4 +100,6 @@ def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
 def _needs_more(robot: Robot) -> bool:
     """Tells whether joints lack limits, have several motors, or are not solved for exactly."""
     endless = robot.closure is not None and bool(robot.pin_convention.unbounded.any())
-    return endless or bool(several(robot.mj_model)) or inexact(robot) is not None
+    return (
+        endless or bool(joints_of_several_motors(robot.mj_model)) or solver_error(robot) is not None
+    )

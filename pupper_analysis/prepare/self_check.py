@@ -23,12 +23,12 @@ from pupper_analysis.prepare.bare import (
     Bare,
     Hold,
     hold_of,
-    placed,
+    place_published,
     published_model,
-    roll,
     self_controlled,
+    simulate_published,
 )
-from pupper_analysis.prepare.causes import altered, candidates, with_line
+from pupper_analysis.prepare.causes import altered_on_loading, candidate_causes, with_line
 from pupper_analysis.prepare.start import stands_at
 from pupper_analysis.robot.as_published import (
     Cause,
@@ -163,7 +163,11 @@ def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None
         hold = Hold(model.key_ctrl[key].copy(), model.key_act[key].copy(), outside, {})
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
     motion, end = base_motion(
-        model, data, bare.base, bare.ground or 0.0, lambda run, time: roll(bare, run, hold, time)
+        model,
+        data,
+        bare.base,
+        bare.ground or 0.0,
+        lambda run, time: simulate_published(bare, run, hold, time),
     )
     return OwnRun(
         keyframe=name,
@@ -267,14 +271,14 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     """
     model = bare.model
     qpos = wanted.qpos
-    data = placed(bare, robot, qpos)
+    data = place_published(bare, robot, qpos)
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
     start = copy.copy(data)
     ahead = wanted.torques if wanted.feedforward else None
     hold = hold_of(bare, robot, data, ahead, wanted.targets)
-    given = roll(bare, data, hold, SECONDS)
+    given = simulate_published(bare, data, hold, SECONDS)
     joints = [model.joint(name).id for name in robot.joint_names]
     dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     driven = robot.mj_convention.actuator_index >= 0
@@ -302,7 +306,7 @@ def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) ->
     One alone if that makes it as predicted; else, with all of them off, each that alone makes it
     differ again.
     """
-    known = candidates(bare, robot)
+    known = candidate_causes(bare, robot)
     without = {}
     for candidate in known:
         model = copy.copy(bare.model)
@@ -327,4 +331,4 @@ def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) ->
     if found:
         return tuple(found)
     helping = [one for one in known if without[one] < 0.5 * run.torque_error]
-    return (*(one.cause(without[one]) for one in helping), *altered(bare, robot))
+    return (*(one.cause(without[one]) for one in helping), *altered_on_loading(bare, robot))

@@ -32,7 +32,7 @@ _MOST = 8
 """The most corners that are kept of a sole: those without which its area is least."""
 
 
-def corners(points: Array, out: Array, flat: float) -> list[int]:
+def sole_corners(points: Array, out: Array, flat: float) -> list[int]:
     """Returns the numbers of those points (n, 3) that are the corners of a sole.
 
     Args:

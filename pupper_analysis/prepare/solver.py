@@ -12,7 +12,7 @@ from pupper_analysis.robot.robot import Robot
 _INTO_GROUND = 1e-3  # m: where feet that just touch push
 
 
-def inexact(robot: Robot) -> float | None:
+def solver_error(robot: Robot) -> float | None:
     """Returns what the solver leaves out, in parts of the weight, if it is too much."""
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     data = mujoco.MjData(model)
@@ -23,7 +23,7 @@ def inexact(robot: Robot) -> float | None:
     return share if share > INEXACT else None
 
 
-def solvable(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
+def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot dense matrices if MuJoCo's solver is exact with these alone.
 
     Args:
@@ -32,7 +32,7 @@ def solvable(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     Returns:
         The robot, and that it was done, or that nothing helps.
     """
-    part = inexact(robot)
+    part = solver_error(robot)
     if part is None:
         return robot, []
     share = Quantity(part, "1")
@@ -40,6 +40,6 @@ def solvable(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         spec = robot.description.mjcf.copy()
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         dense = rebuilt(robot, mjcf=spec)
-        if inexact(dense) is None:
+        if solver_error(dense) is None:
             return dense, [diagnose("solver-made-dense", share=share)]
     return robot, [diagnose("solver-inexact", share=share)]

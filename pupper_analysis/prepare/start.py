@@ -88,7 +88,7 @@ def chosen(
     return dict(sorted(known.items(), key=lambda item: item[0] != "home"))
 
 
-def inside(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
+def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
     """Returns joint positions (nu,), zero where not given, cut to the limits."""
     values = np.array([(joints or {}).get(name, 0.0) for name in robot.joint_names])
     return np.clip(values, robot.lower_limits, robot.upper_limits)
@@ -97,7 +97,7 @@ def inside(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:
 def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
     """Tells whether a robot stands in a pose: within its limits, its feet at about one height."""
     values = np.array([joints.get(name, 0.0) for name in robot.joint_names])
-    if np.abs(values - inside(robot, joints)).max() > _SLACK:
+    if np.abs(values - clip_to_limits(robot, joints)).max() > _SLACK:
         return False
     qpos = robot.posed(values)
     centres = Configuration(robot, qpos).foot_positions()
@@ -208,7 +208,7 @@ def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[S
     return longest
 
 
-def touching(robot: Robot, stand: Stand, deeper: float) -> set[int]:
+def touching_geoms(robot: Robot, stand: Stand, deeper: float) -> set[int]:
     """Returns the geoms, but for those of the feet, that touch the ground in a stand that sank.
 
     Args:
@@ -244,7 +244,7 @@ def clear_of_ground(robot: Robot, stand: Stand) -> bool:
     own = feet_bodies(robot)
     return all(
         int(model.body_weldid[model.geom_bodyid[geom]]) in own
-        for geom in touching(robot, stand, _CLEAR)
+        for geom in touching_geoms(robot, stand, _CLEAR)
     )
 
 

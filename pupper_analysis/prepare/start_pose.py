@@ -18,7 +18,7 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 
-def started(
+def find_start_pose(
     robot: Robot, known: Mapping[str, Mapping[str, float]]
 ) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
@@ -44,7 +44,10 @@ def started(
                 if nominal is home:
                     notes.append(diagnose("feet-placed-by-start-pose"))
                 return _kept(whole, tried), notes
-    poses = [*(start.inside(robot, pose) for pose in known.values()), start.inside(robot)]
+    poses = [
+        *(start.clip_to_limits(robot, pose) for pose in known.values()),
+        start.clip_to_limits(robot),
+    ]
     bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2

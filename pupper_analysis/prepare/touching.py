@@ -23,7 +23,7 @@ _BESIDE = 5e-3
 def with_bare_feet(robot: Robot) -> Robot:
     """Returns a robot whose MuJoCo model lets nothing on the feet's bodies touch but the feet.
 
-    In which it is seen how a robot stands before ``on_feet_alone`` knows what is in the way. What
+    In which it is seen how a robot stands before ``touch_with_feet_alone`` knows what is in the way. What
     is built from its description has it all again.
     """
     model, own = copy.copy(robot.mj_model), start.feet_bodies(robot)
@@ -33,7 +33,7 @@ def with_bare_feet(robot: Robot) -> Robot:
     return replace(robot, mj_model=model)
 
 
-def on_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
+def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
     try:
         stand = solve_stand_on_soft_ground(with_bare_feet(robot), explain=False)
@@ -42,7 +42,7 @@ def on_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     model, own = robot.mj_model, start.feet_bodies(robot)
     beside = {
         geom
-        for geom in start.touching(robot, stand, _BESIDE)
+        for geom in start.touching_geoms(robot, stand, _BESIDE)
         if int(model.body_weldid[model.geom_bodyid[geom]]) in own
     }
     if not beside:
@@ -57,7 +57,7 @@ def on_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     return rebuilt(robot, mjcf=spec), noted
 
 
-def apart(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
+def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps bodies that overlap in the start pose from pushing each other apart."""
     stand = start.first_stand(robot)
     if stand is None:

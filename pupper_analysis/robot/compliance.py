@@ -8,7 +8,7 @@ from functools import cached_property
 
 import mujoco
 
-from pupper_analysis.robot.impedance import bounded, impeded
+from pupper_analysis.robot.impedance import clip_solimp, solimp_impedance
 from pupper_analysis.robot.robot import Robot
 
 _MAX_ITERATIONS = 200  # in search of a depth: 5 do, but for laws that no Newton step fits
@@ -56,7 +56,7 @@ class GroundLaw:
     def of(robot: Robot, foot: str) -> GroundLaw:
         """Returns the law of one foot's contact with the ground, cone elliptic or pyramidal."""
         model, parameters = robot.mj_model, robot.contacts[foot]
-        solimp = bounded(parameters.solimp)
+        solimp = clip_solimp(parameters.solimp)
         dmax = solimp[1]
         first, second = parameters.solref
         if first > 0:
@@ -87,7 +87,7 @@ class GroundLaw:
 
     def _impeded(self, depth: float) -> tuple[float, float]:
         """Returns ``impedance`` and its derivative (1/m)."""
-        return impeded(self.solimp, depth + self.margin)
+        return solimp_impedance(self.solimp, depth + self.margin)
 
     def force(self, depth: float) -> float:
         """Returns the normal force (N) at a penetration (m) at rest."""

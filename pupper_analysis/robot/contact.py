@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.robot.impedance import reference
+from pupper_analysis.robot.impedance import effective_solref
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters
     return ContactParameters(
         condim=condim,
         friction=(slide, slide, spin, roll, roll),
-        solref=reference(solref),
+        solref=effective_solref(solref),
         solimp=tuple(float(value) for value in solimp),
         margin=float(model.geom_margin[[first, second]].sum()),
     )

@@ -29,7 +29,7 @@ _EXACT = 1e-14
 """Of an opening."""
 
 
-def bounded(solimp: Iterable[float]) -> tuple[float, ...]:
+def clip_solimp(solimp: Iterable[float]) -> tuple[float, ...]:
     """Returns dmin, dmax, width, midpoint and power within the bounds that MuJoCo sets them."""
     dmin, dmax, width, midpoint, power = (float(value) for value in solimp)
     dmin, dmax, midpoint = (
@@ -38,7 +38,7 @@ def bounded(solimp: Iterable[float]) -> tuple[float, ...]:
     return dmin, dmax, width, midpoint, max(power, 1.0)
 
 
-def reference(solref: Iterable[float]) -> tuple[float, float]:
+def effective_solref(solref: Iterable[float]) -> tuple[float, float]:
     """Returns solref as MuJoCo takes it: one number above zero and one not are its default.
 
     Two above zero are a time constant and a damping ratio; else they are stiffness and damping.
@@ -49,11 +49,11 @@ def reference(solref: Iterable[float]) -> tuple[float, float]:
     return (first, second) if (first > 0) == (second > 0) else _DEFAULT_REFERENCE
 
 
-def impeded(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
+def solimp_impedance(solimp: tuple[float, ...], opened: float) -> tuple[float, float]:
     """Returns a constraint's impedance d, and its derivative (1/m), where it is open (m or rad).
 
     Args:
-        solimp: As ``bounded`` returns it.
+        solimp: As ``clip_solimp`` returns it.
         opened: From the constraint's margin; d is dmin at none, and dmax at ``width``.
 
     Source: MuJoCo documentation, "Computation: Solver parameters"; engine_core_constraint.c.
@@ -92,7 +92,7 @@ class Softness:
         while row < data.nefc:
             number = int(data.efc_id[row])
             count = _DISTANCES.get(int(model.eq_type[number]), 1)
-            self._groups.append((slice(row, row + count), bounded(model.eq_solimp[number])))
+            self._groups.append((slice(row, row + count), clip_solimp(model.eq_solimp[number])))
             row += count
 
     def here(self) -> Array:
@@ -135,5 +135,5 @@ def _length(solimp: tuple[float, ...], force: float) -> float:
 
 def _law(solimp: tuple[float, ...], opened: float) -> float:
     """Returns (1 - d) / d^2: how soft a constraint is for its impedance."""
-    d, _ = impeded(solimp, opened)
+    d, _ = solimp_impedance(solimp, opened)
     return (1 - d) / d**2

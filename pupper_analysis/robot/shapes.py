@@ -188,7 +188,7 @@ def _touch(model: mujoco.MjModel, geom: int, ground: int) -> bool:
     return bool(met) and not excluded
 
 
-def excluded(robot: Robot) -> set[frozenset[int]]:
+def excluded_pairs(robot: Robot) -> set[frozenset[int]]:
     """Returns the pairs of bodies (ids) that the MJCF excludes from touching each other."""
     return {
         frozenset((int(signature) >> 16, int(signature) & 0xFFFF))

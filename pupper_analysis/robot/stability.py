@@ -16,7 +16,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.results import Result
-from pupper_analysis.robot.transition import STEP, copied, transition
+from pupper_analysis.robot.transition import STEP, copy_data, step_derivative
 
 Array = NDArray[np.float64]
 
@@ -210,7 +210,7 @@ def step_stability(
             raise ConfigurationError(name, diagnose("argument-of-other-kind", **what))
     if not 0 <= settle <= _LONGEST:
         raise ConfigurationError("settle", diagnose("settling-time", settle=settle, most=_LONGEST))
-    start, data = data, copied(model, data)
+    start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
         return _judged(model, data, settled=False)
@@ -218,11 +218,11 @@ def step_stability(
         mujoco.mj_step(model, data, steps)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
         # It diverged, and MuJoCo began anew.
-        return _judged(model, copied(model, start), settled=False)
+        return _judged(model, copy_data(model, start), settled=False)
     found = _judged(model, data, settled=True)
     if found.at_rest:
         return found
-    other = _judged(model, copied(model, start), settled=False)
+    other = _judged(model, copy_data(model, start), settled=False)
     threw = (other.doubling_time or math.inf) < settle / _THROWN
     return other if other.at_rest and threw else found
 
@@ -236,7 +236,7 @@ def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Sta
     joints, tendons = model.dof_frictionloss.copy(), model.tendon_frictionloss.copy()
     model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
     try:
-        free = _judged_at_limits(model, copied(model, data), settled=settled)
+        free = _judged_at_limits(model, copy_data(model, data), settled=settled)
     finally:
         model.dof_frictionloss[:], model.tendon_frictionloss[:] = joints, tendons
     freed = [replace(mode, freed=True) for mode in free.unstable if mode.shakes]
@@ -263,7 +263,7 @@ def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bo
         for apart in (-_EDGE, _EDGE):
             moved = ends + np.array([apart, -apart])
             model.jnt_range[:] = np.where(edges, moved, ranges)
-            found.append(_Modes(model, copied(model, data)).judged(settled=settled))
+            found.append(_Modes(model, copy_data(model, data)).judged(settled=settled))
     finally:
         model.jnt_range[:] = ranges
     return max(found, key=lambda one: one.radius)
@@ -279,7 +279,7 @@ class _Modes:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = model, data
-        matrix = transition(model, data)
+        matrix = step_derivative(model, data)
         matrix = np.where(np.isfinite(matrix), matrix, 0.0)
         self._values, left, self._vectors = linalg.eig(matrix, left=True)
         aligned = np.abs(np.sum(left.conj() * self._vectors, axis=0))

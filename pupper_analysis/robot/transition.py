@@ -18,7 +18,7 @@ earlier on one side of a difference, and an element is off by 0.03. A copy of th
 meshes of a humanoid, takes longer than all else."""
 
 
-def copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     """Returns data of its own at the same state.
 
     Args:
@@ -33,7 +33,7 @@ def copied(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     return own
 
 
-def transition(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+def step_derivative(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """Returns the derivative of a step by the state, (2 nv + na, 2 nv + na).
 
     Args:
@@ -54,7 +54,7 @@ def transition(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
 
 def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> Array:
     """Fills in centred differences of whole steps."""
-    own, nv = copied(model, data), model.nv
+    own, nv = copy_data(model, data), model.nv
     ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
     for column in range(len(matrix)):
         for end, size in zip(ends, (-STEP, STEP), strict=True):

@@ -67,7 +67,7 @@ def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
     model = read_usd_model(file)
     spec = mjspec_of(model)
     notes = (diagnose("usd-compared-as-mjcf", file=path.name), *model.notes, *notes_of(model))
-    unknown = {kind: unstated(model, kind) for kind in ("effort", "damping", "friction")}
+    unknown = {kind: joints_without(model, kind) for kind in ("effort", "damping", "friction")}
     return UsdAsMjcf(
         path=path,
         spec=spec,
@@ -79,7 +79,7 @@ def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
     )
 
 
-def unstated(model: UsdModel, kind: str) -> tuple[str, ...]:
+def joints_without(model: UsdModel, kind: str) -> tuple[str, ...]:
     """Returns the joints of which a number is not known."""
     return tuple(n for n, joint in model.joints.items() if joint.moves and kind not in joint.stated)
 

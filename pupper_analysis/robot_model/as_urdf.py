@@ -19,7 +19,7 @@ from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot_model.as_mjcf import notes_of, unstated
+from pupper_analysis.robot_model.as_mjcf import joints_without, notes_of
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link
 from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
@@ -51,7 +51,7 @@ def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
     notes += notes_of(model)
     if model.loops:
         notes.append(diagnose("usd-loops-left-out", joints=[edge.name for edge in model.loops]))
-    unknown = {"effort": unstated(model, "effort")}
+    unknown = {"effort": joints_without(model, "effort")}
     if unknown["effort"]:
         notes.append(diagnose("usd-efforts-unknown", joints=unknown["effort"]))
     told = (*notes, *(note for note in made.notes if note.code != "effort-or-velocity-unstated"))

@@ -34,7 +34,7 @@ from pupper_analysis.robot_model.model import (
     Shape,
 )
 from pupper_analysis.robot_model.pose import Array, Pose
-from pupper_analysis.robot_model.repair import full_matrix, repaired, switched_off_ranges
+from pupper_analysis.robot_model.repair import full_matrix, repair_spec, switched_off_ranges
 from pupper_analysis.robot_model.urdf import half_digit
 
 KINDS: dict[int, str] = {
@@ -52,7 +52,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
         spec = file.spec.copy()
         model = spec.compile()  # numbers the elements of this spec
     else:
-        spec, model = repaired(file.spec)
+        spec, model = repair_spec(file.spec)
     if model is None:
         notes.append(diagnose("not-compiled-after-repair"))
         return MjcfModel("mjcf", "body", "", {}, tuple(notes), file, None, refusal, ())

@@ -15,7 +15,7 @@ MUJOCO_ERRORS = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
 """What MuJoCo's bindings raise when they refuse a model."""
 
 
-def repaired(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel | None]:
+def repair_spec(original: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel | None]:
     """Returns a copy whose usual faults are mended, and what MuJoCo compiles it to, if it does."""
     spec = original.copy()
     spec.compiler.balanceinertia = True

@@ -29,17 +29,17 @@ from pupper_analysis.robot_model.model import (
 )
 from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.usd_joints import Drive, Edge, edge_of
-from pupper_analysis.robot_model.usd_mass import Weighed, weigh
+from pupper_analysis.robot_model.usd_mass import Weighed, weigh_body
 from pupper_analysis.robot_model.usd_shapes import (
     Placed,
     Units,
     own_prims,
-    placed,
     shapes_of,
+    shortest_decimals,
+    split_transform,
     units_of,
     value_of,
     world_matrix,
-    written,
 )
 
 
@@ -92,7 +92,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     units, cache = units_of(file.stage), UsdGeom.XformCache()
     prims = {name: file.stage.GetPrimAtPath(path) for name, path in file.bodies.items()}
     places = {
-        name: placed(file, prim, world_matrix(file, prim, cache), units)
+        name: split_transform(file, prim, world_matrix(file, prim, cache), units)
         for name, prim in prims.items()
     }
     for name, place in places.items():
@@ -105,7 +105,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     poses, parents, loops = trees.poses(places)
     to_base = poses[base].inverse()
     shapes = {name: shapes_of(file, prims[name], places[name], units, cache) for name in prims}
-    weights = {name: weigh(prims[name], places[name], shapes[name], units) for name in prims}
+    weights = {name: weigh_body(prims[name], places[name], shapes[name], units) for name in prims}
     links = {}
     for name in trees.order:
         above = parents.get(name)
@@ -165,7 +165,7 @@ def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any
             body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
             if target:
                 matrix = world_matrix(file, target, cache)
-                place = placed(file, target, matrix, units)
+                place = split_transform(file, target, matrix, units)
             position = value_of(prim, f"physics:localPos{end}", "point")
             rotation = value_of(prim, f"physics:localRot{end}", "quaternion")
             frame = place.frame(position, rotation)
@@ -359,7 +359,9 @@ def _gravity(file: UsdFile, units: Units) -> Array | None:
             continue
         if not way.any():
             way = units.up.T @ np.array([0.0, 0.0, -1.0])
-        found: Array = units.up @ way / np.linalg.norm(way) * float(written(size)) * units.length
+        found: Array = (
+            units.up @ way / np.linalg.norm(way) * float(shortest_decimals(size)) * units.length
+        )
         return found
     return None
 
@@ -375,5 +377,5 @@ def _idle(file: UsdFile, prims: Mapping[str, Any], units: Units) -> dict[str, fl
                 continue
             mass = value_of(prim, "physics:mass", "number")
             if mass:
-                found[str(prim.GetPath())] = float(written(mass)) * units.mass
+                found[str(prim.GetPath())] = float(shortest_decimals(mass)) * units.mass
     return found

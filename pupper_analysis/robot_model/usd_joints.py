@@ -15,7 +15,7 @@ import numpy as np
 
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE
 from pupper_analysis.robot_model.pose import Pose
-from pupper_analysis.robot_model.usd_shapes import AXES, Units, axis_of, value_of, written
+from pupper_analysis.robot_model.usd_shapes import AXES, Units, axis_of, shortest_decimals, value_of
 
 DEGREE: Final = math.pi / 180
 
@@ -194,7 +194,7 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
         lower, upper = (
             default
             if (value := value_of(prim, f"physics:{end}Limit", "number")) is None
-            else float(written(value))
+            else float(shortest_decimals(value))
             for end, default in (("lower", -math.inf), ("upper", math.inf))
         )
         return (kind, axis, *((lower, upper) if kind in (HINGE, SLIDE) else (-math.inf, math.inf)))
@@ -202,8 +202,8 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
     free: dict[str, tuple[float, float]] = {}
     for word in _FREEDOMS:
         low, high = (value_of(prim, f"limit:{word}:physics:{end}", "number") for end in _ENDS)
-        low = -math.inf if low is None else float(written(low))
-        high = math.inf if high is None else float(written(high))
+        low = -math.inf if low is None else float(shortest_decimals(low))
+        high = math.inf if high is None else float(shortest_decimals(high))
         if not low > high:
             free[word] = low, high
     if not free:
@@ -251,7 +251,7 @@ def _stated(
                 unit /= DEGREE
             elif statement.angle:
                 unit = DEGREE
-        found[name] = float(written(value)) * unit
+        found[name] = float(shortest_decimals(value)) * unit
     return found
 
 
@@ -265,7 +265,7 @@ def _effort(motor: Any, unit: float) -> float | None:
         ends = [value_of(motor, f"mjc:{name}Range:{end}", "number") for end in ("min", "max")]
         if None in ends or str(value_of(motor, f"mjc:{name}Limited", "text")) == "false":
             return None
-        return max(abs(float(written(end))) for end in ends) or None
+        return max(abs(float(shortest_decimals(end))) for end in ends) or None
 
     def first(name: str) -> float:
         values = value_of(motor, name, "list")
@@ -285,7 +285,7 @@ def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:
 
     def of(name: str) -> float | None:
         value = value_of(prim, f"drive:{word}:physics:{name}", "number")
-        return None if value is None else float(written(value))
+        return None if value is None else float(shortest_decimals(value))
 
     accelerates = value_of(prim, f"drive:{word}:physics:type", "text") == "acceleration"
     force = 1.0 if accelerates else units.inertia if turns else units.mass
@@ -318,10 +318,14 @@ def _mimic(
             one, two = (value_of(prim, f"newton:mimicCoef{n}", "number") for n in (1, 0))
             return (
                 leader,
-                1.0 if one is None else float(written(one)),
-                float(written(two or 0.0)) * unit,
+                1.0 if one is None else float(shortest_decimals(one)),
+                float(shortest_decimals(two or 0.0)) * unit,
             )
         start = name.removesuffix(":referenceJoint")
         gearing, offset = (value_of(prim, f"{start}:{w}", "number") for w in ("gearing", "offset"))
-        return leader, -float(written(gearing or 0.0)), -float(written(offset or 0.0)) * unit
+        return (
+            leader,
+            -float(shortest_decimals(gearing or 0.0)),
+            -float(shortest_decimals(offset or 0.0)) * unit,
+        )
     return None

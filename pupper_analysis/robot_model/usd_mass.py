@@ -22,8 +22,8 @@ from pupper_analysis.robot_model.usd_shapes import (
     Units,
     UsdShape,
     rotation_of,
+    shortest_decimals,
     value_of,
-    written,
 )
 
 WATER: Final = 1000.0
@@ -74,7 +74,7 @@ class Weighed:
     com_made: bool = False
 
 
-def weigh(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Units) -> Weighed:
+def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Units) -> Weighed:
     """Returns what a body weighs.
 
     Args:
@@ -189,13 +189,17 @@ def _square(d: Array) -> Array:
 def _positive(prim: Any, name: str) -> float:
     """Returns a number that states something if it is above 0; else 0."""
     value = value_of(prim, name, "number")
-    return max(float(written(value)), 0.0) if value is not None and np.isfinite(value) else 0.0
+    return (
+        max(float(shortest_decimals(value)), 0.0)
+        if value is not None and np.isfinite(value)
+        else 0.0
+    )
 
 
 def _vector(prim: Any, name: str) -> Array | None:
     """Returns three numbers; None where they are not stated (-inf is the schema's default)."""
     value = value_of(prim, name, "vector")
-    values = None if value is None else written(value)
+    values = None if value is None else shortest_decimals(value)
     return None if values is None or not np.isfinite(values).all() else values
 
 

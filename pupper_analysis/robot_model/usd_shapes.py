@@ -85,7 +85,7 @@ class Placed:
 
     def frame(self, position: Any, rotation: Any) -> Pose:
         """Returns a frame in the prim's, of a position in its lengths and a quaternion."""
-        place = np.zeros(3) if position is None else written(position) * self.scale
+        place = np.zeros(3) if position is None else shortest_decimals(position) * self.scale
         if rotation is None:
             return Pose(place)
         return Pose(place, rotation_of((rotation.GetReal(), *rotation.GetImaginary())))
@@ -144,7 +144,7 @@ def axis_of(prim: Any, name: str, usual: str) -> str:
     return axis
 
 
-def written(value: Any) -> Array:
+def shortest_decimals(value: Any) -> Array:
     """Returns numbers as they are written: of one in single precision its shortest decimal.
 
     A file's 0.18 is read as 0.18000000715. Nothing else has that as its nearest number in single
@@ -179,7 +179,7 @@ def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
         raise refusal(Place(file.path, None, str(prim.GetPath())), told) from error
 
 
-def placed(file: UsdFile, prim: Any, matrix: Any, units: Units) -> Placed:
+def split_transform(file: UsdFile, prim: Any, matrix: Any, units: Units) -> Placed:
     """Splits the transform of a prim into a pose and a scale.
 
     Raises:
@@ -271,7 +271,7 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
 
     def of(name: str, default: float) -> float:
         value = value_of(prim, name, "number")
-        return default if value is None else float(written(value))
+        return default if value is None else float(shortest_decimals(value))
 
     kind = str(prim.GetTypeName()).removesuffix("_1").lower()
     axis = axis_of(prim, "axis", "Z")

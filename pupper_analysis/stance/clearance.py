@@ -16,7 +16,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.shapes import Shape, excluded
+from pupper_analysis.robot.shapes import Shape, excluded_pairs
 from pupper_analysis.stance.parts import Direction, Part, part_of
 from pupper_analysis.stance.solids import Pair, Solids, nearest, transform
 
@@ -80,7 +80,7 @@ class Shapes:
         """
         model, shapes = self.robot.pin_model, self.shapes
         joints = [model.getJointId(shape.joint) if shape.joint else 1 for shape in shapes]
-        excepted, able, never = excluded(self.robot), set(), set()
+        excepted, able, never = excluded_pairs(self.robot), set(), set()
         every = [(before, index) for index in range(len(shapes)) for before in range(index)]
         links = {both: frozenset(shapes[number].link for number in both) for both in every}
         for one, other in every:

@@ -15,7 +15,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
-from pupper_analysis.robot.impedance import reference
+from pupper_analysis.robot.impedance import effective_solref
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import ForceBounds
 from pupper_analysis.statics.contacts import contacts_of
@@ -202,7 +202,7 @@ def joint_resistance(robot: Robot, qvel: Array, qacc: Array) -> Array:
     loss = model.dof_frictionloss[index]
     dry = np.flatnonzero(loss)
     low, high = np.clip(model.dof_solimp[index, :2].T, mujoco.mjMINIMP, mujoco.mjMAXIMP)
-    first, second = np.array([reference(solref) for solref in model.dof_solref[index]]).T
+    first, second = np.array([effective_solref(solref) for solref in model.dof_solref[index]]).T
     if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value:
         first = np.where(first > 0, np.maximum(first, 2 * model.opt.timestep), first)
     damping = np.where(first > 0, 2 / (high * first), -second / high)

@@ -30,7 +30,7 @@ _OF_JOINT: Final = (
 )
 
 
-def owner(difference: Difference) -> str:
+def owner_name(difference: Difference) -> str:
     """Names what a difference is of: ``body of base``, ``joint FL_hip``, ``frame FL_foot``."""
     if difference.kind in _OF_BODY:
         return f"body of {difference.element}"
@@ -41,13 +41,15 @@ def owner(difference: Difference) -> str:
     return difference.element
 
 
-def label(difference: Difference) -> str:
+def difference_label(difference: Difference) -> str:
     """Names a difference: ``body of base: mass``."""
     kind = "position" if difference.kind == "frame" else difference.kind
-    return f"{owner(difference)}: {kind}"
+    return f"{owner_name(difference)}: {kind}"
 
 
-def chosen(differences: Sequence[Difference], take: str | Iterable[str]) -> tuple[str | None, ...]:
+def choose_files(
+    differences: Sequence[Difference], take: str | Iterable[str]
+) -> tuple[str | None, ...]:
     """Says whose value is taken, per difference; None where nothing was chosen.
 
     Args:
@@ -79,7 +81,7 @@ def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int,
         yield from ((index, 0) for index in range(len(differences)))
         return
     names = [
-        (label(difference), owner(difference), difference.element, difference.kind)
+        (difference_label(difference), owner_name(difference), difference.element, difference.kind)
         for difference in differences
     ]
     ranks = (3, 2, 2, 1)

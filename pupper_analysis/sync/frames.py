@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.matching.alignment import Alignment
 from pupper_analysis.matching.conventions import with_zero
 from pupper_analysis.matching.match import Match
-from pupper_analysis.matching.trees import base_pose, trees
+from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
@@ -82,7 +82,7 @@ class MatchedRobots:
         return result
 
 
-def sides(matched: Match, alignment: Alignment) -> MatchedRobots:
+def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
     """Puts the two robots side by side.
 
     Args:
@@ -90,7 +90,7 @@ def sides(matched: Match, alignment: Alignment) -> MatchedRobots:
         alignment: The MJCF's tree in the URDF's link frames.
     """
     robot = matched.robot
-    urdf, own = trees(robot)
+    urdf, own = kinematic_trees(robot)
     base = matched.conventions.base or pin.SE3.Identity()
     if not robot.floating:
         base = base_pose(robot) * base

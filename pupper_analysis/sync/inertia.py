@@ -60,7 +60,7 @@ class Mass:
         return bool(least > 0 and least + middle >= (1 - _TRIANGLE) * greatest)
 
 
-def total(bodies: list[Mass]) -> Mass:
+def total_mass(bodies: list[Mass]) -> Mass:
     """Adds bodies up, in one frame."""
     heavy = [body for body in bodies if body.mass > 0]
     if not heavy:
@@ -71,7 +71,7 @@ def total(bodies: list[Mass]) -> Mass:
     return Mass(mass, com, inertia)
 
 
-def same(one: Mass, two: Mass, tolerance: float = 1e-11) -> bool:
+def is_same_mass(one: Mass, two: Mass, tolerance: float = 1e-11) -> bool:
     """Says whether two bodies are the same but for rounding."""
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
     return bool(

@@ -15,11 +15,11 @@ from pupper_analysis.arrays import inertia_entries, rotation_from_quaternion
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.mjcf_in_place import within
+from pupper_analysis.models.mjcf_in_place import elements_within
 from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.sync.frames import Key, mass_of
-from pupper_analysis.sync.inertia import Mass, same, total, turned_like
+from pupper_analysis.sync.inertia import Mass, is_same_mass, total_mass, turned_like
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.mjcf_side import MjcfSide
@@ -46,7 +46,7 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
     placed = {body: _mass(model, body).moved(_pose(side, body)) for body in group}
     heavy = sorted((b for b in group if placed[b].mass > 0), key=lambda b: -placed[b].mass)
-    if same(total([placed[body] for body in heavy]), wanted):
+    if is_same_mass(total_mass([placed[body] for body in heavy]), wanted):
         return
     plans: list[_Plan] = []
     copied = False
@@ -114,7 +114,7 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
     """Returns how the mass of one geom makes a body's mass, com and inertia right, if it does."""
     spec = side.robot.description.mjcf
     name = str(side.model.body(body).name)
-    elements = [e for e in within(element) if e.tag == "geom"]
+    elements = [e for e in elements_within(element) if e.tag == "geom"]
     geoms = list(spec.body(name).geoms)
     if len(geoms) != len(elements):
         return []
@@ -133,7 +133,7 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
                 model = copy.copy(tried.compile())
         except (ValueError, RuntimeError):
             continue
-        if same(_mass(model, model.body(name).id), wanted, 1e-10):
+        if is_same_mass(_mass(model, model.body(name).id), wanted, 1e-10):
             own = "mass" in there.attributes
             how = None if own else diagnose("mass-of-class-stays")
             plans.append((1, there, {"mass": text}, how))

@@ -17,10 +17,10 @@ from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
-from pupper_analysis.sync.choices import chosen, label
+from pupper_analysis.sync.choices import choose_files, difference_label
 from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.plan import Edit, Files, Plan, UnwrittenCause, made
-from pupper_analysis.sync.writing import as_given, staged, unified_diff
+from pupper_analysis.sync.plan import Edit, Files, Plan, UnwrittenCause, make_plan
+from pupper_analysis.sync.writing import as_given, stage_files, unified_diff
 from pupper_analysis.together import Writing, write_together
 
 FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
@@ -125,7 +125,7 @@ def sync_models(
     files = Files(Path(urdf), Path(mjcf), dict(names or {}), dict(packages or {}), tuple(feet))
     tolerances = tolerances or Tolerances()
     comparison = _compared(files, tolerances)
-    choices = chosen(comparison.differences, take)
+    choices = choose_files(comparison.differences, take)
     keys = {
         (difference.kind, difference.element): side
         for difference, side in zip(comparison.differences, choices, strict=True)
@@ -137,7 +137,7 @@ def sync_models(
     )
     idle = dry_run or withheld
     written, backups = ((), ()) if idle else _written(plan, backup=backup, force=force)
-    labels = {(d.kind, d.element): label(d) for d in comparison.differences}
+    labels = {(d.kind, d.element): difference_label(d) for d in comparison.differences}
     return Sync(
         differences=comparison.differences,
         taken={labels[key]: side for key, side in keys.items()},
@@ -180,7 +180,7 @@ def _tried(
     refused: dict[Key, Diagnostic] = {}
     while True:
         waiting = {key: side for key, side in keys.items() if key not in refused}
-        plan = made(files, tolerances, waiting, absent=absent)
+        plan = make_plan(files, tolerances, waiting, absent=absent)
         plan.left.update(refused)
         if not plan.edits():
             silent = dict.fromkeys(
@@ -205,7 +205,7 @@ def _tried(
 
 
 def _after(plan: Plan, tolerances: Tolerances) -> Comparison:
-    with staged(plan.urdf, plan.mjcf) as (urdf, mjcf):
+    with stage_files(plan.urdf, plan.mjcf) as (urdf, mjcf):
         return _compared(replace(plan.files, urdf=urdf, mjcf=mjcf), tolerances)
 
 
@@ -219,9 +219,9 @@ def _refused(
         groups.setdefault((group, element), []).append((kind, element))
     refused: dict[Key, Diagnostic] = {}
     for members in groups.values():
-        plan = made(files, tolerances, {key: keys[key] for key in members})
+        plan = make_plan(files, tolerances, {key: keys[key] for key in members})
         try:
-            with staged(plan.urdf, plan.mjcf) as (urdf, mjcf):
+            with stage_files(plan.urdf, plan.mjcf) as (urdf, mjcf):
                 read_urdf(urdf, files.packages)
                 read_mjcf(mjcf)
         except ModelError as error:
@@ -259,7 +259,7 @@ def _left(
     for key, difference in still.items():
         if key not in labels:
             reason = diagnose("there-since", difference=difference.diagnostic)
-            yield Left(label(difference), reason, UnwrittenCause.NEW)
+            yield Left(difference_label(difference), reason, UnwrittenCause.NEW)
     for part in before.parts:
         yield Left("part", diagnose("part-unwritten", part=part), UnwrittenCause.NO_WORDS)
     for joints, there, other in (

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from pupper_analysis.checks.attribution import align
+from pupper_analysis.checks.attribution import align_robot
 from pupper_analysis.checks.differences import OF_BODIES_AND_PLACES
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.matching.match import match
+from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.digits import Digits
@@ -21,7 +21,7 @@ from pupper_analysis.models.urdf_in_place import UrdfInPlace
 from pupper_analysis.models.xml_bytes import Element, XmlDocument
 from pupper_analysis.results import Result
 from pupper_analysis.sync.absent import is_absent
-from pupper_analysis.sync.frames import Key, MatchedRobots, sides
+from pupper_analysis.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
 
@@ -127,7 +127,7 @@ class Plan:
         )
 
 
-def made(
+def make_plan(
     files: Files, tolerances: Tolerances, taken: Mapping[Key, str], *, absent: bool = False
 ) -> Plan:
     """Plans what is to be written.
@@ -139,8 +139,8 @@ def made(
         absent: Whether what a file does not state is taken, too.
     """
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
-    matched = match(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
-    both = sides(matched, align(matched.robot, tolerances))
+    matched = match_models(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
+    both = pair_robots(matched, align_robot(matched.robot, tolerances))
     elements = MjcfInPlace(mjcf)
     theirs = list(mjcf.files)
     in_place = UrdfInPlace(urdf, Digits.of(theirs, [urdf.path]))

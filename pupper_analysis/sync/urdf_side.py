@@ -21,8 +21,8 @@ from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.sync.frames import Key, mass_of, placement
 from pupper_analysis.sync.inertia import (
     Mass,
-    same,
-    total,
+    is_same_mass,
+    total_mass,
     turned_like,
 )
 from pupper_analysis.sync.side import Side
@@ -162,7 +162,7 @@ class UrdfSide(Side):
         members = self._members(mover)
         own = {link: _stated(self._links[link]) for link in members}
         placed = {link: mass.moved(self._pose(link)) for link, mass in own.items() if mass}
-        if same(total(list(placed.values())), wanted):
+        if is_same_mass(total_mass(list(placed.values())), wanted):
             return
         heavy = sorted(placed, key=lambda link: -placed[link].mass)
         found: list[tuple[str, Changes]] = []

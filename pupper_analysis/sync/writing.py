@@ -30,7 +30,7 @@ def as_given(text: str) -> str:
 
 
 @contextmanager
-def staged(*groups: Mapping[Path, XmlDocument]) -> Iterator[list[Path]]:
+def stage_files(*groups: Mapping[Path, XmlDocument]) -> Iterator[list[Path]]:
     """Writes changed files beside the old ones, under other names, to be tried.
 
     Args:

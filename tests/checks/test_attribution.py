@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks import changes as explain_module
-from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.attribution import explain_differences
 from pupper_analysis.checks.differences import Difference, Explanation
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.errors import ConfigurationError
@@ -57,7 +57,7 @@ def swing(folder: Path, **values: Any) -> tuple[Explanation, np.ndarray, np.ndar
     """A pendulum whose MJCF has other values; and the angles and velocities it was judged at."""
     robot = robot_of(folder, pendulum(), pendulum(**values), free=False)
     states = random_states(robot, 10, seed=0)
-    return explain(robot), states.qpos[:, 0], states.qvel[:, 0]
+    return explain_differences(robot), states.qpos[:, 0], states.qvel[:, 0]
 
 
 # ------------------------------------------------------------------------------------- effects
@@ -89,7 +89,7 @@ def test_shares_of_two_masses_add_up_and_exceed_one_where_they_cancel(tmp_path: 
 def test_the_effect_of_a_mass_is_that_of_mujoco(tmp_path: Path) -> None:
     """Another engine, the same states: gravity, bias and mass matrix with one mass changed."""
     robot = robot_of(tmp_path, quadruped(), changed(quadruped(), "shank1", mass=0.5))
-    effects = only(explain(robot)).effects
+    effects = only(explain_differences(robot)).effects
     states = random_states(robot, 10, seed=0)
     lighter = robot.description.mjcf.copy().compile()
     lighter.body("shank1").mass[0] = 0.21
@@ -162,7 +162,7 @@ def test_a_joint_moved_moves_what_it_carries(tmp_path: Path) -> None:
     shift = np.array([0.003, -0.001, 0.002])
     mjcf = changed(quadruped(), "thigh2", position=tuple(quadruped()["thigh2"].position + shift))
     robot = robot_of(tmp_path, quadruped(), mjcf)
-    difference = only(explain(robot))
+    difference = only(explain_differences(robot))
     assert (difference.kind, difference.element) == ("position", "hip2")
     states = random_states(robot, 10, seed=0)
     expected = max(
@@ -175,7 +175,7 @@ def test_a_joint_moved_moves_what_it_carries(tmp_path: Path) -> None:
 def test_a_frame_moves_nothing_but_itself(tmp_path: Path) -> None:
     moved = [f._replace(position=(0.002, 0.0, -0.203)) if f.name == "foot1" else f for f in FEET]
     files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
-    difference = only(explain(matched(files).robot))
+    difference = only(explain_differences(matched(files).robot))
     assert (difference.kind, difference.element, difference.unit) == ("frame", "foot1", "m")
     assert difference.message.startswith("frame foot1 is 3 mm apart: (0.002, 0, -0.203) m in the")
     assert set(difference.effects) == {"foot positions"}
@@ -185,7 +185,7 @@ def test_a_frame_moves_nothing_but_itself(tmp_path: Path) -> None:
 def test_a_frame_on_another_body_is_told(tmp_path: Path) -> None:
     moved = [f._replace(link="thigh1") if f.name == "foot1" else f for f in FEET]
     files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
-    explanation = explain(matched(files).robot)
+    explanation = explain_differences(matched(files).robot)
     assert found(explanation) == [("frame", "foot1")]
     assert "is on the body of hip1 in the URDF, of knee1 in the MJCF" in only(explanation).message
     assert explanation.complete
@@ -358,7 +358,7 @@ def test_the_tolerance_of_a_frame_is_that_of_positions(tmp_path: Path) -> None:
         moved = [f._replace(position=(0.002, 0.0, -0.2 + apart)) if f.name == "foot2" else f
                  for f in FEET]  # fmt: skip
         files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
-        assert found(explain(matched(files).robot)) == expected
+        assert found(explain_differences(matched(files).robot)) == expected
 
 
 def test_tolerances_are_changed_by_name() -> None:
@@ -483,7 +483,7 @@ def test_a_slide_has_newtons_and_metres(tmp_path: Path) -> None:
 
 def free_joint(folder: Path, attributes: str) -> Explanation:
     text = mjcf_text(quadruped()).replace("<freejoint/>", f'<joint type="free" {attributes}/>')
-    return explain(matched(write(folder, urdf_text(quadruped()), text)).robot)
+    return explain_differences(matched(write(folder, urdf_text(quadruped()), text)).robot)
 
 
 def test_damping_of_the_free_joint(tmp_path: Path) -> None:
@@ -567,7 +567,7 @@ def test_armature_of_one_leg_is_unlike_the_others(
         name: replace(part, armature=0.05 if part.joint in joints else part.armature)
         for name, part in quadruped().items()
     }
-    explanation = explain(robot_of(tmp_path, parts, parts))
+    explanation = explain_differences(robot_of(tmp_path, parts, parts))
     assert len([d for d in explanation.differences if d.kind == "armature"]) == said
 
 
@@ -576,5 +576,5 @@ def test_armature_of_a_neck_is_no_legs(tmp_path: Path) -> None:
     neck = Part("head", "base", "neck", position=(0.3, 0.0, 0.4), mass=0.2, armature=0.5)
     nod = Part("face", "head", "nod", position=(0.0, 0.0, 0.05), mass=0.1, armature=0.6)
     parts = quadruped() | {"head": neck, "face": nod}
-    explanation = explain(robot_of(tmp_path, parts, parts))
+    explanation = explain_differences(robot_of(tmp_path, parts, parts))
     assert not [d for d in explanation.differences if d.kind == "armature"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.links import fold, moments
+from pupper_analysis.checks.links import fold_bodies, moments
 from pupper_analysis.checks.patterns.links import by_pattern
 from pupper_analysis.models.multibody import TreeBody
 from tests.report.test_comparison import lines
@@ -197,7 +197,7 @@ def test_moments_add_up_as_in_mujoco() -> None:
         x, y, z = np.square(half)
         return TreeBody(mass, np.array(place), np.diag([y + z, x + z, x + y]) * mass / 3)
 
-    both = fold(
+    both = fold_bodies(
         box(2.0, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0)), box(3.0, (0.05, 0.1, 0.02), (0.4, -0.1, 0.2))
     )
     assert both.mass == pytest.approx(model.body_mass[1])

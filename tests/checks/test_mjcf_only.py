@@ -13,7 +13,7 @@ import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
-from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.attribution import explain_differences
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Effect
 from pupper_analysis.checks.engines import EXTRAS, cross_check
@@ -67,7 +67,7 @@ def swing(folder: Path, **edits: str) -> tuple[dict[str, Effect], np.ndarray, np
     text = with_(mjcf_text(pendulum(), free=False), **edits)
     files = write(folder, urdf_text(pendulum()), text)
     match = matched(files)
-    explanation = explain(match.robot, reference=match.reference, mimics=match.mimics)
+    explanation = explain_differences(match.robot, reference=match.reference, mimics=match.mimics)
     assert explanation.complete
     (difference,) = (item for item in explanation.differences if item.kind != "effort")
     states = random_states(match.robot, 10, seed=0)

@@ -18,10 +18,10 @@ import pupper_analysis as pa
 from pupper_analysis.checks.attribution import _entries
 from pupper_analysis.checks.behaviour import Behaviour
 from pupper_analysis.checks.engines import URDF_MUJOCO, URDF_READ, cross_check
-from pupper_analysis.checks.size import MOST_IN_PINOCCHIO, affordable, size_notes, some_of
+from pupper_analysis.checks.size import MOST_IN_PINOCCHIO, affordable_states, size_notes, some_of
 from pupper_analysis.checks.states import random_states
 from pupper_analysis.matching.reference import Reference
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.robot.structure import Structure
 from tests.support.cases import some
@@ -63,7 +63,7 @@ def workspaces(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.parametrize("fixed", [False, True], ids=["free", "fixed"])
 def test_a_tree_in_mujoco_is_the_one_in_pinocchio(name: str, fixed: bool) -> None:
     robot = load(name, fixed_base=fixed)
-    tree = trees(robot)[0]
+    tree = kinematic_trees(robot)[0]
     reference = Reference(robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base)
     states, entries = random_states(robot, 5, seed=1), _entries(robot, tree, reference)
     one, two = Behaviour(robot, states), Behaviour(robot, states, entries)
@@ -90,7 +90,7 @@ def test_a_tree_in_mujoco_is_the_one_in_pinocchio(name: str, fixed: bool) -> Non
 
 
 def test_limits_and_efforts_are_kept() -> None:
-    tree = trees(load("v3"))[0]
+    tree = kinematic_trees(load("v3"))[0]
     model = MujocoTree(tree).model
     for name, joint in tree.joints.items():
         found = model.joint(name)
@@ -145,7 +145,7 @@ def test_a_large_robot_that_agrees(written: Written) -> None:
 def test_ordinary_robots_are_compared_in_full() -> None:
     robot = load("v3")
     frames = {str(n): ("a", "b") for n in range(500)}
-    assert affordable(robot, 20) == 20
+    assert affordable_states(robot, 20) == 20
     assert some_of(robot, frames) == frames
     assert list(size_notes(robot, 20, frames)) == []
     assert cross_check(robot, configurations=3).configurations == 3
@@ -160,8 +160,8 @@ def test_of_a_very_large_robot_less_is_compared_and_said(written: Written) -> No
 
     large = Large()
     frames = {str(n): ("a", "b") for n in range(500)}
-    assert affordable(large, 20) == 2  # type: ignore[arg-type]
-    assert affordable(large, 1) == 1  # type: ignore[arg-type]
+    assert affordable_states(large, 20) == 2  # type: ignore[arg-type]
+    assert affordable_states(large, 1) == 1  # type: ignore[arg-type]
     kept = some_of(large, frames)  # type: ignore[arg-type]
     assert len(kept) == 100
     assert {"0", "499"} <= set(kept)
@@ -169,7 +169,7 @@ def test_of_a_very_large_robot_less_is_compared_and_said(written: Written) -> No
     assert "258.3 GB" in notes[0]
     assert "2 of 20 states" in notes[1]
     assert "100 of 500 frames" in notes[2]
-    assert affordable(small, 10**5) == 10**5
+    assert affordable_states(small, 10**5) == 10**5
 
 
 def _calls(work: Callable[[], object]) -> int:

@@ -20,9 +20,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.checks.versions.behaviour import Trial
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.git import refuse_uncommitted
-from pupper_analysis.models.multibody import from_pinocchio, renamed, to_pinocchio, with_fixed
+from pupper_analysis.models.multibody import from_pinocchio, rename_joints, to_pinocchio, with_fixed
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import (
@@ -318,7 +318,7 @@ def test_torques_against_gravity_are_those_of_a_pendulum(tmp_path: Path) -> None
 def test_behaviour_is_that_of_configurations(name: str) -> None:
     """By the public convention, whose base velocities are in the world's axes."""
     robot = load(name)
-    tree, _ = trees(robot)
+    tree, _ = kinematic_trees(robot)
     trial = Trial(tree)
     behaviour = trial.behaviour(tree)
     places, speeds = trial.base
@@ -375,13 +375,13 @@ def test_a_fixed_joint_is_pinocchios(tmp_path: Path) -> None:
 
 
 def test_renamed_joints_are_the_same_robot(tmp_path: Path) -> None:
-    tree, _ = trees(load("v3"))
-    other = renamed(renamed(tree, {"leg_front_l_2": "x"}), {"x": "leg_front_l_2"})
+    tree, _ = kinematic_trees(load("v3"))
+    other = rename_joints(rename_joints(tree, {"leg_front_l_2": "x"}), {"x": "leg_front_l_2"})
     assert other.joints.keys() == tree.joints.keys()
     assert [joint.parent for joint in other.joints.values()] == [
         joint.parent for joint in tree.joints.values()
     ]
-    middle = renamed(tree, {"leg_front_l_2": "x"})
+    middle = rename_joints(tree, {"leg_front_l_2": "x"})
     assert middle.joints["leg_front_l_3"].parent == "x"
     assert "x" in middle.bodies
 

@@ -12,8 +12,8 @@ import pytest
 
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching.match import match, read_mapping
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.match import match_models, read_mapping
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from tests.support.robots import (
@@ -802,13 +802,13 @@ def test_continuous_joints(tmp_path: Path) -> None:
 
 def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     """Matching works on copies: the same files can be matched again."""
-    from pupper_analysis.matching.match import match
+    from pupper_analysis.matching.match import match_models
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.urdf_file import read_urdf
 
     files = write_parts(tmp_path, quadruped() | {"tail": light("tail", "base")}, quadruped())
     urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)
-    first, second = match(urdf, mjcf), match(urdf, mjcf)
+    first, second = match_models(urdf, mjcf), match_models(urdf, mjcf)
     assert first.only_urdf == second.only_urdf == ("to_tail",)
     assert [joint.name for joint in mjcf.spec.joints if joint.name] == [
         part.joint for part in quadruped().values() if part.joint
@@ -855,7 +855,7 @@ def test_bodies_that_mujoco_fuses_are_no_frames(tmp_path: Path) -> None:
         (kept.replace("<compiler ", '<compiler fusestatic="true" '), set()),
     ):
         mjcf.write_text(text)
-        matched = match(read_urdf(urdf), read_mjcf(mjcf))
+        matched = match_models(read_urdf(urdf), read_mjcf(mjcf))
         assert set(matched.robot.description.frames) == frames
-        one, two = trees(matched.robot)
+        one, two = kinematic_trees(matched.robot)
         assert one.joints.keys() == two.joints.keys() == {"turn", "bend", "push"}

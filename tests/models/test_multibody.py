@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.attribution import explain_differences
 from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
@@ -251,13 +251,13 @@ def test_a_zero_angle_is_one_difference_where_frames_are_not_turned(tmp_path: Pa
     part = quadruped()["thigh1"]
     urdf = changed(quadruped(), "thigh1", quaternion=turned_about(part, part.axis, 0.2))
     robot = robot_of(tmp_path, urdf, quadruped())
-    explanation = explain(robot)
+    explanation = explain_differences(robot)
     assert found(explanation) == [("rotation", "hip1")]
 
 
 def test_a_product_of_inertia_is_judged_by_the_greatest_moment() -> None:
     """Not by itself: where it is almost 0, rounding would be a difference."""
-    (first, _), tolerances = trees(load("v3")), Tolerances()
+    (first, _), tolerances = kinematic_trees(load("v3")), Tolerances()
     name, body = next(iter(first.bodies.items()))
     for share, count in ((0.9, 0), (1.1, 1)):
         off = share * tolerances.inertia * np.abs(body.inertia).max()

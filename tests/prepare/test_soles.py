@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.prepare.soles import corners, stays_flat
+from pupper_analysis.prepare.soles import sole_corners, stays_flat
 from pupper_analysis.robot.robot import Robot
 from tests.support.cases import some
 from tests.support.legged import BIPED_FEET, Pair, aside, biped, held, quadruped, sole_mesh
@@ -91,13 +91,13 @@ def test_the_corners_of_a_hull_are_those_that_matter() -> None:
     angles = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     ring = np.column_stack([0.1 * np.cos(angles), 0.05 * np.sin(angles), np.zeros(60)])
     above = ring + np.array([0, 0, 0.01])
-    found = corners(np.vstack([ring, above]), np.array([0.0, 0.0, -1.0]), 1e-3)
+    found = sole_corners(np.vstack([ring, above]), np.array([0.0, 0.0, -1.0]), 1e-3)
     assert len(found) == 8
     assert max(found) < 60
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0.5, 0, 0], [0.5, 0.5, 0]])
-    assert sorted(corners(square, np.array([0.0, 0.0, 1.0]), 1e-3)) == [0, 1, 2, 3]
+    assert sorted(sole_corners(square, np.array([0.0, 0.0, 1.0]), 1e-3)) == [0, 1, 2, 3]
     line = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]])
-    assert corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
+    assert sole_corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
 
 
 @pytest.mark.slow

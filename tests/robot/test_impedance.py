@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.robot.impedance import Softness, bounded, impeded, reference
+from pupper_analysis.robot.impedance import (
+    Softness,
+    clip_solimp,
+    effective_solref,
+    solimp_impedance,
+)
 
 KINDS = {
     "joint": '<joint joint1="a" joint2="b" {words}/>',
@@ -81,14 +86,14 @@ def test_softness_does_not_depend_on_where_it_is_asked(kind: str) -> None:
 @pytest.mark.parametrize("seed", range(8))
 def test_impedance_is_mujocos(seed: int) -> None:
     model = tied("joint", seed)
-    data, solimp = mujoco.MjData(model), bounded(model.eq_solimp[0])
+    data, solimp = mujoco.MjData(model), clip_solimp(model.eq_solimp[0])
     for opened in np.random.default_rng(seed).uniform(0, 1.5 * solimp[2], 20):
         data.qpos[0] = opened
         mujoco.mj_forward(model, data)
-        d, slope = impeded(solimp, opened)
+        d, slope = solimp_impedance(solimp, opened)
         assert d == pytest.approx(data.efc_KBIP[0, 2], rel=1e-12)
         step = 1e-6 * solimp[2]
-        ends = [impeded(solimp, opened + way)[0] for way in (step, -step)]
+        ends = [solimp_impedance(solimp, opened + way)[0] for way in (step, -step)]
         assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4, abs=1e-6)
 
 
@@ -108,12 +113,12 @@ def rests_at(solref: str) -> float:
 @pytest.mark.parametrize("given", [(0.0, 1.0), (0.02, -1.0), (-100.0, 1.0), (0.05, 0.0)])
 def test_what_is_of_both_formats_is_mujocos_default(given: tuple[float, float]) -> None:
     """A solref of 0 was divided by."""
-    taken = reference(given)
+    taken = effective_solref(given)
     assert taken == (0.02, 1.0)
     assert rests_at(f"{given[0]} {given[1]}") == pytest.approx(rests_at("0.02 1"), abs=1e-12)
 
 
 @pytest.mark.parametrize("given", [(0.05, 0.5), (-100.0, -10.0), (0.0, 0.0)])
 def test_what_is_of_one_format_is_taken_as_it_is(given: tuple[float, float]) -> None:
-    assert reference(given) == given
+    assert effective_solref(given) == given
     assert abs(rests_at(f"{given[0]} {given[1]}") - rests_at("0.02 1")) > 1e-4

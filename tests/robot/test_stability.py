@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import Mode
-from pupper_analysis.robot.transition import transition
+from pupper_analysis.robot.transition import step_derivative
 from pupper_analysis.simulation.causes import unstable
 from pupper_analysis.simulation.nudge import response
 from pupper_analysis.simulation.rollout import full_state, run
@@ -126,7 +126,7 @@ def test_own_differences_are_mujocos() -> None:
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, stand_of("v3").qpos)
     mujoco.mj_step(model, data, 100)
-    own = transition(model, data)
+    own = step_derivative(model, data)
     assert _differences(model, data, np.zeros_like(own)) == pytest.approx(own, abs=1e-6)
 
 

@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.checks.attribution import explain
+from pupper_analysis.checks.attribution import explain_differences
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Explanation
-from pupper_analysis.matching.match import Match, match
+from pupper_analysis.matching.match import Match, match_models
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
@@ -338,7 +338,7 @@ def write_parts(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Files
 
 
 def matched(files: Files, **options: Any) -> Match:
-    return match(read_urdf(files.urdf), read_mjcf(files.mjcf), **options)
+    return match_models(read_urdf(files.urdf), read_mjcf(files.mjcf), **options)
 
 
 def robot_of(folder: Path, urdf: Parts, mjcf: Parts, **options: Any) -> Robot:
@@ -352,7 +352,7 @@ def explained(
     tolerances: Tolerances | None = None,
     **options: Any,
 ) -> Explanation:
-    return explain(robot_of(folder, urdf, mjcf, **options), tolerances=tolerances)
+    return explain_differences(robot_of(folder, urdf, mjcf, **options), tolerances=tolerances)
 
 
 def compared(files: Files, **options: Any) -> Comparison:

@@ -18,7 +18,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.xml_bytes import read_document
-from pupper_analysis.sync.inertia import Mass, same
+from pupper_analysis.sync.inertia import Mass, is_same_mass
 from pupper_analysis.sync.plan import UnwrittenCause
 from tests.support.robots import (
     Files,
@@ -138,7 +138,7 @@ def test_the_tenth_digit_of_an_inertial_tells_two_bodies_apart() -> None:
             Mass(2.0, one.com + factor, one.inertia),
             Mass(2.0, one.com, one.inertia * (1 + factor)),
         )
-        assert [same(one, other) for other in others] == [alike] * 3
+        assert [is_same_mass(one, other) for other in others] == [alike] * 3
 
 
 def test_values_can_go_both_ways_at_once(tmp_path: Path) -> None:

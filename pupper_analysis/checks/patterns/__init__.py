@@ -12,8 +12,8 @@ from pupper_analysis.checks.differences import OF_INERTIALS, Difference
 from pupper_analysis.checks.links import mjcf_links, urdf_links
 from pupper_analysis.checks.patterns.angles import other_angles
 from pupper_analysis.checks.patterns.case import PatternCase
-from pupper_analysis.checks.patterns.dropped import dropped
-from pupper_analysis.checks.patterns.exchanged import exchanged
+from pupper_analysis.checks.patterns.dropped import find_dropped
+from pupper_analysis.checks.patterns.exchanged import find_exchanged
 from pupper_analysis.checks.patterns.gears import before_gears
 from pupper_analysis.checks.patterns.inertials import other_inertials
 from pupper_analysis.checks.patterns.lines import other_lines
@@ -21,7 +21,7 @@ from pupper_analysis.checks.patterns.links import other_links
 from pupper_analysis.checks.patterns.units import other_units
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -57,7 +57,7 @@ class Cause(Result):
         return self.kind == "gears"
 
 
-def causes(
+def find_causes(
     robot: Robot,
     second: MultibodyTree,
     differences: Sequence[Difference],
@@ -73,7 +73,7 @@ def causes(
     """
     if len(differences) < 2:
         return ()
-    first, raw = trees(robot)
+    first, raw = kinematic_trees(robot)
     keys = [(each.kind, each.element) for each in differences]
     bodies = any(kind in OF_INERTIALS for kind, _ in keys)
     urdf = urdf_links(robot) if bodies else {}
@@ -96,10 +96,10 @@ def causes(
 
 _LOOKS = (
     other_angles,
-    exchanged,
+    find_exchanged,
     other_units,
     before_gears,
-    dropped,
+    find_dropped,
     other_links,
     other_inertials,
     other_lines,

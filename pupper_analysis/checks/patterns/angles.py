@@ -10,7 +10,7 @@ import mujoco
 
 from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.matching.trees import trees
+from pupper_analysis.matching.trees import kinematic_trees
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
@@ -42,7 +42,7 @@ def other_angles(case: PatternCase) -> Found:
             model = other.compile()
         except (ValueError, RuntimeError):
             continue
-        tree = trees(replace(case.robot, mj_model=model))[1]
+        tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
         gone = case.gone(replace(tree, gravity=case.first.gravity))
         if len(gone) > len(best[1]):
             best = (setting, gone)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.checks.changes import changes_between
 from pupper_analysis.checks.links import Links
 from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.alignment import aligned
+from pupper_analysis.matching.alignment import align_frames
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot
@@ -61,7 +61,7 @@ class PatternCase:
         """
         first = self.first if only is None else self.first.part(only)
         try:
-            both = aligned(second, first, self.tolerances).values
+            both = align_frames(second, first, self.tolerances).values
             found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
         except (ValueError, KeyError):  # not the same joints any more
             return set(self.keys)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.changes import body_changes
-from pupper_analysis.checks.links import ComparedLink, fold
+from pupper_analysis.checks.links import ComparedLink, fold_bodies
 from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.multibody import MultibodyTree
@@ -40,7 +40,9 @@ def dropped_products(case: PatternCase, lacking: str) -> Found:
     in_links = {
         name: tuple(_without_products(link) for link in links) for name, links in full.items()
     }
-    of_links = {name: fold(*(link.body for link in in_links.get(name, ()))) for name in tree.bodies}
+    of_links = {
+        name: fold_bodies(*(link.body for link in in_links.get(name, ()))) for name in tree.bodies
+    }
     of_folds = {
         name: replace(body, inertia=_diagonal(body.inertia)) for name, body in tree.bodies.items()
     }
@@ -109,7 +111,7 @@ def dropped_coms(words: str, one: MultibodyTree, keys: Sequence[Key]) -> Found:
         )
 
 
-def dropped(case: PatternCase) -> Found:
+def find_dropped(case: PatternCase) -> Found:
     """Finds what one file has left out of its inertials."""
     trees_of = (("URDF", case.first), ("MJCF", case.raw))
     for words, own in trees_of:

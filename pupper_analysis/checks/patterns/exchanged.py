@@ -11,7 +11,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.multibody import MultibodyTree
 
 
-def exchanged(case: PatternCase) -> Found:
+def find_exchanged(case: PatternCase) -> Found:
     """Finds limbs whose names are exchanged."""
     tops = case.first.children(case.first.base)
     limbs = {top: [top, *case.first.below(top)] for top in tops}

@@ -9,22 +9,22 @@ from typing import Any
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.attribution import EXPLAINED
-from pupper_analysis.checks.changes import changes_between, patched_with
+from pupper_analysis.checks.changes import apply_changes, changes_between
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, RelativeError
 from pupper_analysis.checks.versions.behaviour import Trial
-from pupper_analysis.checks.versions.revision import VersionedFile, opened
+from pupper_analysis.checks.versions.revision import VersionedFile, open_version
 from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching.alignment import aligned
-from pupper_analysis.matching.conventions import conventions
+from pupper_analysis.matching.alignment import align_frames
+from pupper_analysis.matching.conventions import find_conventions
 from pupper_analysis.matching.structure import guess_of_trees
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.models.multibody import MultibodyTree, renamed, with_fixed
+from pupper_analysis.models.multibody import MultibodyTree, rename_joints, with_fixed
 from pupper_analysis.results import Result
 
 
@@ -120,7 +120,7 @@ def diff_models(
         UnknownNameError: If a name is not in its file.
     """
     tolerances = tolerances or Tolerances.strict()
-    with opened(old) as before, opened(new) as after:
+    with open_version(old) as before, open_version(new) as after:
         one, two = (
             version_of(source.read(lambda path: read_model(path, packages)))
             for source in (before, after)
@@ -144,7 +144,7 @@ class _Comparison:
         self.one, self.two, self.sources, self.tolerances = one, two, sources, tolerances
         self.differences: list[Difference] = []
         # The new version by the old names.
-        second = renamed(two.tree, {two.tree.base: one.tree.base})
+        second = rename_joints(two.tree, {two.tree.base: one.tree.base})
         second = replace(second, base=one.tree.base)
         self.pairs = self._pairs(one.tree, second, names)
         self.new_name = {**self.pairs, one.tree.base: two.tree.base}
@@ -185,7 +185,7 @@ class _Comparison:
             one = with_fixed(one, name)
         for name in reversed(come):
             two = with_fixed(two, name)
-        two = renamed(two, {new: old for old, new in self.pairs.items()})
+        two = rename_joints(two, {new: old for old, new in self.pairs.items()})
         two = replace(two, joints={name: two.joints[name] for name in two.parents_first()})
         if one.floating != two.floating:
             before, after = ("free" if tree.floating else "fixed" for tree in (one, two))
@@ -204,9 +204,9 @@ class _Comparison:
         """Compares the trees, and what is not in them."""
         first, second, tolerances = self.first, self.second, self.tolerances
         # The comparison is fair in one convention; that it was another one is a change.
-        meant = conventions(first, second, tolerances, fixed=not first.floating)
+        meant = find_conventions(first, second, tolerances, fixed=not first.floating)
         first = meant.done(first)
-        second = aligned(second, first, tolerances).values
+        second = align_frames(second, first, tolerances).values
         trial = Trial(first)
         before, after = trial.behaviour(first), trial.behaviour(second)
         judge = RelativeError(before, after)
@@ -219,7 +219,7 @@ class _Comparison:
                 effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
             self.differences.append(change.difference(effects))
         self.differences += self._others()
-        patched = trial.behaviour(patched_with(first, second, VERSIONS))
+        patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)
         self.differences.sort(key=lambda difference: difference.rank)

@@ -58,7 +58,7 @@ class VersionedFile:
 
 
 @contextmanager
-def opened(given: str | Path) -> Iterator[VersionedFile]:
+def open_version(given: str | Path) -> Iterator[VersionedFile]:
     """Yields a file, or a copy of what git has of it, with all that it may include.
 
     Args:

@@ -8,7 +8,7 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.sync.choices import label, line_at
+from pupper_analysis.sync.choices import difference_label, line_at
 from pupper_analysis.sync.models import Sync
 from pupper_analysis.sync.plan import UnwrittenCause
 
@@ -80,7 +80,7 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
             doc.Place(doc.Name(place), doc.Name(line_at(place)), place) for place in places if place
         )
         yield doc.Sides(doc.tell(difference.diagnostic), columns)
-    first, kind = label(sync.differences[0]), sync.differences[0].kind
+    first, kind = difference_label(sync.differences[0]), sync.differences[0].kind
     kind = f'"{kind}"' if " " in kind else kind
     yield doc.Lines(
         (

@@ -10,7 +10,7 @@ from lxml import etree
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.packages import existing, is_pointer
+from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot_model.geometry import mesh_problem
 from pupper_analysis.robot_model.model import FIXED, MjcfModel, RobotModel, UrdfModel
@@ -67,7 +67,7 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
     for attributes, place in file.elements("mesh"):
         name = attributes.get("file", "")
         places = [top / inside for top in tops for inside in (name, Path(name).name)]
-        if name and not any(map(existing, places)):
+        if name and not any(map(existing_file, places)):
             known = attributes.get("name") or Path(name).stem
             yield Found("mesh", known, _what_is_missing(name, places), place=place)
 
