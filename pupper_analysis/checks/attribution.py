@@ -114,7 +114,7 @@ def explain_differences(
     return Explanation(
         differences=tuple(differences),
         deviations={name: judge.relative(name, urdf[name], mjcf[name]) for name in urdf},
-        left=left,
+        residual=left,
         complete=all(value <= EXPLAINED for value in left.values()),
         remains=tuple(still_acting(reference, bare, states)),
         armature=armature_of(robot.joint_names, first, behaviour, judge),

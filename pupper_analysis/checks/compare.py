@@ -56,7 +56,7 @@ class Comparison(Tabular):
         differences: Of the files, the one with the greatest effect first.
         causes: Slips that explain several differences each.
         deviations: {quantity: relative deviation between the models}.
-        left: {quantity: relative deviation that is left when all differences are taken away}.
+        residual: {quantity: relative deviation that is left when all differences are taken away}.
         explained: Share of the worst deviation that the differences explain (1 is all).
         complete: Whether nothing is left unexplained.
         engines: Quantities on which the engines deviate for one and the same model.
@@ -82,7 +82,7 @@ class Comparison(Tabular):
     differences: tuple[Difference, ...]
     causes: tuple[Cause, ...]
     deviations: dict[str, float]
-    left: dict[str, float]
+    residual: dict[str, float]
     explained: float
     complete: bool
     engines: tuple[Diagnostic, ...]
@@ -195,8 +195,8 @@ def compare_models(
         differences=differences,
         causes=find_causes(robot, alignment.values, differences, tolerances),
         deviations=explanation.deviations,
-        left=explanation.left,
-        explained=_explained(max(explanation.deviations.values()), max(explanation.left.values())),
+        residual=explanation.residual,
+        explained=_explained(explanation),
         complete=explanation.complete,
         engines=_engines(check, explanation),
         mount=mount,
@@ -270,8 +270,9 @@ def _engines(check: CrossCheck, explanation: Explanation) -> tuple[Diagnostic, .
     )
 
 
-def _explained(worst: float, left: float) -> float:
+def _explained(explanation: Explanation) -> float:
     """Returns the share of the worst deviation that is explained."""
+    worst, left = (max(each.values()) for each in (explanation.deviations, explanation.residual))
     if worst <= EXPLAINED:
         return 1.0 if left <= EXPLAINED else 0.0
     return max(0.0, 1.0 - left / worst) if math.isfinite(left) else 0.0
@@ -284,7 +285,7 @@ def _name(urdf: str, mjcf: str) -> Difference:
 
 def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:
     """Yields what keeps two files from agreeing although they may have no difference."""
-    left = {name: value for name, value in explanation.left.items() if value > EXPLAINED}
+    left = {name: value for name, value in explanation.residual.items() if value > EXPLAINED}
     if left:
         name = max(left, key=lambda quantity: left[quantity])
         yield diagnose(

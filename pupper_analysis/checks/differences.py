@@ -201,8 +201,8 @@ class Explanation(Result):
     Attributes:
         differences: What a user must mend first, first: by tier, then by effect.
         deviations: {quantity: relative deviation between the two models}.
-        left: {quantity: relative deviation that is left when the URDF's model is given the MJCF's
-            value for every difference, and what the MJCF alone has is taken out of it}.
+        residual: {quantity: relative deviation that is left when the URDF's model is given the
+            MJCF's value for every difference, and what the MJCF alone has is taken out of it}.
         complete: Whether nothing is left.
         remains: What acts in MuJoCo when all that was found is taken away, and has no part in a
             tree of joints, by MuJoCo's names.
@@ -212,7 +212,7 @@ class Explanation(Result):
 
     differences: tuple[Difference, ...]
     deviations: dict[str, float]
-    left: dict[str, float]
+    residual: dict[str, float]
     complete: bool
     remains: tuple[Diagnostic, ...]
     armature: Armature

@@ -22,7 +22,7 @@ class Draft:
         text: Its XML, for the folder it is meant for.
         meshes: {file to be written beside it: its content}.
         notes: What was added, or assumed.
-        left: What the new format cannot say, or what was left out.
+        not_converted: What the new format cannot say, or what was left out.
         repairs: Inertials that were repaired.
         urdf: The URDF with them, if the draft is of one: what the new file is proven against.
         stands: Whether it is a robot that shall stand.
@@ -33,7 +33,7 @@ class Draft:
     text: str
     meshes: dict[Path, bytes]
     notes: tuple[Diagnostic, ...]
-    left: tuple[Diagnostic, ...]
+    not_converted: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...] = ()
     urdf: UrdfFile | None = None
     stands: bool = False
@@ -50,13 +50,13 @@ class Conversion(Result):
         output: The new file.
         written: All files that were written.
         notes: What was added that the source does not say, or assumed.
-        left: What the new format cannot say, or what was left out.
+        not_converted: What the new format cannot say, or what was left out.
         repairs: Inertials that no body can have, and what was written in their places.
         comparison: The new file against the source.
         verification: The simulated stand, 12 s long; None where there is none to be simulated.
         kept: What a new MJCF does from its own keyframe, nudged; None where there is none.
         failures: Why the new file is not what it shall be: it disagrees with the source beyond what
-            is ``left``, its robot does not stand, or it lost what touches.
+            is ``not_converted``, its robot does not stand, or it lost what touches.
         agree: Whether both files agree, but for what was repaired.
         passed: Whether they agree, and the robot stands if it is one that shall.
     """
@@ -65,7 +65,7 @@ class Conversion(Result):
     output: str
     written: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
-    left: tuple[Diagnostic, ...]
+    not_converted: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...]
     comparison: Comparison
     verification: StandVerification | None

@@ -48,7 +48,7 @@ def convert_model(
 ) -> Conversion:
     """Converts a URDF into an MJCF, or an MJCF into a URDF.
 
-    Of an MJCF the URDF has what MuJoCo compiles it to; what no URDF can say is ``left``.
+    Of an MJCF the URDF has what MuJoCo compiles it to; what no URDF can say is ``not_converted``.
 
     All that a URDF states is kept, number by number: masses, products of inertia, frames, limits,
     damping, friction, effort limits as force ranges, mimic joints as equalities, shapes for
@@ -135,7 +135,7 @@ def convert_model(
         output=str(output),
         written=tuple(map(str, written)),
         notes=draft.notes,
-        left=draft.left,
+        not_converted=draft.not_converted,
         repairs=draft.repairs,
         comparison=comparison,
         verification=verification,

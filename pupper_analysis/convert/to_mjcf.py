@@ -146,7 +146,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         text=to_text(mjcf.root, header),
         meshes=meshes.made,
         notes=tuple(notes),
-        left=tuple(left),
+        not_converted=tuple(left),
         repairs=tuple(repairs),
         urdf=mended,
         stands=free,

@@ -71,7 +71,7 @@ class Match:
             the same but for prefixes and suffixes.
         only_urdf: Joints that the MJCF does not have; fixed at zero for the comparison.
         only_mjcf: Joints that the URDF does not have; likewise.
-        opened: Those of these by which closed loops led, which were opened.
+        cut_joints: Those of these by which closed loops led, which were cut.
         notes: What was assumed or left out.
         reference: The MJCF as it is, with all else in its scene. Where it has joints that the URDF
             lacks, these are fixed at zero.
@@ -89,7 +89,7 @@ class Match:
     guessed: Mapping[str, str]
     only_urdf: tuple[str, ...]
     only_mjcf: tuple[str, ...]
-    opened: tuple[str, ...]
+    cut_joints: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
     reference: Reference
     mimics: Mimics
@@ -218,7 +218,7 @@ def match_models(
         guessed=guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
-        opened=opened,
+        cut_joints=opened,
         notes=(*notes, *freed, *moved),
         reference=Reference(
             robot.mj_model if only_mjcf else models[1],

@@ -36,7 +36,7 @@ def with_parts(matched: Match, spec: mujoco.MjSpec) -> tuple[Description | None,
         was done.
     """
     robot, model = matched.robot, matched.robot.mj_model
-    names = [name for name in _part_bodies(spec, matched.opened) if _known(model, name)]
+    names = [name for name in _part_bodies(spec, matched.cut_joints) if _known(model, name)]
     bodies = [model.body(name).id for name in names if model.body(name).mass[0] > 0]
     mass = float(sum(model.body_mass[body] for body in bodies))
     whole = float(model.body_subtreemass[model.body(robot.mj_base).id])

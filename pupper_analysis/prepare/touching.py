@@ -23,8 +23,8 @@ _BESIDE = 5e-3
 def with_bare_feet(robot: Robot) -> Robot:
     """Returns a robot whose MuJoCo model lets nothing on the feet's bodies touch but the feet.
 
-    In which it is seen how a robot stands before ``touch_with_feet_alone`` knows what is in the way. What
-    is built from its description has it all again.
+    In which it is seen how a robot stands before ``touch_with_feet_alone`` knows what is in the
+    way. What is built from its description has it all again.
     """
     model, own = copy.copy(robot.mj_model), start.feet_bodies(robot)
     for geom in range(model.ngeom):

@@ -28,7 +28,7 @@ FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
 
 
 @dataclass(frozen=True)
-class Left(Result):
+class Unmended(Result):
     """A difference that is not mended.
 
     Attributes:
@@ -50,7 +50,7 @@ class Sync(Result):
         differences: All that were found, in the order of mending.
         taken: {name of a difference: ``"urdf"`` or ``"mjcf"``}: whose value was taken.
         edits: What was written, or would be.
-        left: What was not mended, and why.
+        not_mended: What was not mended, and why.
         notes: {name of a difference: what is to be said of how it was mended}.
         diff: The changes of the files, as ``diff -u`` has them.
         written: The files that were replaced.
@@ -63,7 +63,7 @@ class Sync(Result):
     differences: tuple[Difference, ...]
     taken: dict[str, str]
     edits: tuple[Edit, ...]
-    left: tuple[Left, ...]
+    not_mended: tuple[Unmended, ...]
     notes: dict[str, Diagnostic]
     diff: str
     written: tuple[str, ...]
@@ -142,7 +142,7 @@ def sync_models(
         differences=comparison.differences,
         taken={labels[key]: side for key, side in keys.items()},
         edits=plan.edits(),
-        left=tuple(_left(plan, comparison, after, keys, labels)),
+        not_mended=tuple(_unmended(plan, comparison, after, keys, labels)),
         notes={labels[key]: note for key, note in plan.notes.items() if key not in plan.left},
         diff="".join(unified_diff(d.path, d.data, d.rendered()) for d in plan.documents()),
         written=written,
@@ -242,33 +242,33 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
     return tuple(str(d.path) for d in changed), tuple(map(str, kept))
 
 
-def _left(
+def _unmended(
     plan: Plan,
     before: Comparison,
     after: Comparison,
     keys: Mapping[Key, str],
     labels: Mapping[Key, str],
-) -> Iterable[Left]:
+) -> Iterable[Unmended]:
     """Yields what is not mended: not chosen, not to be written, new, or no number at all."""
     still = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
         if key in plan.left:
-            yield Left(name, plan.left[key], plan.cause(key))
+            yield Unmended(name, plan.left[key], plan.cause(key))
         elif key not in keys and key in still:
-            yield Left(name, diagnose("nothing-chosen"), UnwrittenCause.NOT_CHOSEN)
+            yield Unmended(name, diagnose("nothing-chosen"), UnwrittenCause.NOT_CHOSEN)
     for key, difference in still.items():
         if key not in labels:
             reason = diagnose("there-since", difference=difference.diagnostic)
-            yield Left(difference_label(difference), reason, UnwrittenCause.NEW)
+            yield Unmended(difference_label(difference), reason, UnwrittenCause.NEW)
     for part in before.parts:
-        yield Left("part", diagnose("part-unwritten", part=part), UnwrittenCause.NO_WORDS)
+        yield Unmended("part", diagnose("part-unwritten", part=part), UnwrittenCause.NO_WORDS)
     for joints, there, other in (
         (before.only_urdf, "URDF", "MJCF"),
         (before.only_mjcf, "MJCF", "URDF"),
     ):
         for joint in joints:
             reason = diagnose("one-file-alone-has-it", one=there, other=other)
-            yield Left(f"joint {joint}", reason, UnwrittenCause.NO_WORDS)
+            yield Unmended(f"joint {joint}", reason, UnwrittenCause.NO_WORDS)
     if not after.differences:
         for objection in after.objections:
-            yield Left("agreement", objection, UnwrittenCause.NO_WORDS)
+            yield Unmended("agreement", objection, UnwrittenCause.NO_WORDS)

@@ -230,7 +230,7 @@ def test_all_differences_taken_away_nothing_is_left(
     parts = arm() if fixed else quadruped()
     explanation = explained(folder, parts, shaken(parts, seed), free=not fixed)
     assert explanation.complete
-    assert max(explanation.left.values()) < 1e-12
+    assert max(explanation.residual.values()) < 1e-12
     assert max(explanation.deviations.values()) > 1e-9  # there was something to explain
 
 
@@ -242,8 +242,8 @@ def test_what_is_overlooked_is_not_explained(
     explanation = explained(tmp_path, quadruped(), changed(quadruped(), "base", mass=6.3))
     assert explanation.differences == ()
     assert not explanation.complete
-    assert explanation.left["gravity"] == pytest.approx(0.3 * GRAVITY / WEIGHT, rel=1e-9)
-    assert explanation.left["gravity"] == explanation.deviations["gravity"]
+    assert explanation.residual["gravity"] == pytest.approx(0.3 * GRAVITY / WEIGHT, rel=1e-9)
+    assert explanation.residual["gravity"] == explanation.deviations["gravity"]
 
 
 def whip(**values: Any) -> Parts:
@@ -264,7 +264,7 @@ def test_rounding_of_a_light_link_is_nothing_that_is_left(tmp_path: Path) -> Non
     explanation = explained(tmp_path, whip(), whip(**TINY), free=False)
     assert {element for _, element in found(explanation)} == {"roll"}
     assert explanation.complete
-    assert max(explanation.left.values()) < 1e-12
+    assert max(explanation.residual.values()) < 1e-12
 
 
 def test_what_is_overlooked_shows_beside_a_light_link(

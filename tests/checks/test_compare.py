@@ -218,7 +218,7 @@ def test_what_differs_is_explained_in_full(tmp_path: Path) -> None:
     assert comparison.complete
     assert comparison.explained == pytest.approx(1.0, abs=1e-12)
     assert comparison.deviations["gravity"] == pytest.approx(0.6 / 11.16, rel=1e-9)
-    assert comparison.left["gravity"] < 1e-12
+    assert comparison.residual["gravity"] < 1e-12
 
 
 def test_differences_within_the_tolerances_agree(tmp_path: Path) -> None:

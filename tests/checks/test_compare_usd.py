@@ -48,7 +48,7 @@ def test_every_convention_agrees(tmp_path: Path) -> None:
     found = compared(tmp_path)
     assert found.agree
     assert found.joints == ("hip", "knee", "spring")
-    assert max(found.left.values()) < 1e-12
+    assert max(found.residual.values()) < 1e-12
     assert max(found.deviations.values()) < 1e-7  # 572.9578 degrees
 
 

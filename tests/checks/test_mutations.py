@@ -789,7 +789,7 @@ def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) 
             messages = [difference.message for difference in comparison.differences[:4]]
             assert not comparison.agree, (name, expected)
             assert is_named_first(comparison, expected), (name, expected, messages)
-            assert comparison.complete, (name, expected, comparison.left)
+            assert comparison.complete, (name, expected, comparison.residual)
             first = comparison.differences[0]
             assert first.urdf_place is not None
             assert first.mjcf_place is not None

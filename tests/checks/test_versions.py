@@ -106,7 +106,7 @@ def test_a_change_is_found_at_its_lines(tmp_path: Path, name: str, kind: str) ->
     assert text in line_at(change.new_place)
     assert text not in line_at(change.old_place)
     assert bool(change.effects) is (name in FELT)
-    assert diff.complete, diff.left
+    assert diff.complete, diff.residual
     if name in FELT:
         assert max(diff.deviations.values()) > 1e-6
         assert all(effect.share == pytest.approx(1.0) for effect in change.effects.values())
@@ -143,7 +143,7 @@ def test_several_changes_are_sorted_and_explain_all(tmp_path: Path) -> None:
         assert kinds(diff)[-2:] == [("upper limit", "hip2"), ("damping", "knee3")]
         assert set(kinds(diff)[:2]) == {("mass", "base"), ("position", "knee0")}
         assert diff.complete
-        assert max(diff.left.values()) < 1e-12
+        assert max(diff.residual.values()) < 1e-12
 
 
 def test_other_link_frames_are_no_change(tmp_path: Path) -> None:

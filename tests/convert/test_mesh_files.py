@@ -82,7 +82,7 @@ def test_archives_claims_and_what_is_too_large_are_left_out(tmp_path: Path) -> N
     (tmp_path / "arm.urdf").write_text(text)
     found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
     for name, why in expected.items():
-        (said,) = [text for text in map(str, found.left) if name in text]
+        (said,) = [text for text in map(str, found.not_converted) if name in text]
         assert why in said
     assert compiled(tmp_path / "arm.xml").nmesh == 1  # box.obj
 
@@ -120,7 +120,7 @@ def test_what_takes_minutes_to_compile_is_left(
     found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
     reasons = {
         (file, told.values["why"].code)
-        for told in found.left
+        for told in found.not_converted
         if told.code == "meshes-left"
         for file in told.values["files"]
     }
@@ -160,7 +160,7 @@ def test_a_flat_mesh_to_look_at_is_a_shell(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(text)
     found = pa.convert_model(tmp_path / "arm.urdf", tmp_path / "arm.xml")
     assert found.passed
-    assert not [text for text in map(str, found.left) if "mesh" in text]
+    assert not [text for text in map(str, found.not_converted) if "mesh" in text]
     assert compiled(tmp_path / "arm.xml").nmesh == 1
 
 

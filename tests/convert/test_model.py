@@ -102,7 +102,7 @@ def test_a_urdf_becomes_an_mjcf_that_agrees_and_stands(tmp_path: Path) -> None:
     assert found.passed, found.failures
     assert found.agree
     assert found.comparison.differences == ()
-    assert all(text.startswith("velocity limits of ") for text in map(str, found.left))
+    assert all(text.startswith("velocity limits of ") for text in map(str, found.not_converted))
     assert found.verification is not None
     assert found.verification.duration == 12.0
     assert found.verification.torque_error < 1e-5
@@ -258,7 +258,7 @@ def test_joints_that_follow_others_are_coupled(tmp_path: Path) -> None:
         "-0.5",
         "0.1",
     )
-    assert [left.code for left in again.left] == ["gains-not-in-urdf"]
+    assert [left.code for left in again.not_converted] == ["gains-not-in-urdf"]
 
 
 def test_an_inertia_that_mujoco_refuses_goes_to_what_it_is_fixed_to(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_shapes_are_where_the_urdf_has_them(tmp_path: Path) -> None:
     urdf.write_text(text)
     mjcf, found = converted(urdf, "arm.xml")
     assert found.passed, found.failures
-    assert all(text.startswith("velocity limits of ") for text in map(str, found.left))
+    assert all(text.startswith("velocity limits of ") for text in map(str, found.not_converted))
     assert (tmp_path / "arm_meshes" / "part.obj").is_file()
     assert found.written[-1] == str(mjcf)
     back, _ = converted(mjcf, "back.urdf")
@@ -340,9 +340,9 @@ def test_meshes_that_are_not_there_are_left_out_and_said(tmp_path: Path) -> None
     (tmp_path / "arm.urdf").write_text(text)
     _, found = converted(tmp_path / "arm.urdf", "arm.xml")
     assert found.passed
-    assert len(found.left) == 2
-    assert str(found.left[0]).startswith("mesh files left out, ")
-    assert "package://none/gone.stl, far.stl" in str(found.left[0])
+    assert len(found.not_converted) == 2
+    assert str(found.not_converted[0]).startswith("mesh files left out, ")
+    assert "package://none/gone.stl, far.stl" in str(found.not_converted[0])
 
 
 def test_the_new_file_is_tidy(tmp_path: Path) -> None:
@@ -397,7 +397,7 @@ def test_our_own_mjcfs_become_urdfs_that_agree(name: str, tmp_path: Path) -> Non
     output = tmp_path / f"{name}.urdf"
     found = pa.convert_model(source, output)
     assert found.passed, found.failures
-    assert any(text.startswith("armature") for text in map(str, found.left))
+    assert any(text.startswith("armature") for text in map(str, found.not_converted))
     robot = pa.load_robot(urdf=output, mjcf=source)
     assert pa.cross_check(robot).passed
     ours = pa.compare_models(ROOT / "urdf" / f"{name}.urdf", source)
@@ -427,8 +427,8 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
           </body></body></body></worldbody></mujoco>""")
     urdf, found = converted(mjcf, "odd.urdf")
     assert found.passed, found.failures
-    assert "geom 'egg': a URDF has no ellipsoid" in map(str, found.left)
-    assert "3 joints have no effort limit; in a URDF that is 0" in map(str, found.left)
+    assert "geom 'egg': a URDF has no ellipsoid" in map(str, found.not_converted)
+    assert "3 joints have no effort limit; in a URDF that is 0" in map(str, found.not_converted)
     assert same_dynamics(urdf, mjcf) < 1e-9
     model, reference = compiled(mjcf), pin.buildModelFromUrdf(str(urdf))
     data, work = mujoco.MjData(model), reference.createData()

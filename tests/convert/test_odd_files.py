@@ -112,7 +112,7 @@ def test_a_root_link_world_cannot_be_free(tmp_path: Path) -> None:
     with pytest.raises(pa.ModelError, match="the name of the fixed world"):
         pa.convert_model(urdf, tmp_path / "new.xml", fixed_base=False)
     _, found = converted(urdf, "new.xml")
-    assert any("<inertial> of link 'world'" in text for text in map(str, found.left))
+    assert any("<inertial> of link 'world'" in text for text in map(str, found.not_converted))
 
 
 def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
@@ -191,7 +191,7 @@ def test_a_light_finger_is_not_thrown_by_a_nudge(tmp_path: Path) -> None:
 @pytest.mark.parametrize("leader", ["nowhere", "arm2"])
 def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None:
     mjcf, found = converted(_with_arm(tmp_path, f'<mimic joint="{leader}"/>'), "quad.xml")
-    assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.left))
+    assert any(f"joint 'arm2' mimics '{leader}'" in text for text in map(str, found.not_converted))
     assert not found.agree
     assert compiled(mjcf).nu == 14
     assert _drift(mjcf) < 1e-4
@@ -200,8 +200,10 @@ def test_a_mimic_that_leads_nowhere_is_left(leader: str, tmp_path: Path) -> None
 def test_what_an_mjcf_does_not_have_of_a_urdf_is_said(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ("</robot>", '<gazebo reference="trunk"/><transmission/></robot>'))
     _, found = converted(urdf, "quad.xml")
-    assert {"1 <gazebo>", "1 <transmission>"} <= {*map(str, found.left)}
-    assert any(text.startswith("velocity limits of 12 joints") for text in map(str, found.left))
+    assert {"1 <gazebo>", "1 <transmission>"} <= {*map(str, found.not_converted)}
+    assert any(
+        text.startswith("velocity limits of 12 joints") for text in map(str, found.not_converted)
+    )
 
 
 def test_an_armature_is_not_negative(tmp_path: Path) -> None:
@@ -213,7 +215,7 @@ def test_an_armature_is_not_negative(tmp_path: Path) -> None:
 def test_a_negative_effort_limit_is_left(tmp_path: Path) -> None:
     urdf = _changed(tmp_path, ('effort="80"', 'effort="-80"'))
     _, found = converted(urdf, "quad.xml")
-    assert any("effort limit -80" in text for text in map(str, found.left))
+    assert any("effort limit -80" in text for text in map(str, found.not_converted))
     assert not found.passed
 
 
@@ -254,7 +256,7 @@ def test_what_is_around_the_robot_is_said(tmp_path: Path) -> None:
         "cameras: 1",
         "actuators that are not at a joint: 1",
         "gravity (0, 0, -3) m/s^2",
-    } <= {*map(str, found.left)}
+    } <= {*map(str, found.not_converted)}
 
 
 def test_one_coupling_that_is_on_becomes_a_mimic(tmp_path: Path) -> None:
@@ -264,11 +266,11 @@ def test_one_coupling_that_is_on_becomes_a_mimic(tmp_path: Path) -> None:
     urdf, found = converted(off, "off.urdf")
     assert found.agree
     assert "<mimic" not in urdf.read_text()
-    assert "equality constraint 1 (joint)" in map(str, found.left)
+    assert "equality constraint 1 (joint)" in map(str, found.not_converted)
     twice = _mjcf(tmp_path, after=f"<equality>{2 * line.format('')}</equality>")
     urdf, found = converted(twice, "twice.urdf")
     assert urdf.read_text().count("<mimic") == 1
-    assert "equality constraint 2 (joint)" in map(str, found.left)
+    assert "equality constraint 2 (joint)" in map(str, found.not_converted)
 
 
 @pytest.mark.parametrize(
@@ -321,7 +323,7 @@ def test_a_mesh_of_an_attached_model_is_left_by_its_name(tmp_path: Path) -> None
     _, found = converted(source, "two.urdf")
     assert found.agree
     assert "mesh 'left_hand': its file 'hand.stl' is not in the MJCF's folder for meshes" in (
-        map(str, found.left)
+        map(str, found.not_converted)
     )
 
 
@@ -333,7 +335,9 @@ def test_shapes_without_a_size_are_left_out(tmp_path: Path) -> None:
     output, result = converted(path, "marked.xml")
     compiled(output)
     assert [
-        note for note in (*result.notes, *result.left) if "size 0 0 0 was left out" in str(note)
+        note
+        for note in (*result.notes, *result.not_converted)
+        if "size 0 0 0 was left out" in str(note)
     ]
 
 
@@ -356,7 +360,7 @@ def test_points_and_shapes_of_links_without_mass_touch_as_the_foot_does(tmp_path
     assert found.passed, found.failures
     assert any("links without mass" in str(note) and "FL_toe" in str(note) for note in found.notes)
     assert "spheres of radius 0, points that touch, have a radius of 0.001 m" in map(
-        str, found.left
+        str, found.not_converted
     )
     model = compiled(mjcf)
     calf = model.body("FL_calf").id

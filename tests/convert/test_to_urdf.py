@@ -29,7 +29,7 @@ def converted(folder: Path, equality: str) -> tuple[list[ElementTree.Element], l
     result = pa.convert_model(source, out)
     joints = ElementTree.parse(out).getroot().iter("joint")
     return [joint for joint in joints if joint.find("mimic") is not None], [
-        left.code for left in result.left
+        left.code for left in result.not_converted
     ]
 
 

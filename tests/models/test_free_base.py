@@ -119,7 +119,7 @@ def test_a_slide_without_limits_is_not_locked(tmp_path: Path) -> None:
     )
     _, found = converted(path, "cart.urdf")
     assert found.passed, found.failures
-    assert sum("slides without limits" in str(text) for text in found.left) == 2
+    assert sum("slides without limits" in str(text) for text in found.not_converted) == 2
     model = pin.buildModelFromUrdf(str(tmp_path / "cart.urdf"))
     for name in ("x", "y"):
         index = model.joints[model.getJointId(name)].idx_q

@@ -103,7 +103,7 @@ def test_a_joint_far_away_leaves_no_log(
     elif act == "diff":
         assert not diff_models(files.mjcf, files.mjcf).changes
     elif act == "sync":
-        assert sync_models(*files, take="urdf").left
+        assert sync_models(*files, take="urdf").not_mended
     elif act == "convert":
         assert not convert_model(files.mjcf, tmp_path / "other.urdf").agree
     else:

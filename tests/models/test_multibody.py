@@ -226,7 +226,7 @@ def test_one_number_changed_under_turned_frames_is_exactly_one_difference(
         comparison = turned_pair(tmp_path, changed(quadruped(), link, **values), seed)
         assert found(comparison) == [expected]
         assert comparison.complete
-        assert max(comparison.left.values()) < 1e-12
+        assert max(comparison.residual.values()) < 1e-12
 
 
 def test_the_values_are_given_in_the_urdfs_frames(tmp_path: Path) -> None:

@@ -81,7 +81,7 @@ def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
     urdf = edited(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = converted(urdf, "quad.xml")
     assert found.passed, found.failures
-    assert not any(left.code == "empty-range-left" for left in found.left)
+    assert not any(left.code == "empty-range-left" for left in found.not_converted)
     model = compiled(mjcf)
     assert not model.jnt_limited[model.joint("FL_roll").id]
 

@@ -30,7 +30,7 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
     files = shutil.copy(urdf, tmp_path), tmp_path / "mjcf" / mjcf.name
     result = pa.sync_models(*files, take=side, tolerances=FINE, take_absent=True)
     assert len(result.differences) > 25
-    assert result.left == ()
+    assert result.not_mended == ()
     compared = pa.compare_models(
         *files, tolerances=pa.matching.Tolerances.strict(), configurations=3
     )

@@ -428,7 +428,7 @@ def files() -> Any:
         parts=(problem("a tail too many"),),
         objections=(problem("too much is left"),),
         mount=None,
-        left={"mass matrix": 7.7e-7, "gravity": 8.8e-8},
+        residual={"mass matrix": 7.7e-7, "gravity": 8.8e-8},
         explained=0.9876,
         complete=False,
         check=Stub(

@@ -125,7 +125,7 @@ def test_what_differs_beside_a_zero_is_written_in_the_files_own(tmp_path: Path) 
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(moved))
         result = pa.sync_models(*files, take=f"{side}:position")
-        assert [left.difference for left in result.left] == ["joint knee1: zero"]
+        assert [left.difference for left in result.not_mended] == ["joint knee1: zero"]
         assert [edit.attribute for edit in result.edits] == ["pos" if side == "urdf" else "xyz"]
         (edit,) = result.edits
         there = part.position if side == "urdf" else (0.01, 0.08, -0.2)
@@ -158,8 +158,8 @@ def test_another_frame_of_the_base_is_left(tmp_path: Path) -> None:
     for side in ("urdf", "mjcf"):
         files = write(tmp_path, urdf_text(ROBOT), mjcf_text(heavier))
         result = pa.sync_models(*files, take=side)
-        assert [left.difference for left in result.left] == ["base: base frame"]
-        assert "all that is on the base would have to move" in str(result.left[0].reason)
+        assert [left.difference for left in result.not_mended] == ["base: base frame"]
+        assert "all that is on the base would have to move" in str(result.not_mended[0].reason)
         assert [edit.attribute for edit in result.edits] == ["mass" if side == "urdf" else "value"]
 
 
@@ -213,7 +213,7 @@ def test_copies_are_left(tmp_path: Path) -> None:
     files = write(tmp_path, urdf_text(changed(parts, "thigh0", mass=2.0)), main)
     before = (tmp_path / "leg.xml").read_bytes()
     result = pa.sync_models(*files, take="urdf:mass")
-    reasons = {left.difference: str(left.reason) for left in result.left}
+    reasons = {left.difference: str(left.reason) for left in result.not_mended}
     (reason,) = [text for name, text in reasons.items() if name.endswith(": mass")]
     assert "the body is a copy of another" in reason
     assert (tmp_path / "leg.xml").read_bytes() == before

@@ -248,7 +248,7 @@ def restored(pair: Pair, seed: int) -> str | None:
             return None  # nobody would notice, as a turn of a sphere
         said = f"{seed}: {mutation.file.name}: {sync.to_json()}"
         assert sync.agree, said
-        assert not sync.left
+        assert not sync.not_mended
         assert sync.written == (str(mutation.file),), said
         count = changed_attributes(mutation.text, after[mutation.file])
         assert count == mutation.count == len(sync.edits), said

@@ -68,7 +68,7 @@ def test_without_a_choice_nothing_is_changed(tmp_path: Path) -> None:
     result = sync(files)
     assert result.taken == {}
     assert result.edits == ()
-    assert [(left.difference, str(left.reason)) for left in result.left] == [
+    assert [(left.difference, str(left.reason)) for left in result.not_mended] == [
         ("body of base: mass", "nothing was chosen for it")
     ]
     assert not result.agree
@@ -81,7 +81,7 @@ def test_files_that_agree_are_left_alone(tmp_path: Path) -> None:
     before = [file.read_bytes() for file in files]
     result = sync(files, "urdf")
     assert result.agree
-    assert (result.edits, result.left, result.written, result.diff) == ((), (), (), "")
+    assert (result.edits, result.not_mended, result.written, result.diff) == ((), (), (), "")
     assert [file.read_bytes() for file in files] == before
 
 
@@ -308,9 +308,9 @@ def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) 
     files = write(tmp_path, re.sub("<dynamics [^>]*/>", "", stated), mjcf_text(ROBOT))
     result = sync(files, "urdf")
     assert [(e, a) for e, a, *_ in edits(result)] == [("body base > inertial", "mass")]
-    assert {left.cause for left in result.left} == {UnwrittenCause.NOT_STATED}
-    assert len([left for left in result.left if left.difference.endswith("effort")]) == 8
-    values = [left.reason.values for left in result.left]
+    assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_STATED}
+    assert len([left for left in result.not_mended if left.difference.endswith("effort")]) == 8
+    values = [left.reason.values for left in result.not_mended]
     assert {(told["lacking"], told["stating"]) for told in values} == {("URDF", "MJCF")}
     assert not result.withheld
     assert 'mass="7' in files.mjcf.read_text()
@@ -320,8 +320,8 @@ def test_what_is_not_stated_overwrites_nothing_unless_asked_for(tmp_path: Path) 
     before = files.urdf.read_text()
     result = sync(files, "mjcf")
     assert edits(result) == [("link base > inertial > mass", "value", "7.0", "6")]
-    assert {left.cause for left in result.left} == {UnwrittenCause.NOT_STATED}
-    values = [left.reason.values for left in result.left]
+    assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_STATED}
+    values = [left.reason.values for left in result.not_mended]
     assert {(told["lacking"], told["stating"]) for told in values} == {("MJCF", "URDF")}
     assert files.urdf.read_text().count("damping") == before.count("damping") > 0
     assert sync(files, "mjcf", take_absent=True).agree
@@ -339,7 +339,7 @@ def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
         assert result.withheld
         assert result.written == ()
         assert [edit[0] for edit in edits(result)] == ["link thigh1 > inertial > mass"]
-        assert {left.cause for left in result.left} == {UnwrittenCause.NOT_MENDED}
+        assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_MENDED}
         assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
     for choice, options in (("mjcf", {"partial": True}), ("mjcf:body of hip1", {})):
         files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
@@ -367,7 +367,7 @@ def test_of_merged_links_the_one_that_needs_the_fewest_changes_is_changed(tmp_pa
     files = write(tmp_path, urdf_text(parts), mjcf_text(heavy))
     result = sync(files, "mjcf:mass")
     assert not result.agree
-    assert {left.reason.code for left in result.left} == {"nothing-chosen"}
+    assert {left.reason.code for left in result.not_mended} == {"nothing-chosen"}
     assert len(result.edits) >= 1
 
 
@@ -378,10 +378,10 @@ def test_a_sum_that_no_body_can_have_is_left(tmp_path: Path) -> None:
     files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
     before = files.urdf.read_bytes()
     result = sync(files, "mjcf")
-    assert {left.difference for left in result.left} == {
+    assert {left.difference for left in result.not_mended} == {
         f"body of knee0: {kind}" for kind in ("mass", "com", "inertia")
     }
-    (reason,) = {str(left.reason) for left in result.left}
+    (reason,) = {str(left.reason) for left in result.not_mended}
     assert "none of them can be changed so that the sum is right" in reason
     assert not result.agree
     assert result.edits == ()
@@ -417,7 +417,7 @@ def test_what_a_urdf_cannot_state_is_left_and_said(tmp_path: Path) -> None:
         ("urdf", "the MJCF alone has it: take it out of that by hand"),
     ):
         result = sync(files, side, dry_run=True)
-        assert [(one.difference, str(one.reason)) for one in result.left] == [
+        assert [(one.difference, str(one.reason)) for one in result.not_mended] == [
             ("joint knee1: spring", said)
         ]
         assert [edit.attribute for edit in result.edits] == ["value" if side == "mjcf" else "mass"]
@@ -429,7 +429,7 @@ def test_a_joint_of_one_file_is_left(tmp_path: Path) -> None:
     files = pair(tmp_path, urdf=fixed)
     result = sync(files, "urdf")
     assert ("joint knee2", "the MJCF alone has it, not the URDF") in [
-        (left.difference, str(left.reason)) for left in result.left
+        (left.difference, str(left.reason)) for left in result.not_mended
     ]
     assert not result.agree
 

@@ -75,7 +75,7 @@ class ModelDiff(Result):
         torques: {joint: (old, new) greatest torque against gravity (N m; of slides N)} with the
             base level and held, at random positions; of all joints that both have.
         deviations: {quantity: relative deviation between the two}.
-        left: {quantity: relative deviation that no change explains}.
+        residual: {quantity: relative deviation that no change explains}.
         complete: Whether nothing is left.
         notes: What was assumed or left out.
     """
@@ -87,7 +87,7 @@ class ModelDiff(Result):
     mass: tuple[float, float]
     torques: dict[str, tuple[float, float]]
     deviations: dict[str, float]
-    left: dict[str, float]
+    residual: dict[str, float]
     complete: bool
     notes: tuple[Diagnostic, ...]
 
@@ -231,7 +231,7 @@ class _Comparison:
             mass=(_mass(first), _mass(second)),
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
             deviations={name: judge.relative(name, before[name], after[name]) for name in before},
-            left=left,
+            residual=left,
             complete=all(value <= EXPLAINED for value in left.values()),
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes, *_undefined(trial)))),
         )

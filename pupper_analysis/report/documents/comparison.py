@@ -197,7 +197,7 @@ def _explained(comparison: Comparison) -> Iterable[doc.Words]:
     explained = text(
         "explained-share-of-the-deviation",
         share=f"{100 * comparison.explained:.6g}",
-        left=f"{max(comparison.left.values()):.1e}",
+        left=f"{max(comparison.residual.values()):.1e}",
     )
     if not comparison.complete:
         missing = "explained-so-something-is-missing"

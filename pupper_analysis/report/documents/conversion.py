@@ -16,8 +16,8 @@ from pupper_analysis.robot.robot import Robot
 def conversion_document(conversion: Conversion, _: Robot | None = None) -> doc.Document:
     """Returns what became of a conversion; see ``build``."""
     blocks = []
-    if conversion.left:
-        left = tuple(map(doc.tell, conversion.left))
+    if conversion.not_converted:
+        left = tuple(map(doc.tell, conversion.not_converted))
         blocks.append(doc.Lines(left, "warn", text("not-converted")))
     return doc.Document(
         text("conversion"),

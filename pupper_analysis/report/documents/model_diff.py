@@ -55,10 +55,10 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
     if not diff.same:
         yield from _torques(diff)
     if not diff.complete:
-        name = max(diff.left, key=lambda quantity: diff.left[quantity])
+        name = max(diff.residual, key=lambda quantity: diff.residual[quantity])
         left = text(
             "left-of-quantity-is-left",
-            left=f"{diff.left[name]:.1e}",
+            left=f"{diff.residual[name]:.1e}",
             quantity=word(name),
         )
         yield doc.Lines((left,), "bad")

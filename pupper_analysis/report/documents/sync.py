@@ -46,8 +46,8 @@ def sync_document(
         count=count,
     )
     told = [written]
-    if sync.left:
-        told.append(text("differences-left-count", count=len(sync.left)))
+    if sync.not_mended:
+        told.append(text("differences-left-count", count=len(sync.not_mended)))
     return doc.Document(
         text("sync"),
         text("both-files"),
@@ -65,7 +65,7 @@ def sync_document(
 
 def _withheld(sync: Sync) -> Iterable[doc.Words]:
     if sync.withheld:
-        failed = sum(left.cause == UnwrittenCause.NOT_MENDED for left in sync.left)
+        failed = sum(left.cause == UnwrittenCause.NOT_MENDED for left in sync.not_mended)
         yield text(
             "nothing-is-written-count",
             count=failed,
@@ -106,12 +106,12 @@ def _done(sync: Sync, dry_run: bool) -> Iterable[doc.Block]:
     if sync.backups:
         kept = (text("the-old-file-is-kept", file=doc.Name(one)) for one in sync.backups)
         yield doc.Lines(tuple(kept))
-    if sync.left:
+    if sync.not_mended:
         yield doc.Lines(
             tuple(
                 text("difference-note", difference=doc.Name(left.difference),
                      note=doc.tell(left.reason))
-                for left in sync.left
+                for left in sync.not_mended
             ),
             "bad",
             text("not-written"),
