@@ -7,13 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from lxml import etree
-
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.guard.config import CONFIG
 from pupper_analysis.guard.toml import toml_table
+from pupper_analysis.models.loading import kind_of
 
 _PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log")
 """Folders of what was made or installed; those that begin with a dot are passed over too."""
@@ -53,7 +52,7 @@ def entries_of(folder: Path) -> list[dict[str, str]]:
     """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem."""
     found: dict[str, list[Path]] = {"urdf": [], "mjcf": []}
     for path in _files(folder):
-        kind = _kind(path)
+        kind = kind_of(path)
         if kind:
             found[kind].append(path.relative_to(folder))
     stems = [path.stem.lower() for paths in found.values() for path in paths]
@@ -82,21 +81,3 @@ def _files(folder: Path) -> Iterator[Path]:
         for name in sorted(files):
             if Path(name).suffix.lower() in (".urdf", ".xml", ".mjcf"):
                 yield Path(top) / name
-
-
-def _kind(path: Path) -> str | None:
-    """Returns ``urdf`` or ``mjcf``; None of what is neither, or a part that other files include.
-
-    An MJCF counts if it has a body of its own: a scene has but a floor around a robot's file.
-    """
-    if path.suffix.lower() == ".urdf":
-        return "urdf"
-    try:
-        # Neither entities nor the network: what stands in a repository may be anybody's.
-        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        root = etree.parse(path, parser).getroot()
-    except (etree.XMLSyntaxError, OSError):
-        return None
-    if root.tag == "robot":
-        return "urdf" if root.find("link") is not None else None
-    return "mjcf" if root.tag == "mujoco" and root.find("worldbody/body") is not None else None

@@ -179,13 +179,14 @@ def match_models(
     dropped = drop_other_objects(spec, mjcf.path, root)
     at_bodies = ball_joints(spec)
     theirs, balls, held = hinges(spec, mjcf.path)
-    root, stripped = strip_roots(root, urdf.path, mjcf_tree(spec, mjcf.path))
+    tree = mjcf_tree(spec, mjcf.path)
+    root, stripped = strip_roots(root, urdf.path, tree)
     mine, others, fixed = moving_joints(root)
     notes = [*urdf.notes, *mjcf.notes, *named, *([joined] if joined else [])]
     notes += [*dropped, *held, *stripped, *fixed]
     wanted = dict(names or {})
     _check_names(wanted, (mine, root, urdf.path), (theirs, spec, mjcf.path))
-    found = pair_up(root, spec, (urdf.path, mjcf.path), (mine, theirs), wanted)
+    found = pair_up(root, spec, tree, (urdf.path, mjcf.path), (mine, theirs), wanted)
     pairs, guessed = found.pairs, found.guessed
     notes += found.notes
     if is_fused(spec, pairs.values()):

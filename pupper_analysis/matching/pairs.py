@@ -13,6 +13,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.names import without_affixes
 from pupper_analysis.matching.structure import match_by_structure
+from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 
@@ -28,6 +29,7 @@ class Pairs:
 def pair_up(
     root: etree._Element,
     spec: mujoco.MjSpec,
+    tree: MultibodyTree,
     files: tuple[Path, Path],
     joints: tuple[Sequence[str], Sequence[str]],
     wanted: Mapping[str, str],
@@ -48,7 +50,7 @@ def pair_up(
     by_link = _by_link(root, spec, pairs)
     guessed |= by_link
     pairs |= by_link
-    guess = match_by_structure(root, spec, *files, pairs)
+    guess = match_by_structure(root, files[0], tree, pairs)
     guessed |= guess.pairs
     pairs |= guess.pairs
     choices = {one: others for one, others in guess.choices.items() if one not in pairs}

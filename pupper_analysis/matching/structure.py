@@ -14,7 +14,6 @@ from lxml import etree
 
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import quarter_turns
-from pupper_analysis.matching.mjcf import mjcf_tree
 from pupper_analysis.matching.places import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.multibody import MultibodyTree
@@ -77,9 +76,8 @@ class Guess:
 
 def match_by_structure(
     root: etree._Element,
-    spec: mujoco.MjSpec,
     urdf: Path,
-    mjcf: Path,
+    tree: MultibodyTree,
     pairs: Mapping[str, str],
 ) -> Guess:
     """Matches joints without a partner by structure.
@@ -89,7 +87,7 @@ def match_by_structure(
     by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
     guessed, unless one of them alone pairs left with right by the joints' names.
     """
-    return guess_of_trees(urdf_tree(root, urdf), mjcf_tree(spec, mjcf), pairs)
+    return guess_of_trees(urdf_tree(root, urdf), tree, pairs)
 
 
 def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:

@@ -35,21 +35,23 @@ def take_unstated(
     Returns:
         {``damping`` or ``friction``: the joints that were given it}.
     """
+    optional = [one for one in PASSIVE if one.in_both]
+    given: dict[str, list[str]] = {one.kind: [] for one in optional}
+    mine = [joint for joint in UrdfTree(root).joints.values() if not joint.is_fixed]
+    lacking = [joint for joint in mine if any(joint.stated(one) is None for one in optional)]
+    if not (lacking or unknown.get("effort")):
+        return dict.fromkeys(given, ())
     theirs = mjcf_tree(spec, source).joints
     effort = BY_KIND["effort"]
     for name in (pairs.get(name, name) for name in unknown.get("effort", ())):
         if name in theirs and math.isfinite(theirs[name].effort):
             UrdfTree(root).joints[name].state(effort, theirs[name].effort)
-    optional = [one for one in PASSIVE if one.in_both]
-    given: dict[str, list[str]] = {one.kind: [] for one in optional}
-    for name, joint in UrdfTree(root).joints.items():
-        if joint.is_fixed or name not in theirs:
-            continue
-        for one in optional:
-            value = float(getattr(theirs[name], one.field))
+    for joint in lacking:
+        for one in optional if joint.name in theirs else ():
+            value = float(getattr(theirs[joint.name], one.field))
             if value and joint.stated(one) is None:
                 joint.state(one, value)
-                given[one.kind].append(name)
+                given[one.kind].append(joint.name)
     return {kind: tuple(names) for kind, names in given.items()}
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from lxml import etree
+
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
@@ -33,3 +35,21 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     if root.tag != "robot":
         raise refusal_at(path, root, diagnose("no-model", tag=str(root.tag)))
     return urdf_from(path, text, root, packages)
+
+
+def kind_of(path: Path) -> str | None:
+    """Returns ``urdf`` or ``mjcf``; None of what is neither, or a part that other files include.
+
+    An MJCF counts if it has a body of its own: a scene has but a floor around a robot's file.
+    """
+    if path.suffix.lower() == ".urdf":
+        return "urdf"
+    try:
+        # Neither entities nor the network: what stands in a repository may be anybody's.
+        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+        root = etree.parse(path, parser).getroot()
+    except (etree.XMLSyntaxError, OSError):
+        return None
+    if root.tag == "robot":
+        return "urdf" if root.find("link") is not None else None
+    return "mjcf" if root.tag == "mujoco" and root.find("worldbody/body") is not None else None
