@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +17,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
-from pupper_analysis.stance.path.sinking import sunk_path
+from pupper_analysis.stance.path.sinking import AT_REST, sunk_motion
 from pupper_analysis.stance.path.stance_path import StancePath
 from pupper_analysis.stance.stand import Stand
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicSpline  # slow to import
 
 Array = NDArray[np.float64]
 
@@ -43,9 +39,6 @@ FINEST = 1e-5
 
 _WHOLE = 1e-6
 """Of a time step: what a path's time may be short of a number of them, by rounding."""
-
-_AT_REST = ("clamped", "not-a-knot")
-"""Ends of splines of what sinks: it begins at rest, but follows with a delay to the end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,12 +101,11 @@ def path_commands(
     # No step goes beyond the end: what the feet still sink would there be at rest of a sudden.
     steps = max(1, math.floor(float(path.time[-1]) / timestep + _WHOLE))
     times: Array = np.linspace(timestep, steps * timestep, steps)
-    sunk = sunk_path(robot, path)
-    first = replace(first, qpos=sunk[0])
-    spline, starts = CubicSpline(path.time, sunk, bc_type=_AT_REST), times - timestep
+    motion = sunk_motion(robot, path)
+    first = replace(first, qpos=motion.qpos[0])
+    spline, starts = CubicSpline(path.time, motion.qpos, bc_type=AT_REST), times - timestep
     joints, end = slice(robot.nq - robot.nu, None), path.time[-1]
-    torques = CubicSpline(path.time, path.torques)(np.minimum(starts, end))
-    torques += _sinking(robot, path, sunk)(np.minimum(starts, end))
+    torques = CubicSpline(path.time, motion.torques)(np.minimum(starts, end))
     # MuJoCo's velocity is the difference of positions over a step. The servo's damping acts on the
     # one that leads to the step's start or, implicit, to its end.
     damped = times if drive.implicit else starts
@@ -130,48 +122,6 @@ def path_commands(
         torques=torques,
         ctrl=np.array([drive.command(robot, *row) for row in zip(ahead, torques, strict=True)]),
     )
-
-
-def _sinking(robot: Robot, path: StancePath, sunk: Array) -> CubicSpline:
-    """Returns what motors give more (nu,) as feet are sunk, and sink, over time (N m).
-
-    Legs that are longer hold the same forces with other torques. And feet sink and rise by
-    millimetres within hundredths of a second: for light legs with heavy rotors that is no less than
-    what the path itself takes of them.
-    """
-    from scipy.interpolate import CubicSpline
-
-    joints, dofs = slice(robot.nq - robot.nu, None), slice(robot.nv - robot.nu, None)
-    longer = CubicSpline(path.time, (sunk - path.qpos)[:, joints], bc_type=_AT_REST)
-    normal = path.stances[0].task.ground.normal()
-    radius = np.array([robot.foot_radius[foot] for foot in path.feet])
-    torques = []
-    rows = zip(path.time, path.qpos, sunk, path.qvel, path.qacc, path.forces, strict=True)
-    for moment, before, after, qvel, qacc, forces in rows:
-        there = [Configuration(robot, qpos, qvel) for qpos in (before, after)]
-        centres = [config.foot_places(path.feet) for config in there]
-        depth = (centres[0] - centres[1]) @ normal
-        loads = []
-        for config, lever in zip(there, (radius, radius - depth / 2), strict=True):
-            contacts = config.point_jacobians(path.feet, -lever[:, None] * normal)
-            load = config.mass_matrix() @ qacc + config.bias_forces() - config.passive()
-            load -= np.einsum("nij,ni->j", contacts, forces)
-            loads.append(config.by_motors(load))
-        more = loads[1] - loads[0]
-        more -= _balanced(more[:6], contacts * np.maximum(forces @ normal, 0.0)[:, None, None])
-        matrix = there[1].mass_matrix()[dofs, dofs]
-        torques.append(more[dofs] + matrix @ longer(moment, 2))
-    return CubicSpline(path.time, torques)
-
-
-def _balanced(missing: Array, contacts: Array) -> Array:
-    """Returns what contact forces that add a wrench to a base do to all joints (nv,).
-
-    Each foot adds to its force in proportion to its load, by which the Jacobians are multiplied.
-    """
-    jacobian = contacts.reshape(-1, contacts.shape[-1])
-    forces = np.linalg.lstsq(jacobian[:, :6].T, missing, rcond=1e-9)[0]
-    return np.asarray(forces @ jacobian)
 
 
 def _fine_timestep(robot: Robot, first: Stand, drive: Servos) -> float:

@@ -100,7 +100,7 @@ def track_path(
 
     The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
     they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
-    ground under the loads in motion (``sunk_path``), and the torques are the path's, in motion,
+    ground under the loads in motion (``sunk_motion``), and the torques are the path's, in motion,
     plus those that make the legs longer.
 
     A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and

@@ -253,6 +253,26 @@ def rolling_levers(
     return found
 
 
+def rolling_resistance(
+    config: Configuration, qacc: Array, forces: Mapping[str, Array], normal: Array
+) -> Array:
+    """Returns the generalised force (nv,) with which the ground resists feet that roll.
+
+    Args:
+        config: Where the robot is, and its qvel.
+        qacc: (nv,) generalised acceleration.
+        forces: {foot that carries: (3,) of the ground on it, in world axes (N)}.
+        normal: (3,) direction out of the ground.
+    """
+    robot = config.robot
+    resisting = np.zeros(robot.nv)
+    for foot, lever in rolling_levers(config, qacc, dict.fromkeys(forces, normal)).items():
+        moment = max(0.0, float(forces[foot] @ normal)) * lever
+        moment *= left_to_turn(robot, foot, forces[foot], moment, normal)
+        resisting += config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
+    return resisting
+
+
 def left_to_turn(robot: Robot, foot: str, force: Array, moment: Array, normal: Array) -> float:
     """Returns what share of a moment against turning the tangential force of a foot leaves.
 

@@ -19,7 +19,7 @@ _SLIDING = 0.98
 """A foot that needs more of its friction slides, and its speed is no matter of friction alone."""
 
 
-def crept(robot: Robot, path: StancePath) -> Array:
+def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array:
     """Returns how far each foot has crept along a path (n, feet, 3) (m).
 
     A contact at rest gives f_t = -c v (``GroundLaw``), and a foot creeps as long as it is pushed.
@@ -33,17 +33,19 @@ def crept(robot: Robot, path: StancePath) -> Array:
     Args:
         robot: The robot on the path's ground.
         path: Its path.
+        motion: (n, nv) qvel along it, as the ground has it.
+        forces: (n, feet, 3) of the ground on each foot, in world axes (N).
     """
     from scipy.integrate import cumulative_trapezoid  # slow to import
 
     friction, normal = DryFriction.of(robot), path.stances[0].task.ground.normal()
     laws = {foot: GroundLaw.of(robot, foot) for foot in path.feet}
-    speeds = np.zeros_like(path.forces)
+    speeds = np.zeros_like(forces)
     carrying = path.stance_feet & ~path.infeasible[:, None]
-    for row, (qpos, qvel) in enumerate(zip(path.qpos, path.qvel, strict=True)):
+    for row, (qpos, qvel) in enumerate(zip(path.qpos, motion, strict=True)):
         config = Configuration(robot, qpos)
         for column in np.flatnonzero(carrying[row]):
-            foot, force = path.feet[column], path.forces[row, column]
+            foot, force = path.feet[column], forces[row, column]
             pressing = float(force @ normal)
             pushed = force - pressing * normal
             mu, limits = friction.sliding[foot], friction.turning[foot]
