@@ -8,25 +8,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.creeping import crept
 from pupper_analysis.stance.path.stance_path import StancePath
-from pupper_analysis.statics.inverse_dynamics import joint_resistance, rolling_resistance
+from pupper_analysis.statics.dynamics import joint_resistance, rolling_resistance
 
 Array = NDArray[np.float64]
 
-_STEPS = 3  # of Newton's iteration, for legs that get longer by millimetres
+_STEPS = 2  # of Newton's iteration in each round, for legs that get longer by millimetres
 
 AT_REST = ("clamped", "not-a-knot")
 """Ends of splines of what sinks: it begins at rest, but follows with a delay to the end."""
 
-_ROUNDS = 3
-"""Of how far feet roll and how legs turn as they get longer: each makes the error smaller by about
-foot radius / leg length, a tenth."""
+_ROUNDS = 2
+"""Of depths, how far feet roll, how legs turn as they get longer, and what they then take of the
+ground. Each makes the error smaller by about foot radius / leg length, a tenth; but more of them
+bring out the kinks of the forces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
         pressing = np.maximum(found.forces @ normal, 0.0)
         borne = pressing + masses * sinking
         # A foot that carries less than on rigid ground uses no more of its friction.
-        share = np.divide(pressing, own, out=np.zeros_like(own), where=own > 0)
+        share = np.divide(pressing, own, out=np.ones_like(own), where=own > 0)
         forces = share[..., None] * path.forces
     return found
 
@@ -152,6 +152,8 @@ def _rolled(
     configs: Sequence[Configuration], feet: Sequence[str], normal: Array, radius: Array
 ) -> Array:
     """Returns how far spheres roll without slipping (n, feet, 3) (m), on radii (n - 1, feet)."""
+    from scipy.spatial.transform import Rotation  # slow to import
+
     rotations = np.array([config.foot_rotations(feet) for config in configs])
     turns = rotations[1:] @ np.swapaxes(rotations[:-1], -1, -2)
     turned = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_rotvec().reshape(*radius.shape, 3)
