@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
+from pupper_analysis.robot.configuration import UP
 from pupper_analysis.simulation.tracking import TORQUE_TOLERANCE, track_path
 from pupper_analysis.stance.path.fastest import fastest_path
 from pupper_analysis.stance.path.sinking import sunk_motion
@@ -27,7 +28,7 @@ def test_ground_forces_accelerate_the_centre_of_mass_of_sunk_legs() -> None:
     com = [pa.Configuration(robot, qpos).center_of_mass() for qpos in found.qpos]
     spline = make_interp_spline(path.time, np.array(com), k=5)
     inner = slice(4, -4)
-    wanted = robot.total_mass * (spline(path.time[inner], 2) + [0, 0, 9.81])
+    wanted = robot.total_mass * (spline(path.time[inner], 2) + 9.81 * UP)
     weight = robot.total_mass * 9.81
     np.testing.assert_allclose(found.forces[inner].sum(axis=1), wanted, atol=2e-3 * weight)
     legs = np.abs(path.forces[inner].sum(axis=1) - wanted).max()
