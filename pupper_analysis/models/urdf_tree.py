@@ -102,7 +102,8 @@ class UrdfLink(UrdfElement):
         """Its visuals, then its collision shapes: tag, element, and the element of its form."""
         for tag in ("visual", "collision"):
             for shape in self.element.iterfind(tag):
-                yield tag, shape, next(iter(shape.find("geometry")), None)
+                around = shape.find("geometry")
+                yield tag, shape, None if around is None else next(iter(around), None)
 
     @property
     def geometries(self) -> list[etree._Element]:

@@ -106,9 +106,7 @@ def _body(
     joints: tuple[Joint, ...],
 ) -> Link:
     shapes = [
-        _shape(file, element, tag == "collision")
-        for tag in ("visual", "collision")
-        for element in link.element.findall(tag)
+        _shape(file, shape, geometry, tag == "collision") for tag, shape, geometry in link.shapes
     ]
     return Link(link.name, parent, pose, joints, _inertial(link), tuple(shapes))
 
@@ -143,10 +141,10 @@ def half_digit(text: str) -> float:
     return 0.0 if value == 0 or not isinstance(exponent, int) else 0.5 * 10.0**exponent
 
 
-def _shape(file: UrdfFile, element: etree._Element, collides: bool) -> Shape:
+def _shape(
+    file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
+) -> Shape:
     pose, name = origin(element), element.get("name", "")
-    geometry = element.find("geometry")
-    tag = next(iter(geometry), None) if geometry is not None else None
     if tag is None:
         return Shape(name, "none", pose, (), collides)
     kind = str(tag.tag)
