@@ -49,12 +49,10 @@ def test_a_line_is_a_mimic(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "equality",
     [
-        '<joint joint1="second" joint2="first" polycoef="0 1 0.5 0 0"/>',
         '<joint joint1="second" joint2="first" polycoef="0 1 0 0 0.5"/>',
         '<joint joint1="second" polycoef="0.1 0 0 0 0"/>',
         '<joint joint1="second" joint2="first" active="false"/>',
         '<weld body1="one" body2="two" active="true"/>',
-        '<connect body1="one" body2="two" anchor="0 0 0"/>',
     ],
 )
 def test_what_is_no_line_is_left_and_told(tmp_path: Path, equality: str) -> None:

@@ -187,3 +187,20 @@ def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
     # The push is that of the round before (`inverse_dynamics`).
     assert (np.linalg.norm(parts, axis=0) / up).max() < 1.05
     assert (parts[0] / up).max() == pytest.approx(0.8, abs=0.01)
+
+
+@pytest.mark.longest
+def test_as_a_path_begins_on_a_slope_next_to_nothing_accelerates() -> None:
+    """Feet push along the ground, and where they touch it is a radius below their centres.
+
+    With their forces on the other side of these, the joints would begin with four times as much.
+    """
+    robot, ground = load("v3"), pa.Ground(slope=0.15)
+    height = robot.stand_height
+    tasks = [pa.StandTask(ground=ground, height=height - down) for down in (0.0, 0.003)]
+    plan = path_commands(robot, stance_path(robot, tasks, 2.0))
+    model, data = plan.drive.model, mujoco.MjData(plan.drive.model)
+    mujoco.mj_setState(model, data, plan.start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    data.ctrl[:] = plan.ctrl[0]
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.qacc[3:]).max() < 0.1  # rad/s^2

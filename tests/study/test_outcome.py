@@ -22,6 +22,7 @@ from pupper_analysis.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.outcome import main_effects
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.randomisation import write_randomisation
 from pupper_analysis.study.search import optimise_study
@@ -90,6 +91,20 @@ def colours(path: Path, share: tuple[float, float]) -> tuple[float, float, float
     return float(red), float(green), float(blue)
 
 
+def test_main_effects_are_kelleys_of_fishers_ratio() -> None:
+    """With F = (between / (k - 1)) / (within / (n - k)), by scipy: a fraction of the variance."""
+    random = np.random.default_rng(2)
+    x, other = np.repeat([1.0, 2.0, 4.0], 5), np.tile([0.0, 1.0, 2.0, 3.0, 4.0], 3)
+    made = pd.DataFrame({"x": x, "y": other, "m": 0.3 * x + random.normal(size=15)})
+    found = main_effects(made, ["x", "y"], "m")
+    for name, groups in (("x", 3), ("y", 5)):
+        ratio = stats.f_oneway(*(part["m"] for _, part in made.groupby(name))).statistic
+        between = groups - 1
+        share = between * (ratio - 1) / (between * ratio + len(made) - groups)
+        assert found[name] == pytest.approx(max(0.0, share), abs=1e-12)
+    assert 0 < found["x"] < 1
+
+
 def test_cells_lie_about_their_middles() -> None:
     """Many values: cells of one width, each about its middle, with the designs that are in it."""
     values = np.random.default_rng(0).uniform(2.0, 5.0, 400)
@@ -120,7 +135,7 @@ def test_a_panel_for_each_value_of_another_variable_and_hatched_means_of_more(
     """Where z = 2 all of y > 1 fail: beside the panel of z = 1; or in a mean, which is hatched."""
     other = table.assign(z=2.0, m=np.where(table["y"] > 1, np.nan, table["m"]))
     both = pd.concat([table.assign(z=1.0), other], ignore_index=True)
-    shown = split_panels(both, ["x", "y", "z"], "x", "y")
+    shown = split_panels(both[::-1], ["x", "y", "z"], "x", "y")  # in whichever order they are done
     assert [panel.fixed for panel in shown] == [{"z": 1.0}, {"z": 2.0}]
     assert not any(mean_map(one.table, "x", "y", "m").partial.any() for one in shown)
     many = both.assign(z=np.arange(len(both), dtype=float))
