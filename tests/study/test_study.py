@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -499,6 +500,22 @@ def test_what_is_only_looked_at_makes_no_difference() -> None:
     assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
     simulated = [pa.verify_stand(one, stand, duration=2.0).base_height for one in (bare, robot)]
     assert simulated[0] == simulated[1]
+
+
+def test_what_is_only_looked_at_and_weighs_stays() -> None:
+    """Where a body's mass is that of its shapes, as MuJoCo adds them up."""
+    description = load("original").description
+    spec = description.mjcf.copy()
+    unseen = {"contype": 0, "conaffinity": 0, "size": [0.01, 0, 0]}
+    body = next(body for body in spec.bodies if body.name != "world" and not body.explicitinertial)
+    for name, mass in (("heavy", 0.3), ("of_water", math.nan), ("light", 0.0)):
+        body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, mass=mass, **unseen)
+    found = without_visuals(replace(description, mjcf=spec)).mjcf
+    names = {geom.name for geom in found.geoms}
+    assert {"heavy", "of_water"} <= names
+    assert "light" not in names
+    masses = [one.compile().body_mass.sum() for one in (spec, found)]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-12)
 
 
 def test_a_design_is_the_robot_that_its_numbers_say() -> None:
