@@ -139,3 +139,20 @@ def test_links_that_are_too_near_are_both_named() -> None:
     named = [told.subject.name, told.values["other"]]
     assert named == list(stand.self_clearance.links)
     assert len(set(named)) == 2
+
+
+def test_the_room_of_a_stand_is_that_of_what_is_nearest() -> None:
+    """Of the com, the ground and the robot itself, each beyond what was asked of it."""
+    stand = stand_of("v3")
+    ground = stand.ground_clearance
+    assert ground is not None
+    near = replace(ground, distance=0.03)
+
+    def room(**changes: object) -> float:
+        asked = {"ground_clearance": 0.04, "self_clearance": 0.05}
+        return replace(stand, task=replace(stand.task, **asked), **changes).room  # type: ignore[arg-type]
+
+    assert room(ground_clearance=near, self_clearance=None) == pytest.approx(0.03 - 0.04)
+    assert room(ground_clearance=ground, self_clearance=near) == pytest.approx(0.03 - 0.05)
+    assert room(ground_clearance=near, self_clearance=ground) == pytest.approx(0.03 - 0.04)
+    assert room(ground_clearance=None, self_clearance=None) == 0.0
