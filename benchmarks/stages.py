@@ -15,13 +15,13 @@ from scipy.linalg import lapack
 
 import pupper_analysis as pa
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.judge import measure
-from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.judge import evaluate_stand
+from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
-from pupper_analysis.stance.sag.steady_state import pose_at, release_margin
-from pupper_analysis.stance.sag.way import Way
+from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
+from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
 from pupper_analysis.stance.solver import Solver
-from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.contacts import make_contacts
 
 Parts = dict[str, float]
 
@@ -73,17 +73,17 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     shapes, wrapper = context.shapes, context.wrapper
 
     def run() -> None:
-        goal = goal_of(robot, None, {})
+        goal = make_goal(robot, None, {})
         watch.stop("the nominal task in numbers")
         solver = Solver(context, goal)
         point = solver.run(home)
         watch.stop("PlaCo: aiming and steps")
-        stand = measure(shapes, goal, point.qpos, point.iterations)
+        stand = evaluate_stand(shapes, goal, point.qpos, point.iterations)
         watch.stop("errors by Pinocchio, clearance, result")
         pa.solve_stand(robot)
         watch.stop("solve_stand, all of it")
         # What another task takes, and what some of these are made of.
-        goal_of(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
+        make_goal(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
         watch.stop("another task: checked, in numbers")
         solver.begin(home, goal.place)
         watch.start()
@@ -139,7 +139,7 @@ def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
 
     def run() -> None:
         load = config.gravity()
-        carrying = contacts_of(robot, None, None, None, None)
+        carrying = make_contacts(robot, None, None, None, None)
         transposed = carrying.jacobian(config)
         problem = carrying.balance(transposed, load)
         watch.stop("Jacobians of the contacts, gravity")
@@ -157,11 +157,11 @@ def _sag(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     def run() -> None:
         system = Equilibrium(robot, stand, None, "pinned")
         watch.stop("the equations")
-        way = Way(system)
+        way = HomotopyPath(system)
         watch.stop("statics, and steps to the stand on soft ground")
         way.follow(1.0)
         watch.stop("steps without feed-forward, stiffness")
-        pose_at(way, release_margin(way))
+        describe_pose(way, release_margin(way))
         watch.stop("what is told of the end")
         derivative = system.derivative(way.solution.qpos, system.stacked(way.solution))
         watch.stop("of a step: the derivative")

@@ -129,7 +129,8 @@ class StanceUnreachableError(PupperAnalysisError):
         shortfall: How far each foot that cannot be planted ends from its target, in metres.
         at_limit: Joints that are at a limit in the best configuration found, with the limit (rad).
         possible: {demand: how far it can go}, for each demand that alone may give; if there is
-            none, for the fewest that must together ("height and roll"). Diagnostics.
+            none, for as few as are found that together do ("height and roll"); none of them can be
+            kept. Some may become more than the nominal stand has. Diagnostics.
         limits: The same as values of the task's fields, such as {"roll": {"roll": 0.337}}:
             ``replace(task, **limits["roll"])`` is in reach.
         nearest: The stand of the one of ``limits`` that gives least; None if there is none, or it

@@ -190,7 +190,7 @@ JOBS = {
     "sunk stand": Job(lambda robot, _: pa.stance.solve_stand_on_soft_ground(robot)),
     "minimum tangential": Job(statics("minimum tangential"), CONES),
     "minimum torque": Job(statics("minimum torque"), CONES),
-    "minimum peak": Job(statics("minimum peak"), CONES),
+    "min-max torque": Job(statics("min-max torque"), CONES),
     "nominal statics": Job(lambda robot, stand: pa.stance.stand_statics(robot, stand)),
     "inverse dynamics": Job(moving, CONES),
     "steady state": Job(lambda robot, stand: pa.steady_state(robot, stand), EIGENVALUE),

@@ -120,7 +120,7 @@ class Analysis(Result):
         stand: How it stands, with its feet sunk into MuJoCo's ground (its ``depths``); where that
             is out of reach, on rigid ground.
         statics: Torques and contact forces of the stand: those that last.
-        minimum_peak: The same of least peak motor utilisation.
+        min_max_torque: The same of least peak motor utilisation.
         hanging_torques: (nu,) what the motors hold in the same pose with the base held (N m).
         foot_jacobians: Per foot.
         verification: The simulated stand, with feed-forward.
@@ -146,7 +146,7 @@ class Analysis(Result):
     notes: tuple[Diagnostic, ...]
     stand: Stand
     statics: GravityCompensation
-    minimum_peak: GravityCompensation
+    min_max_torque: GravityCompensation
     hanging_torques: Array
     foot_jacobians: dict[str, FootJacobian]
     verification: StandVerification
@@ -219,7 +219,7 @@ def analyze_variant(
         notes=robot.notes,
         stand=stand,
         statics=statics,
-        minimum_peak=stand_statics(robot, stand, distribution=ForceDistribution.MIN_PEAK),
+        min_max_torque=stand_statics(robot, stand, distribution=ForceDistribution.MIN_MAX_TORQUE),
         hanging_torques=gravity_compensation(config, contacts=[]).joint_torques,
         foot_jacobians=leg_jacobians(config),
         verification=verification,

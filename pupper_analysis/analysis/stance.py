@@ -48,7 +48,7 @@ class Stance(Result):
         sunk: How it stands with its feet sunk into MuJoCo's ground, which all that follows is of;
             None where that is out of reach: then it is of ``stand``.
         statics: Torques and contact forces: those that last.
-        minimum_peak: The same of least peak motor utilisation.
+        min_max_torque: The same of least peak motor utilisation.
         verification: The simulation, with feed-forward.
         sagging: The simulation without.
         verdict: Whether it holds, and what that rests on.
@@ -67,7 +67,7 @@ class Stance(Result):
     stand: Stand
     sunk: Stand | None
     statics: GravityCompensation
-    minimum_peak: GravityCompensation
+    min_max_torque: GravityCompensation
     verification: StandVerification
     sagging: StandVerification
     verdict: Verdict
@@ -131,7 +131,7 @@ def study_stance(
         stand=stand,
         sunk=held if any(held.depths.values()) else None,
         statics=statics,
-        minimum_peak=stand_statics(robot, held, distribution=ForceDistribution.MIN_PEAK),
+        min_max_torque=stand_statics(robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE),
         verification=fed,
         sagging=alone,
         verdict=verdict_of(robot, stand, statics, fed, alone, servos_used(robot, kp, kd)),

@@ -15,7 +15,7 @@ from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import moves_com
+from pupper_analysis.stance.com_reach import can_move_com
 
 
 def joints(matched: Match) -> Iterator[Diagnostic]:
@@ -75,7 +75,7 @@ def balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[Diagnostic]:
 
 def planar(robot: Robot) -> Iterator[Diagnostic]:
     """Tells so if the legs cannot move the com to every place over the feet."""
-    if not moves_com(robot):
+    if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
 
 

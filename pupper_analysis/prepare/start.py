@@ -17,10 +17,10 @@ from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.branches import branches, combinations, limbs
+from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
 from pupper_analysis.stance.context import Context, context_of
-from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.search import begin_at, begin_inside
+from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.search import search_from_com, search_from_joints
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -160,7 +160,7 @@ def _drawn_in(robot: Robot, pose: Array) -> Array:
     config = Configuration(robot, qpos)
     feet = config.foot_positions()
     targets, drops = dict(feet), []
-    for limb in limbs(robot):
+    for limb in find_limbs(robot):
         names = {robot.joint_names[index] for index in limb.joints}
         first = next(name for name in robot.pin_model.names if name in names)
         hip = config.joint_position(first)
@@ -173,8 +173,8 @@ def _drawn_in(robot: Robot, pose: Array) -> Array:
             drops.append(float(hip[2]) - _BENT * length)
     for foot, place in targets.items():
         targets[foot] = np.array([*place[:2], min(drops)])
-    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
-    return next(combinations(found, pose), pose)
+    found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    return next(combine_branches(found, pose), pose)
 
 
 def _longest_run(robot: Robot, pose: Array, margin: float, known: int) -> list[Stand]:
@@ -250,9 +250,9 @@ def clear_of_ground(robot: Robot, stand: Stand) -> bool:
 
 def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     """Solves a stand with all but the legs as in a pose, as far as the com allows."""
-    legs = np.concatenate([limb.joints for limb in limbs(robot)])
+    legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
-        goal, found = goal_of(robot, task, {}), None
+        goal, found = make_goal(robot, task, {}), None
     except ConfigurationError:
         return None  # the margin leaves nothing of a joint's range
     first = pose if task.ik_seed is None else np.array(task.ik_seed)
@@ -276,8 +276,8 @@ def _bent(robot: Robot, goal: Goal, pose: Array) -> Iterator[Array]:
     """
     qpos = robot.posed(pose)
     qpos[:3] = (*goal.place, goal.height)
-    found = branches(robot, qpos, goal.targets, goal.lower, goal.upper)
-    yield from itertools.islice(combinations(found, pose), _WAYS)
+    found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
+    yield from itertools.islice(combine_branches(found, pose), _WAYS)
 
 
 def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand | None:
@@ -287,9 +287,9 @@ def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand
     start they need not be.
     """
     for joints in seeds:
-        if (stand := begin_at(context, goal, joints)) is not None:
+        if (stand := search_from_joints(context, goal, joints)) is not None:
             return stand
-        stand = begin_inside(context, goal, joints, goal.place)
+        stand = search_from_com(context, goal, joints, goal.place)
         if stand is not None and clear_of_ground(context.robot, stand):
             return stand
     return None

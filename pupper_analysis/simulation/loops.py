@@ -7,7 +7,7 @@ import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.soft_ground import loops_give
+from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -18,7 +18,7 @@ def give_way(robot: Robot, stand: Stand, prediction: GravityCompensation) -> Dia
     """Says by how much loops and couplings open under a load, if a stand has them closed."""
     if robot.closure is None:
         return None
-    most = float(np.abs(loops_give(robot, stand, prediction.contact_forces)).max(initial=0.0))
+    most = float(np.abs(open_loops(robot, stand, prediction.contact_forces)).max(initial=0.0))
     if robot.closure.open_by(stand.qpos) > most / 2 or most < _OPEN:
         return None
     return diagnose("loops-are-soft", bonds=robot.closure.bonds, most=most)

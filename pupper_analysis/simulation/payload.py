@@ -27,15 +27,15 @@ from pupper_analysis.simulation.rollout import (
     settled_activations,
 )
 from pupper_analysis.simulation.stability import judged_at
-from pupper_analysis.stance.payload.nudge import nudges
+from pupper_analysis.stance.payload.nudge import nudge_velocities
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
     Bound,
     Failure,
     LoadedPose,
     PayloadCommand,
-    first_failing,
-    loaded_pose,
+    find_first_failing,
+    find_loaded_pose,
 )
 from pupper_analysis.stance.stand import Stand
 
@@ -262,7 +262,7 @@ def _start(
     """
 
     def pose(tried: float) -> LoadedPose | Bound:
-        return loaded_pose(robot, stand, tried, point, command=command, kp=kp)
+        return find_loaded_pose(robot, stand, tried, point, command=command, kp=kp)
 
     def none(tried: LoadedPose | Bound) -> bool:
         missing = isinstance(tried, LoadedPose) and tried.pose is None
@@ -270,7 +270,7 @@ def _start(
 
     found = pose(mass)
     if none(found):
-        found = pose(first_failing(lambda tried: none(pose(tried)), mass / 8, mass))
+        found = pose(find_first_failing(lambda tried: none(pose(tried)), mass / 8, mass))
     if isinstance(found, Bound):
         failure = Term(found.failure.value)
         raise NoEquilibriumError(None, diagnose("no-equilibrium-unloaded", failure=failure))
@@ -283,7 +283,7 @@ def _rollouts(
     """Returns the states (8, n, size) of the simulations, one per nudge."""
     data = mujoco.MjData(model)
     starts = []
-    for qvel in nudges(robot, float(qpos[2])):
+    for qvel in nudge_velocities(robot, float(qpos[2])):
         robot.mj_convention.set_state(data, qpos, qvel)
         starts.append(full_state(model, data))
     steps = max(2, round(duration / float(model.opt.timestep)))

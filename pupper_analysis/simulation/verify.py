@@ -27,7 +27,7 @@ from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.simulation.watch import LAST, Watch, watched
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import drop_at
+from pupper_analysis.statics.support_polygon import interpolate_drop
 
 Array = NDArray[np.float64]
 
@@ -261,7 +261,7 @@ def _measured(
     resting = monitor.base_heights(robot, settled)
     base_height = float(resting.mean())
     height_loss = float(stand.qpos[2]) - base_height
-    contact_sag = drop_at(
+    contact_sag = interpolate_drop(
         stand.qpos[:2],
         np.array([stand.foot_targets[foot] for foot in drops]),
         np.array([drop[2] for drop in drops.values()]),

@@ -70,7 +70,7 @@ class Branch:
     miss: float
 
 
-def limbs(robot: Robot) -> tuple[Limb, ...]:
+def find_limbs(robot: Robot) -> tuple[Limb, ...]:
     """Returns the robot's limbs; joints that move no foot, a head's, are in none."""
     model = robot.pin_model
     groups: list[tuple[set[str], set[int]]] = []
@@ -92,7 +92,7 @@ def limbs(robot: Robot) -> tuple[Limb, ...]:
     )
 
 
-def branches(
+def find_branches(
     robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
 ) -> dict[Limb, tuple[Branch, ...]]:
     """Finds each limb's branches, for a base that stays where it is.
@@ -137,7 +137,7 @@ def branches(
     }
 
 
-def followed(
+def follow_branches(
     robot: Robot,
     qpos: Array,
     targets: Mapping[str, Array],
@@ -150,7 +150,7 @@ def followed(
 
     Args:
         robot: The robot.
-        qpos: As in ``branches``.
+        qpos: As in ``find_branches``.
         targets: As there.
         lower: As there.
         upper: As there.
@@ -245,7 +245,7 @@ class _Solver:
         self.rest = qpos[robot.nq - robot.nu :]
         self.lower, self.upper = lower, upper
         shapes: dict[tuple[int, int], list[Limb]] = {}
-        for limb in limbs(robot):
+        for limb in find_limbs(robot):
             shapes.setdefault((len(limb.feet), len(limb.joints)), []).append(limb)
         self.groups = []
         for alike in shapes.values():
@@ -365,7 +365,7 @@ class _Solver:
         return errors, jacobians
 
 
-def combinations(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
+def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:
     """Yields joint positions (nu,) for every choice of one branch per limb.
 
     Args:

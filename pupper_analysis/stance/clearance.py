@@ -17,8 +17,8 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import Shape, excluded_pairs
-from pupper_analysis.stance.parts import Direction, Part, part_of
-from pupper_analysis.stance.solids import Pair, Solids, nearest, transform
+from pupper_analysis.stance.parts import Direction, Part, to_part
+from pupper_analysis.stance.solids import Pair, Solids, measure_distance, to_transform
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -252,8 +252,8 @@ class Shapes:
             box = coal.Box(2 * half)
             obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
         for index, _, sunk in self._parts:
-            solid, where = self.shapes[index].solid, transform(at[index])
-            near = [nearest(solid, where, *obstacle) for obstacle in obstacles]
+            solid, where = self.shapes[index].solid, to_transform(at[index])
+            near = [measure_distance(solid, where, *obstacle) for obstacle in obstacles]
             depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
             if len(near) == 1:
                 yield index, near[0], depth
@@ -282,7 +282,7 @@ class Shapes:
             sunk = feet.get(shape.joint)
             if sunk is not None and not self._reaches_into(shape, sunk):
                 sunk = None
-            yield index, part_of(shape), sunk
+            yield index, to_part(shape), sunk
 
     def _reaches_into(self, shape: Shape, foot: str) -> bool:
         """Whether a shape on the link of a foot reaches into the foot's sphere."""
@@ -290,7 +290,7 @@ class Shapes:
         turn, place = self.kinematics.link(shape.link)
         centre = turn.T @ (np.array(self.kinematics.feet()[foot]) - place)
         ball, there = coal.Sphere(self.robot.foot_radius[foot]), coal.Transform3s(np.eye(3), centre)
-        near = nearest(shape.solid, transform(shape.place), ball, there)
+        near = measure_distance(shape.solid, to_transform(shape.place), ball, there)
         return bool(near.min_distance < 0)
 
 

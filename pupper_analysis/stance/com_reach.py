@@ -22,7 +22,7 @@ _SIDEWAYS = 1e-3
 level let it."""
 
 
-def moves_com(robot: Robot) -> bool:
+def can_move_com(robot: Robot) -> bool:
     """Tells whether a robot can move its com in x and in y with its feet where they are.
 
     The base keeps its height and orientation. Legs of three joints or more can do it; legs of two,

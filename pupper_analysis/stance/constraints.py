@@ -20,9 +20,9 @@ from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.stance.clearance import Clearance, Shapes
-from pupper_analysis.stance.footholds import fixing
+from pupper_analysis.stance.footholds import choose_pins
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import margin_inside, polygon_sides
+from pupper_analysis.statics.support_polygon import margin_of_place, polygon_sides
 
 Array = NDArray[np.float64]
 
@@ -123,7 +123,7 @@ class Footholds(Constraint):
         """Contact points, and how many first rows of a rotation (3, 3) are to be in place."""
         found = []
         for points in self._shapes.robot.soles.values():
-            fixed = fixing([self._begun.targets[point] for point in points])
+            fixed = choose_pins([self._begun.targets[point] for point in points])
             for count, (number, axes) in zip((3, 2, 1), fixed, strict=False):
                 found.append((points[number], count, axes))
         return found
@@ -220,7 +220,7 @@ class SupportMargin(Constraint):
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
         x, y, _ = at.com()
-        return max(0.0, goal.task.com_margin - margin_inside((x, y), goal.corners))
+        return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
 
 
 def _sides(goal: Goal) -> Array:

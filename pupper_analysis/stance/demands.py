@@ -165,26 +165,28 @@ def _range(robot: Robot, field: Field, value: float) -> tuple[float, float]:
     return (_LEAST * value if field.open else value - far), value + far
 
 
-def differ(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
+def differ_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
     """Tells whether some demands are not the nominal stand's."""
     numbers = Numbers(robot, task, demands)
     return bool((numbers.values != numbers.nominal).any())
 
 
-def far_off(robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]) -> bool:
+def is_unit_doubtful(
+    robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
+) -> bool:
     """Tells whether a task asks for so much more than is possible that its unit is in doubt."""
     asked, found = Numbers(robot, task, demands), Numbers(robot, possible, demands)
     more = np.abs(asked.values - asked.nominal) > _DOUBTFUL * np.abs(found.values - found.nominal)
     return bool(more.any())
 
 
-def given_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
+def give_up(robot: Robot, task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the nominal stand's numbers for some demands; lifts are next to none."""
     numbers = Numbers(robot, task, demands)
     return numbers.task(numbers.inside(numbers.nominal))
 
 
-def further(
+def give_further(
     robot: Robot, task: StandTask, asked: StandTask, demands: Sequence[str], share: float
 ) -> StandTask:
     """Returns a task in which some demands give more, by a share of what they give already."""
@@ -192,7 +194,7 @@ def further(
     return now.task(before.inside(now.values + share * (now.values - before.values)))
 
 
-def rounded(
+def round_demands(
     robot: Robot,
     task: StandTask,
     asked: StandTask,
@@ -226,7 +228,7 @@ def _rounded(field: Field, number: float, usual: float, asked: float, *, back: b
     return math.radians(result) if angle else round(result * 1e-3, digits + 3)
 
 
-def in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
+def round_in_radians(task: StandTask, demands: Sequence[str]) -> StandTask:
     """Returns a task with the angles of some demands as they are told in radians."""
     angles = [one for name in demands for one in _FIELDS[name] if one.kind == "angle"]
     values = {one.name: _short(value) for one in angles for _, value in _values(task, one)}
@@ -238,14 +240,14 @@ def _short(angle: float) -> float:
     return math.trunc(angle * 1e4) / 1e4
 
 
-def told_limit(
+def describe_limit(
     robot: Robot, task: StandTask, possible: StandTask, demands: Sequence[str]
 ) -> Diagnostic:
     """Tells how far some demands of a task can go."""
     return diagnose(
         "demands-can-go",
         demands=[_told(possible, demand) for demand in demands],
-        far_off=far_off(robot, task, possible, demands),
+        far_off=is_unit_doubtful(robot, task, possible, demands),
     )
 
 

@@ -54,7 +54,7 @@ def feet_places(robot: Robot, task: StandTask) -> dict[str, Array]:
     }
 
 
-def footholds(robot: Robot, task: StandTask) -> dict[str, Array]:
+def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
     """Returns where the contact points' centres shall be, {point: (3,)}, on rigid ground (m).
 
     A sole lies flat on the slope, turned out of its default orientation by the shortest way; a foot
@@ -101,7 +101,7 @@ def _upwards(points: Array) -> Array:
     return result
 
 
-def sunk_into(
+def sink_feet(
     robot: Robot, targets: Mapping[str, Array], depths: Mapping[str, float], normal: Array
 ) -> dict[str, Array]:
     """Returns the targets (3,) of contact points that are in the ground by some depths (m).
@@ -112,12 +112,12 @@ def sunk_into(
     for points in robot.soles.values():
         if len(points) > 1 and any(depths.get(point) for point in points):
             before = np.array([targets[point] for point in points])
-            after = rigidly(before, np.array([sunk[point] for point in points]))
+            after = move_rigidly(before, np.array([sunk[point] for point in points]))
             sunk |= dict(zip(points, after, strict=True))
     return sunk
 
 
-def rigidly(before: Array, after: Array) -> Array:
+def move_rigidly(before: Array, after: Array) -> Array:
     """Moves points (n, 3) as one body, as near to others (n, 3) as that goes.
 
     Source: Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976.
@@ -129,7 +129,7 @@ def rigidly(before: Array, after: Array) -> Array:
     return moved
 
 
-def fixing(places: Sequence[Array]) -> list[tuple[int, Array]]:
+def choose_pins(places: Sequence[Array]) -> list[tuple[int, Array]]:
     """Chooses which coordinates of a body's points pin the body down, without saying it twice.
 
     Args:

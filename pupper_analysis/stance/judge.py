@@ -28,7 +28,7 @@ from pupper_analysis.stance.constraints import (
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import margin_inside
+from pupper_analysis.statics.support_polygon import margin_of_place
 
 Array = NDArray[np.float64]
 
@@ -189,7 +189,7 @@ class Stand(Result):
         return self.qpos[robot.nq - robot.nu :]
 
 
-def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
+def evaluate_stand(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
     """Returns the stand at a configuration, with its errors and clearances.
 
     Args:
@@ -229,7 +229,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
         orientation_error=missed["base-orientation"],
         height_error=missed["base-height"],
         com_error=max(missed["com-place"], missed["base-place"]),
-        com_margin=margin_inside((x, y), goal.corners),
+        com_margin=margin_of_place((x, y), goal.corners),
         ground_clearance=ground,
         self_clearance=apart,
         iterations=iterations,
@@ -237,7 +237,7 @@ def measure(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Sta
     )
 
 
-def base_is_in_the_ground(shapes: Shapes, goal: Goal) -> bool:
+def is_base_in_ground(shapes: Shapes, goal: Goal) -> bool:
     """Tells whether a part of the base is too low in every stand: a proof, which costs no search.
 
     Its turn and height are given; and above ground without slope that is all that counts, as steps

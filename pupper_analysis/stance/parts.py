@@ -85,7 +85,7 @@ class Part:
         return lowest
 
 
-def part_of(shape: Shape) -> Part:
+def to_part(shape: Shape) -> Part:
     """Returns a shape as a sum."""
     bars: tuple[int, ...] = ()
     radii: tuple[int, ...] = ()

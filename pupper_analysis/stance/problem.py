@@ -13,8 +13,8 @@ from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import moves_com
-from pupper_analysis.stance.footholds import footholds, sunk_into
+from pupper_analysis.stance.com_reach import can_move_com
+from pupper_analysis.stance.footholds import place_feet, sink_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 
@@ -30,7 +30,7 @@ _FIXED = {1: 3, 2: 5}
 """Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
 
 
-def leaves_joints(robot: Robot) -> bool:
+def has_spare_joints(robot: Robot) -> bool:
     """Tells whether joints are left to move where base and feet are in their places.
 
     Given are the base's turn, height and place, and of each foot what its points fix: a line may
@@ -85,7 +85,7 @@ class Goal:
         return self.task.com == "inside" and not self.by_base
 
 
-def goal_of(
+def make_goal(
     robot: Robot,
     task: StandTask | None,
     depths: Mapping[str, float],
@@ -153,14 +153,14 @@ def _goal_of(
     else:
         stance_feet = _stance_feet(robot, task, depths)
         normal = task.ground.normal()
-        places = footholds(robot, task)
+        places = place_feet(robot, task)
         contacts = np.array(
             [places[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
         )
         if checked:
             _check_area(robot, contacts, stance_feet)
         deep = FrozenDict({foot: float(depths.get(foot, 0.0)) for foot in stance_feet})
-        targets = freeze_arrays(sunk_into(robot, places, deep, normal))
+        targets = freeze_arrays(sink_feet(robot, places, deep, normal))
         touches = freeze_arrays(dict(zip(stance_feet, contacts, strict=True)))
         normals = freeze_arrays(dict.fromkeys(stance_feet, normal))
         corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
@@ -227,7 +227,7 @@ def _filled(robot: Robot, task: StandTask) -> StandTask:
         return task
     com, height = task.com, task.height
     if com is None:
-        com = "inside" if task.offset is None and not moves_com(robot) else "centre"
+        com = "inside" if task.offset is None and not can_move_com(robot) else "centre"
     return task.filled(robot.stand_height if height is None else height, com)
 
 
@@ -261,7 +261,7 @@ def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> No
 
 
 def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> tuple[str, ...]:
-    """Returns the contact points that carry, if the task is one for this robot; see ``goal_of``."""
+    """Returns the contact points that carry, if a task is one for this robot; see ``make_goal``."""
     robot.check_floating()
     if not robot.feet:
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))

@@ -20,7 +20,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, constraints_of
 from pupper_analysis.stance.demands import Numbers
-from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -297,7 +297,7 @@ class Programme:
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _goal_at(self, values: Array, like: Goal) -> Goal:
-        return goal_of(
+        return make_goal(
             self._robot, self._numbers.task(values), self._goal.depths, like, checked=False
         )
 

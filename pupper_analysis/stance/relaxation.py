@@ -1,4 +1,4 @@
-"""Why a stance is out of reach: the fewest demands that must give, and how far they can go."""
+"""Why a stance is out of reach: demands that must give, as few as found, and how far they can go."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.demands import (
     DEMANDS,
     Numbers,
-    differ,
-    further,
-    given_up,
-    in_radians,
-    rounded,
-    told_limit,
+    describe_limit,
+    differ_from_nominal,
+    give_further,
+    give_up,
+    round_demands,
+    round_in_radians,
 )
 from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.programme import Programme, Relaxation
-from pupper_analysis.stance.search import search
+from pupper_analysis.stance.search import search_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.yielding import lacking
+from pupper_analysis.stance.underactuated_feet import find_missing_joints
 
 Array = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ _GIVES = 1e-6
 """A demand that gives less does not (stand heights, rad)."""
 
 
-def unreachable(
+def explain_refusal(
     context: Context, goal: Goal, nearest: Stand, *, explain: bool
 ) -> StanceUnreachableError:
     """Returns the error for a goal that no stand satisfies.
@@ -96,7 +96,7 @@ def unreachable(
         missed,
         at_limit,
         {
-            name: told_limit(robot, goal.task, way.stand.task, way.demands)
+            name: describe_limit(robot, goal.task, way.stand.task, way.demands)
             for name, way in named.items()
         },
         None if least is None else least.stand,
@@ -105,7 +105,7 @@ def unreachable(
             name: {demand: getattr(way.stand.task, demand) for demand in way.demands}
             for name, way in named.items()
         },
-        lacking(robot, goal),
+        find_missing_joints(robot, goal),
     )
 
 
@@ -158,9 +158,9 @@ class _Ways:
             self.scattered.append(scattered)
 
     def found(self) -> list[_Way]:
-        """Returns each demand that alone may give, or else the fewest that must."""
+        """Returns each demand that alone may give, or else as few as are found that together do."""
         robot, task = self.context.robot, self.goal.task
-        differing = [demand for demand in DEMANDS if differ(robot, task, [demand])]
+        differing = [demand for demand in DEMANDS if differ_from_nominal(robot, task, [demand])]
         alone = [self._stated(self._alone(demand)) for demand in differing]
         if found := [way for way in alone if way is not None]:
             return found
@@ -176,8 +176,8 @@ class _Ways:
         """
         elastic = Programme(self.context.shapes, self.goal, demands)
         ways = [elastic.solve(start) for start in starts]
-        without = given_up(self.context.robot, self.goal.task, demands)
-        stand = search(self.context, self._goal(without), plainly=True)
+        without = give_up(self.context.robot, self.goal.task, demands)
+        stand = search_stand(self.context, self._goal(without), plainly=True)
         if stand.solved:
             ways.append(elastic.solve(stand.qpos, without))
         return min((way for way in ways if way.met), key=lambda way: way.slack, default=None)
@@ -191,8 +191,8 @@ class _Ways:
         way = self._least([demand], self.starts)
         shares = list(_LESS)
         while way is not None and shares:
-            less = further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
-            stand = search(self.context, self._goal(less), centred=True)
+            less = give_further(self.context.robot, way.task, self.goal.task, [demand], -shares[0])
+            stand = search_stand(self.context, self._goal(less), centred=True)
             if not stand.solved:
                 shares.pop(0)
                 continue
@@ -242,10 +242,10 @@ class _Ways:
         while now is not None:
             demand = max(left, key=now.given.__getitem__)
             left.remove(demand)
-            there = further(robot, now.task, self.goal.task, [demand], share)
-            ends = [rounded(robot, there, self.goal.task, [demand])]
+            there = give_further(robot, now.task, self.goal.task, [demand], share)
+            ends = [round_demands(robot, there, self.goal.task, [demand])]
             if left:  # what it has given may be all that it can: the others then give more
-                ends.append(rounded(robot, now.task, self.goal.task, [demand], back=True))
+                ends.append(round_demands(robot, now.task, self.goal.task, [demand], back=True))
             before, now = now, None
             for end in ends:
                 trial = replace(task, **{demand: getattr(end, demand)})
@@ -265,11 +265,11 @@ class _Ways:
         Where several demands go together, the less of one, by its digits, may ask for more of
         another.
         """
-        angles = [demand for demand in demands if in_radians(task, [demand]) != task]
+        angles = [demand for demand in demands if round_in_radians(task, [demand]) != task]
         stand = None
         for count in range(len(angles), -1, -1):  # degrees alone last: that is what is kept
             for some in combinations(angles, count):
-                stand = self._stand(in_radians(task, some))
+                stand = self._stand(round_in_radians(task, some))
                 if stand is None:
                     return None
         return stand
@@ -280,12 +280,12 @@ class _Ways:
             goal = self._goal(task, checked=True)
         except ConfigurationError:
             return None
-        stand = search(self.context, goal)
+        stand = search_stand(self.context, goal)
         return stand if stand.solved else None
 
     def _goal(self, task: StandTask, *, checked: bool = False) -> Goal:
         """Returns a task's goal, with feet as deep and loops as open as the refused one's."""
-        goal = goal_of(self.context.robot, task, self.goal.depths, checked=checked)
+        goal = make_goal(self.context.robot, task, self.goal.depths, checked=checked)
         return replace(goal, give=self.goal.give)
 
 

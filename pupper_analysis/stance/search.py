@@ -11,26 +11,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.stance.branches import Branch, Limb, branches
-from pupper_analysis.stance.clear_starts import clear_starts
+from pupper_analysis.stance.branches import Branch, Limb, find_branches
+from pupper_analysis.stance.collision_free_seeds import collision_free_seeds
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.judge import Stand, base_is_in_the_ground, measure
-from pupper_analysis.stance.problem import Goal, leaves_joints
+from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_ground
+from pupper_analysis.stance.problem import Goal, has_spare_joints
 from pupper_analysis.stance.programme import Programme
 from pupper_analysis.stance.seeds import (
     NEAR_MISS,
-    choices,
-    com_places,
-    radius,
-    scattered,
-    seed,
-    seeds,
-    shift,
-    starts,
+    bound_com_shift,
+    branch_seeds,
+    com_seeds,
+    make_seed,
+    make_seeds,
+    posture_seeds,
+    random_seeds,
+    support_radius,
 )
 from pupper_analysis.stance.solver import Point, Solver
-from pupper_analysis.stance.yielding import as_the_legs_can
+from pupper_analysis.stance.underactuated_feet import relax_foot_orientation
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,9 @@ CLEARANCES = ("ground-clearance", "self-clearance")
 """Constraints that a stand may miss with its feet in place: then these are what is in the way."""
 
 
-def search(context: Context, goal: Goal, *, plainly: bool = False, centred: bool = False) -> Stand:
+def search_stand(
+    context: Context, goal: Goal, *, plainly: bool = False, centred: bool = False
+) -> Stand:
     """Looks for a stand everywhere: from the usual starts, then in every branch of the legs.
 
     Where the com may be anywhere inside, or joints are left over that may take parts out of each
@@ -80,7 +82,7 @@ def search(context: Context, goal: Goal, *, plainly: bool = False, centred: bool
         where they are in place, with something in the way.
     """
     there = _Search(context, goal)
-    found = there.quickly(starts(context.robot, goal))
+    found = there.quickly(posture_seeds(context.robot, goal))
     if found is not None or plainly:
         return found or there.result()
     found = there.in_every_branch()
@@ -89,7 +91,7 @@ def search(context: Context, goal: Goal, *, plainly: bool = False, centred: bool
     return there.at_once()
 
 
-def follow(context: Context, goal: Goal, near: Stand) -> Stand | None:
+def follow_stand(context: Context, goal: Goal, near: Stand) -> Stand | None:
     """Looks for a stand near another one, from that alone: quick, and no proof that there is none.
 
     Args:
@@ -97,19 +99,19 @@ def follow(context: Context, goal: Goal, near: Stand) -> Stand | None:
         goal: The goal.
         near: A stand of a goal that is almost the same.
     """
-    found = begin_at(context, goal, near.joint_positions(context.robot))
+    found = search_from_joints(context, goal, near.joint_positions(context.robot))
     if found is None and goal.com_is_free:
         com = Configuration(context.robot, near.qpos).center_of_mass()[:2]
-        found = begin_inside(context, goal, near.joint_positions(context.robot), com)
+        found = search_from_com(context, goal, near.joint_positions(context.robot), com)
     return found
 
 
-def begin_at(context: Context, goal: Goal, joints: Array) -> Stand | None:
+def search_from_joints(context: Context, goal: Goal, joints: Array) -> Stand | None:
     """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
     return _Search(context, goal).add(Solver(context, goal).run(joints))
 
 
-def begin_inside(context: Context, goal: Goal, joints: Array, com: Array) -> Stand | None:
+def search_from_com(context: Context, goal: Goal, joints: Array, com: Array) -> Stand | None:
     """Looks for a stand with the com anywhere inside, if the task lets it, from one start alone.
 
     Args:
@@ -120,17 +122,17 @@ def begin_inside(context: Context, goal: Goal, joints: Array, com: Array) -> Sta
     """
     if not goal.com_is_free:
         return None
-    return meet(context, goal, seed(context.robot, goal, joints, com))
+    return meet_constraints(context, goal, make_seed(context.robot, goal, joints, com))
 
 
-def meet(context: Context, goal: Goal, qpos: Array) -> Stand | None:
+def meet_constraints(context: Context, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from one configuration (nq,), with all that it must fulfil met at once."""
     there, programme = _Search(context, goal), Programme(context.shapes, goal)
     stand = there.met(programme, qpos) or there.met_from_nearest(programme, qpos)
     return stand if stand is not None and stand.solved else None
 
 
-def go_on(context: Context, goal: Goal, qpos: Array) -> Stand | None:
+def continue_stand(context: Context, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from a configuration (nq,) alone that is next to it."""
     return _Search(context, goal).add(Solver(context, goal).go_on(qpos))
 
@@ -150,7 +152,7 @@ class _Search:
     @cached_property
     def _in_vain(self) -> bool:
         """Whether no start can lead to a stand; most searches succeed and never ask."""
-        return base_is_in_the_ground(self.shapes, self.goal)
+        return is_base_in_ground(self.shapes, self.goal)
 
     def quickly(self, joints: Iterable[Array]) -> Stand | None:
         """Returns the first stand that PlaCo's steps lead to, from some joint positions (nu,).
@@ -171,9 +173,9 @@ class _Search:
         robot, goal = self.robot, self.goal
         for _ in range(_ROUNDS):
             nearest = self._nearest()
-            self.found = branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
-            reach = 0.0 if goal.by_base else shift(robot, nearest.qpos, self.found)
-            found = self.quickly(choices(robot, goal, self.found, reach, _ATTEMPTS))
+            self.found = find_branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
+            reach = 0.0 if goal.by_base else bound_com_shift(robot, nearest.qpos, self.found)
+            found = self.quickly(branch_seeds(robot, goal, self.found, reach, _ATTEMPTS))
             if found is not None:
                 return found
             # Much nearer, the base may be where legs have branches that they had not before.
@@ -186,10 +188,10 @@ class _Search:
         best = self.result()
         if best.solved or (self._in_vain and self.reached):
             return best
-        if not self.goal.com_is_free and not (self.reached and leaves_joints(self.robot)):
+        if not self.goal.com_is_free and not (self.reached and has_spare_joints(self.robot)):
             return best
         if self.goal.com_is_free:
-            reach = radius(self.goal) + shift(self.robot, best.qpos, self.found)
+            reach = support_radius(self.goal) + bound_com_shift(self.robot, best.qpos, self.found)
             if any(ways[0].miss > reach for ways in self.found.values()):
                 return best  # too far for the com to make up
         without = CLEARANCES if self._in_vain else ()
@@ -214,27 +216,27 @@ class _Search:
         if not goal.com_is_free:
             yield from (stand.qpos for stand in self.reached if stand is not best)
             return
-        centre, *others = com_places(goal)
-        yield from seeds(robot, goal, starts(robot, goal), [centre])
+        centre, *others = com_seeds(goal)
+        yield from make_seeds(robot, goal, posture_seeds(robot, goal), [centre])
         closest = self.result()
         if closest.foot_error > _CLOSE:
             return
-        found = branches(robot, closest.qpos, goal.targets, goal.lower, goal.upper)
-        reach = radius(goal) + shift(robot, closest.qpos, found)
-        bent = [*choices(robot, goal, found, reach, _ATTEMPTS_INSIDE)]
-        yield from seeds(robot, goal, bent, [centre])
+        found = find_branches(robot, closest.qpos, goal.targets, goal.lower, goal.upper)
+        reach = support_radius(goal) + bound_com_shift(robot, closest.qpos, found)
+        bent = [*branch_seeds(robot, goal, found, reach, _ATTEMPTS_INSIDE)]
+        yield from make_seeds(robot, goal, bent, [centre])
         # Something may be in the way: elsewhere, or bent otherwise, it is not.
         stood = best if best.foot_error < TASK_TOLERANCE else closest
-        yield from islice(clear_starts(self.shapes, goal, stood.qpos), _CLEAR_STARTS)
+        yield from islice(collision_free_seeds(self.shapes, goal, stood.qpos), _CLEAR_STARTS)
         if not self.reached:
-            yield from seeds(robot, goal, [closest.joint_positions(robot)], others)
-            yield from scattered(robot, goal, _SCATTERED)
+            yield from make_seeds(robot, goal, [closest.joint_positions(robot)], others)
+            yield from random_seeds(robot, goal, _SCATTERED)
 
     def met_from_nearest(self, programme: Programme, qpos: Array) -> Stand | None:
         """The same as ``met`` from where the feet come nearest first: slower, and surer."""
         if not self.goal.com_is_free or self.reached:
             return None
-        closest = nearest(self.context, self.goal, qpos)
+        closest = find_nearest(self.context, self.goal, qpos)
         self.misses.append(closest.foot_error)
         if self.closest is None or closest.foot_error < self.closest.foot_error:
             self.closest = closest
@@ -249,12 +251,12 @@ class _Search:
         """Adds where a solver ended; returns the stand if it is solved."""
         self.points.append(point)
         self.iterations += point.iterations
-        goal = as_the_legs_can(self.robot, self.goal, point)
+        goal = relax_foot_orientation(self.robot, self.goal, point)
         if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
             return None
         stand = self._measure(point, goal)
         if goal is not self.goal:
-            stand = flattest(self.context, self.goal, stand)
+            stand = lay_soles_flattest(self.context, self.goal, stand)
         self.reached.append(stand)
         return stand if stand.solved else None
 
@@ -277,10 +279,10 @@ class _Search:
             at = replace(at, place=Configuration(self.robot, qpos).center_of_mass()[:2])
         point = Solver(self.context, at).go_on(qpos)
         self.iterations += point.iterations
-        laid = as_the_legs_can(self.robot, at, point)
+        laid = relax_foot_orientation(self.robot, at, point)
         stands = (
-            measure(self.shapes, laid, point.qpos, self.iterations),
-            measure(self.shapes, at, qpos, self.iterations),
+            evaluate_stand(self.shapes, laid, point.qpos, self.iterations),
+            evaluate_stand(self.shapes, at, qpos, self.iterations),
         )
         stand = max(stands, key=lambda one: (one.solved, -one.foot_error))
         if stand.foot_error >= TASK_TOLERANCE:
@@ -295,20 +297,20 @@ class _Search:
         return self.closest or self._measure(self._nearest())
 
     def _measure(self, point: Point, goal: Goal | None = None) -> Stand:
-        return measure(self.shapes, goal or self.goal, point.qpos, self.iterations)
+        return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
 
 
-def nearest(context: Context, goal: Goal, qpos: Array) -> Stand:
+def find_nearest(context: Context, goal: Goal, qpos: Array) -> Stand:
     """Finds how near the feet can come to targets that are out of reach, from a start (nq,).
 
     Parts may be in each other's way, or in the ground. PlaCo's Gauss-Newton steps, made for errors
     that vanish, stop short of that.
     """
     feet = Programme(context.shapes, goal, without=(*CLEARANCES, "footholds", "loops"))
-    return measure(context.shapes, goal, feet.nearest(qpos), 0)
+    return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
 
 
-def flattest(context: Context, goal: Goal, stand: Stand) -> Stand:
+def lay_soles_flattest(context: Context, goal: Goal, stand: Stand) -> Stand:
     """Returns a stand whose soles lie flatter, if the com may be elsewhere, or the one given.
 
     Legs that lay their soles as they can tilt them by as much as they may, to have the com in its
@@ -327,9 +329,9 @@ def flattest(context: Context, goal: Goal, stand: Stand) -> Stand:
         places = Configuration(robot, tried.qpos).foot_positions()
         return max(float(np.linalg.norm(places[f] - goal.targets[f])) for f in goal.stance_feet)
 
-    closest = nearest(context, goal, stand.qpos)
+    closest = find_nearest(context, goal, stand.qpos)
     at = replace(goal, place=Configuration(robot, closest.qpos).center_of_mass()[:2])
     point = Point(closest.qpos, closest.foot_error, stand.iterations)
-    at = as_the_legs_can(robot, at, point)
-    other = measure(context.shapes, at, point.qpos, stand.iterations)
+    at = relax_foot_orientation(robot, at, point)
+    other = evaluate_stand(context.shapes, at, point.qpos, stand.iterations)
     return min(other, stand, key=off) if other.solved else stand

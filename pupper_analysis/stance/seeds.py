@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.branches import Branch, Limb, combinations
+from pupper_analysis.stance.branches import Branch, Limb, combine_branches
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import support_polygon
 
@@ -26,7 +26,7 @@ _SLACK = 1.5
 """How much further than the legs' branches shift the com the base may be off, for a com's place."""
 
 
-def starts(robot: Robot, goal: Goal) -> Iterator[Array]:
+def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     """Yields joint positions to start from: the ik_seed, home, the middle of the limits."""
     if goal.task.ik_seed is not None:
         yield np.array(goal.task.ik_seed)
@@ -36,7 +36,7 @@ def starts(robot: Robot, goal: Goal) -> Iterator[Array]:
     yield np.where(bounded, middle, 0.0)
 
 
-def choices(
+def branch_seeds(
     robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
 ) -> Iterator[Array]:
     """Yields a start for every choice of the legs' branches that may be in reach.
@@ -54,10 +54,10 @@ def choices(
         limb: tuple(branch for branch in ways if branch.miss <= reach + NEAR_MISS)
         for limb, ways in found.items()
     }
-    yield from islice(combinations(likely, near), most)
+    yield from islice(combine_branches(likely, near), most)
 
 
-def shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
+def bound_com_shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -> float:
     """Returns how far the choice of branches may move the base under a com that stays (m)."""
     total = 0.0
     for limb, ways in found.items():
@@ -70,29 +70,29 @@ def shift(robot: Robot, qpos: Array, found: Mapping[Limb, tuple[Branch, ...]]) -
     return _SLACK * total + NEAR_MISS
 
 
-def radius(goal: Goal) -> float:
+def support_radius(goal: Goal) -> float:
     """Returns how far from the centre a com inside may be (m)."""
     return float(np.linalg.norm(support_polygon(goal.contacts) - goal.centre[:2], axis=1).max())
 
 
-def com_places(goal: Goal) -> list[Array]:
+def com_seeds(goal: Goal) -> list[Array]:
     """Returns where a com that may be anywhere inside begins: the centre, corners and sides."""
     centre = goal.contacts[:, :2].mean(axis=0)
     corners = centre + _OUTWARDS * (support_polygon(goal.contacts) - centre)
     return [centre, *corners, *(corners + np.roll(corners, 1, axis=0)) / 2]
 
 
-def seeds(
+def make_seeds(
     robot: Robot, goal: Goal, joints: Iterable[Array], places: Sequence[Array]
 ) -> Iterator[Array]:
     """Yields configurations (nq,) with the com in each place, and joints as each has them."""
     joints = list(joints)
     for place in places:
         for bent in joints:
-            yield seed(robot, goal, bent, place)
+            yield make_seed(robot, goal, bent, place)
 
 
-def seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
+def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     """Returns the configuration (nq,) with joints (nu,) inside their limits and the com at (2,)."""
     bent = np.clip(joints, goal.lower, goal.upper)
     qpos = np.array([0.0, 0.0, goal.height, *goal.turn, *bent])
@@ -100,10 +100,10 @@ def seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     return qpos
 
 
-def scattered(robot: Robot, goal: Goal, count: int) -> Iterator[Array]:
+def random_seeds(robot: Robot, goal: Goal, count: int) -> Iterator[Array]:
     """Yields random configurations (nq,) with the com inside; they are the same each time."""
     random = np.random.default_rng(0)
     low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
     for _ in range(count):
         place = random.dirichlet(np.ones(len(goal.contacts))) @ goal.contacts[:, :2]
-        yield seed(robot, goal, random.uniform(low, np.maximum(low, high)), place)
+        yield make_seed(robot, goal, random.uniform(low, np.maximum(low, high)), place)

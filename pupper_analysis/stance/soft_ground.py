@@ -16,16 +16,16 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.context import context_of
 from pupper_analysis.stance.fields import NO_MARGINS
-from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.stand import Stand, solve_stand, stand_for, stand_statics
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.stand import Stand, solve_goal, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
 
 
-def loaded_stand(loaded: Robot, stand: Stand) -> Stand:
+def solve_loaded_stand(loaded: Robot, stand: Stand) -> Stand:
     """Returns a stand of the unloaded robot as the loaded one has it on MuJoCo's soft ground.
 
     The base stays where it is, and the feet where they are seen from above: each leg is longer by
@@ -117,17 +117,17 @@ def solve_stand_on_soft_ground(
         depths |= _as_soles(robot, stand, depths)
         change = max(abs(depths[foot] - stand.depths[foot]) for foot in depths)
         if robot.closure is not None:
-            before, give = give, loops_give(robot, stand, forces)
+            before, give = give, open_loops(robot, stand, forces)
             change = max(change, float(np.abs(give - before).max(initial=0.0)))
             # They are the softer the less they are open: by turns too much and too little.
             give = (give + before) / 2 if any(stand.depths.values()) else give
         if change < DEPTH_TOLERANCE:
             return stand.of_task(asked)
         ik_seed = tuple(stand.joint_positions(robot).tolist())
-        goal = goal_of(robot, replace(task, ik_seed=ik_seed), depths)
+        goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)
         with context_of(robot) as context:
-            stand = stand_for(context, goal, explain=explain)
+            stand = solve_goal(context, goal, explain=explain)
     left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
     raise NotSettlingError(change, left)
 
@@ -162,7 +162,7 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         return stand  # loops that are very soft open further and further: a simulation says so
 
 
-def loops_give(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array:
+def open_loops(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array:
     """Returns by how much MuJoCo's loops and couplings of joints open in a stand.
 
     Args:
@@ -175,7 +175,7 @@ def loops_give(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array
     """
     assert robot.closure is not None
     config = Configuration(robot, stand.qpos)
-    carrying = contacts_of(robot, stand.stance_feet, None, stand.normals, stand.depths)
+    carrying = make_contacts(robot, stand.stance_feet, None, stand.normals, stand.depths)
     pushed = np.concatenate([forces[foot] for foot in stand.stance_feet])
     left = config.load() - carrying.jacobian(config) @ pushed
     return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])

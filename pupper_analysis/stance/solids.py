@@ -83,17 +83,17 @@ class Solids:
             if len(found) >= most and apart[index] > found[most - 1].distance:
                 break
             a, b = pairs[index].tolist()
-            near = nearest(solids[a], transform(at[a]), solids[b], transform(at[b]))
+            near = measure_distance(solids[a], to_transform(at[a]), solids[b], to_transform(at[b]))
             bisect.insort(found, Pair(a, b, near), key=lambda pair: pair.distance)
         return found[:most]
 
 
-def transform(place: pin.SE3) -> coal.Transform3s:
+def to_transform(place: pin.SE3) -> coal.Transform3s:
     """Returns a place as coal has it."""
     return coal.Transform3s(place.rotation, place.translation)
 
 
-def nearest(
+def measure_distance(
     one: coal.CollisionGeometry,
     at: coal.Transform3s,
     other: coal.CollisionGeometry,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.stance.branches import limbs
+from pupper_analysis.stance.branches import find_limbs
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.context import Begun, Context
 from pupper_analysis.stance.problem import Goal
@@ -73,7 +73,7 @@ class Solver:
         self.context, self.goal, self.robot = context, goal, robot
         self._size = _SIZE * robot.stand_height
         if robot.closure is not None:
-            placing = np.concatenate([limb.joints for limb in limbs(robot)])
+            placing = np.concatenate([limb.joints for limb in find_limbs(robot)])
             self._readiness = robot.closure.readiness(placing)
         kept = context.tasks
         if len(robot.soles) < len(robot.feet):  # how a sole is pinned down depends on the goal

@@ -11,9 +11,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.context import Context, context_of
 from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.problem import Goal, goal_of
-from pupper_analysis.stance.relaxation import unreachable
-from pupper_analysis.stance.search import nearest, search
+from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.relaxation import explain_refusal
+from pupper_analysis.stance.search import find_nearest, search_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
@@ -63,22 +63,22 @@ def solve_stand(
     """
     check_bodies(robot)
     with context_of(robot) as context:
-        return stand_for(context, goal_of(robot, task, depths or {}), explain=explain)
+        return solve_goal(context, make_goal(robot, task, depths or {}), explain=explain)
 
 
-def stand_for(context: Context, goal: Goal, *, explain: bool) -> Stand:
+def solve_goal(context: Context, goal: Goal, *, explain: bool) -> Stand:
     """Finds the stand of a goal; see ``solve_stand``.
 
     Raises:
         StanceUnreachableError: If it is out of reach.
     """
-    stand = search(context, goal)
+    stand = search_stand(context, goal)
     if stand.solved:
         return stand
     if explain and stand.foot_error >= TASK_TOLERANCE:
-        closest = nearest(context, goal, stand.qpos)
+        closest = find_nearest(context, goal, stand.qpos)
         stand = min(stand, closest, key=lambda found: found.foot_error)
-    raise unreachable(context, goal, stand, explain=explain)
+    raise explain_refusal(context, goal, stand, explain=explain)
 
 
 @check_arguments

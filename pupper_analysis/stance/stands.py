@@ -18,9 +18,9 @@ from pupper_analysis.errors import (
 from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.context import Context, context_of
-from pupper_analysis.stance.problem import Goal, goal_of, leaves_joints
-from pupper_analysis.stance.search import go_on
-from pupper_analysis.stance.stand import Stand, stand_for
+from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
+from pupper_analysis.stance.search import continue_stand
+from pupper_analysis.stance.stand import Stand, solve_goal
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -117,7 +117,7 @@ def _goals(robot: Robot, tasks: Sequence[StandTask]) -> list[Goal]:
     goals: list[Goal] = []
     for number, task in enumerate(tasks):
         try:
-            goals.append(goal_of(robot, task, {}, goals[-1] if goals else None))
+            goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
         except (ConfigurationError, UnknownNameError) as error:
             raise error.at(f"tasks[{number}]") from None
     return goals
@@ -142,17 +142,17 @@ class _Sequence:
         """
         stand = self._continued(goal)
         if stand is None:
-            stand = stand_for(self._context, goal, explain=explain)
+            stand = solve_goal(self._context, goal, explain=explain)
         self._before = [stand.qpos.copy(), *self._before[:3]]
         return stand
 
     def _continued(self, goal: Goal) -> Stand | None:
         """Returns the stand that those before lead to; None if they lead to none nearby."""
-        if not self._before or leaves_joints(self._context.robot) or _is_open(goal):
+        if not self._before or has_spare_joints(self._context.robot) or _is_open(goal):
             return None
         last, ahead = self._before[0], self._ahead()
         for start in (ahead, last) if _apart(ahead, last) < _NEAR else (last,):
-            stand = go_on(self._context, goal, start)
+            stand = continue_stand(self._context, goal, start)
             if stand is not None and _apart(stand.qpos, last) < _NEAR:
                 return stand
         return None

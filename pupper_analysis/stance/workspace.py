@@ -14,10 +14,10 @@ from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import moves_com
+from pupper_analysis.stance.com_reach import can_move_com
 from pupper_analysis.stance.context import context_of
-from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.search import follow
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.search import follow_stand
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -82,7 +82,7 @@ def reachable_heights(robot: Robot, task: StandTask | None = None) -> Interval:
         StanceUnreachableError: If the task itself is out of reach.
         ConfigurationError: If the robot cannot stand.
     """
-    return interval(robot, solve_stand(robot, task), "height")
+    return find_interval(robot, solve_stand(robot, task), "height")
 
 
 @check_arguments
@@ -104,11 +104,11 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
         ConfigurationError: If the robot cannot stand.
     """
     start = solve_stand(robot, task)
-    intervals = {direction: interval(robot, start, direction) for direction in DIRECTIONS}
+    intervals = {direction: find_interval(robot, start, direction) for direction in DIRECTIONS}
     return BaseWorkspace(start=start, intervals=intervals)
 
 
-def interval(robot: Robot, start: Stand, direction: str, enough: float = math.inf) -> Interval:
+def find_interval(robot: Robot, start: Stand, direction: str, enough: float = math.inf) -> Interval:
     """Finds how far the base can go in one direction, both ways; see ``base_workspace``.
 
     Args:
@@ -172,11 +172,11 @@ def _reached(
     """Returns a stand that is reached, and can be held: from another one near it, or from all."""
     try:
         if near is None:
-            stand = stand_at(robot, start, direction, value)
+            stand = solve_stand_at(robot, start, direction, value)
         else:
-            goal = goal_of(robot, _task_at(robot, start, direction, value), {})
+            goal = make_goal(robot, _task_at(robot, start, direction, value), {})
             with context_of(robot) as context:
-                found = follow(context, goal, near)
+                found = follow_stand(context, goal, near)
             if found is None:
                 return None
             stand = found
@@ -187,7 +187,7 @@ def _reached(
     return stand
 
 
-def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
+def solve_stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
     """Returns a stand with one of its coordinates changed.
 
     Args:
@@ -204,7 +204,7 @@ def stand_at(robot: Robot, start: Stand, direction: str, value: float) -> Stand:
 
 def _task_at(robot: Robot, start: Stand, direction: str, value: float) -> StandTask:
     changes: dict[str, Any] = {direction: value}
-    if start.task.com == "inside" and moves_com(robot):
+    if start.task.com == "inside" and can_move_com(robot):
         x, y, _ = Configuration(robot, start.qpos).center_of_mass().tolist()
         changes |= {"com": (x, y), "com_margin": 0.0}
     if direction in ("x", "y"):

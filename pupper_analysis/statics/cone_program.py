@@ -14,9 +14,9 @@ from scipy.linalg import lapack
 
 from pupper_analysis.statics.small_least_squares import (
     INDEPENDENT,
-    constrained,
-    least_squares,
-    orthogonal,
+    solve_constrained,
+    solve_least_squares,
+    solve_orthogonal,
 )
 
 Array = NDArray[np.float64]
@@ -121,7 +121,7 @@ class Balance:
                 return forces
         return self.solve(friction, metric, np.zeros(3 * len(grip)))
 
-    def minimum_peak(self, friction: Array | None, limits: Array) -> Array | None:
+    def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
 
         A motor without a limit, or with none of its own strength (0), does not count, but where no
@@ -159,13 +159,13 @@ class Balance:
     def _without_cones(self, cost: Array | _Metric, target: Array) -> Array | None:
         """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
         if isinstance(cost, np.ndarray):
-            forces = constrained(cost, target, self.base, self.weight)
+            forces = solve_constrained(cost, target, self.base, self.weight)
             if forces is not None and self._balances(forces):
                 return forces
-        particular, free = orthogonal(self.base, self.weight) or self._by_singular_values
+        particular, free = solve_orthogonal(self.base, self.weight) or self._by_singular_values
         if not self._balances(particular):
             return None
-        best = least_squares(cost @ free, target - cost @ particular)
+        best = solve_least_squares(cost @ free, target - cost @ particular)
         return particular + free @ best  # f = particular + free z
 
     @cached_property

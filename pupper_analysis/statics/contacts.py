@@ -94,7 +94,7 @@ class Contacts:
         )
 
 
-def contacts_of(
+def make_contacts(
     robot: Robot,
     contacts: Iterable[str] | None,
     friction: float | Mapping[str, float] | None,

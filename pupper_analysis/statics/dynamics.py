@@ -18,8 +18,8 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.impedance import effective_solref
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import ForceBounds
-from pupper_analysis.statics.contacts import contacts_of
-from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, equilibrium
+from pupper_analysis.statics.contacts import make_contacts
+from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, balance_load
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ def inverse_dynamics(
     acceleration = check_vector("qacc", qacc, robot.nv)
     if (np.abs(acceleration) > FASTEST).any():
         raise ConfigurationError("qacc", diagnose("acceleration-too-fast", most=FASTEST))
-    carrying = contacts_of(robot, contacts, friction, normals, depths)
+    carrying = make_contacts(robot, contacts, friction, normals, depths)
     feet, ground = carrying.feet, dict(zip(carrying.feet, carrying.normals, strict=True))
     load = config.mass_matrix() @ acceleration + config.bias_forces() - config.passive()
     levers: dict[str, Array] = {}
@@ -115,7 +115,7 @@ def inverse_dynamics(
         for foot, moment in moments.items():
             rest -= config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
         point = zero_moment_point(config, rest, origin, normal)
-        found = equilibrium(
+        found = balance_load(
             config,
             rest,
             point,
@@ -128,7 +128,7 @@ def inverse_dynamics(
         forces = found.contact_forces
         pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}
         left = {
-            foot: left_to_turn(robot, foot, forces[foot], pressed[foot] * lever, ground[foot])
+            foot: share_left_to_turn(robot, foot, forces[foot], pressed[foot] * lever, ground[foot])
             for foot, lever in levers.items()
         }
     return InverseDynamics(
@@ -268,12 +268,14 @@ def rolling_resistance(
     resisting = np.zeros(robot.nv)
     for foot, lever in rolling_levers(config, qacc, dict.fromkeys(forces, normal)).items():
         moment = max(0.0, float(forces[foot] @ normal)) * lever
-        moment *= left_to_turn(robot, foot, forces[foot], moment, normal)
+        moment *= share_left_to_turn(robot, foot, forces[foot], moment, normal)
         resisting += config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
     return resisting
 
 
-def left_to_turn(robot: Robot, foot: str, force: Array, moment: Array, normal: Array) -> float:
+def share_left_to_turn(
+    robot: Robot, foot: str, force: Array, moment: Array, normal: Array
+) -> float:
     """Returns what share of a moment against turning the tangential force of a foot leaves.
 
     The two share one cone: |f_t|^2/mu^2 + m_n^2/mu_n^2 + |m_r|^2/mu_r^2 <= f_n^2.

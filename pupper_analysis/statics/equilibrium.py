@@ -18,8 +18,8 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, ForceBounds
-from pupper_analysis.statics.contacts import Contacts, contacts_of
-from pupper_analysis.statics.foot_load import FootLoad, foot_load, sliding_share
+from pupper_analysis.statics.contacts import Contacts, make_contacts
+from pupper_analysis.statics.foot_load import FootLoad, add_up_foot_load, sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
@@ -47,14 +47,14 @@ class ForceDistribution(StrEnum):
     f_t = c (v + omega x r).) It is what to send to a robot or a simulator.
     MIN_TORQUE has the least sum of squared motor torques, and so the least heat. It needs feet
     that press against each other for good, which a simulator's creeping friction does not bear.
-    MIN_PEAK has the least peak motor utilisation (peak torque, where no motor has an effort
+    MIN_MAX_TORQUE has the least peak motor utilisation (peak torque, where no motor has an effort
     limit), and of those the least sum of squared utilisations: whether the motors can hold it at
     all.
     """
 
     MIN_TANGENTIAL = "minimum tangential"
     MIN_TORQUE = "minimum torque"
-    MIN_PEAK = "minimum peak"
+    MIN_MAX_TORQUE = "min-max torque"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +147,13 @@ def gravity_compensation(
             thing, or a robot with a fixed base is given contacts.
         StaticsInfeasibleError: If no forces do; it says why.
     """
-    carrying = contacts_of(config.robot, contacts, friction, normals, depths)
-    return equilibrium(
+    carrying = make_contacts(config.robot, contacts, friction, normals, depths)
+    return balance_load(
         config, config.load(), config.center_of_mass(), carrying, distribution=distribution
     )
 
 
-def equilibrium(
+def balance_load(
     config: Configuration,
     load: Array,
     point: Array,
@@ -185,17 +185,17 @@ def equilibrium(
         ConfigurationError: Likewise.
         StaticsInfeasibleError: Likewise.
     """
-    robot, wanted = config.robot, distribution_of(distribution)
+    robot, wanted = config.robot, to_distribution(distribution)
     if not carrying.feet:
-        keeps_to_loops(config, load)
+        check_loops(config, load)
         borne = config.by_motors(load)
         return _result(config, borne, borne, point, carrying, np.zeros((0, 3)))
     given, contacts = load, carrying.jacobian(config)
     load, transposed = config.by_motors(load), config.by_motors(contacts)
     problem = carrying.balance(transposed, load)
     limits = None if held else carrying.friction
-    if wanted is ForceDistribution.MIN_PEAK:
-        forces = problem.minimum_peak(limits, robot.effort_limits)
+    if wanted is ForceDistribution.MIN_MAX_TORQUE:
+        forces = problem.min_max_torque(limits, robot.effort_limits)
     elif wanted is ForceDistribution.MIN_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
@@ -207,11 +207,11 @@ def equilibrium(
     if forces is None:
         points = dict(zip(carrying.feet, carrying.points(config), strict=True))
         raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
-    keeps_to_loops(config, given - contacts @ forces)
+    check_loops(config, given - contacts @ forces)
     return _result(config, load - transposed @ forces, load, point, carrying, forces.reshape(-1, 3))
 
 
-def keeps_to_loops(config: Configuration, left: Array) -> None:
+def check_loops(config: Configuration, left: Array) -> None:
     """Checks that closed loops and couplings of joints are closed, but for what they give way.
 
     Args:
@@ -226,7 +226,7 @@ def keeps_to_loops(config: Configuration, left: Array) -> None:
         closure.check(config.qpos, left[robot.nv - robot.nu :])
 
 
-def distribution_of(value: str) -> ForceDistribution:
+def to_distribution(value: str) -> ForceDistribution:
     """Returns the distribution of a name.
 
     Raises:
@@ -381,7 +381,7 @@ def _result(
         contact_points=points,
         friction_utilisation=sliding,
         foot_loads={
-            foot: foot_load(own, per_foot, points, normals, friction, sliding, tiny)
+            foot: add_up_foot_load(own, per_foot, points, normals, friction, sliding, tiny)
             for foot, soles in robot.soles.items()
             if (own := [name for name in soles if name in per_foot])
         },

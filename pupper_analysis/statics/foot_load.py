@@ -37,7 +37,7 @@ def sliding_share(force: Array, normal: Array, friction: float, tiny: float) -> 
     return 0.0 if tangential < tiny else tangential / (friction * pressing)
 
 
-def foot_load(
+def add_up_foot_load(
     own: Sequence[str],
     forces: Mapping[str, Array],
     points: Mapping[str, Array],

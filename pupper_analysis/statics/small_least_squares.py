@@ -13,7 +13,7 @@ INDEPENDENT = 1e-8
 have 1e-2; below it singular values decide, slowly."""
 
 
-def constrained(cost: Array, target: Array, rows: Array, right: Array) -> Array | None:
+def solve_constrained(cost: Array, target: Array, rows: Array, right: Array) -> Array | None:
     """Solves rows x = right for the x (n,) with the least |cost x - target|.
 
     Returns:
@@ -29,7 +29,7 @@ def constrained(cost: Array, target: Array, rows: Array, right: Array) -> Array 
     return x if min(conditions) > INDEPENDENT else None
 
 
-def orthogonal(rows: Array, right: Array) -> tuple[Array, Array] | None:
+def solve_orthogonal(rows: Array, right: Array) -> tuple[Array, Array] | None:
     """Solves rows x = right for the shortest x, and finds what rows takes to zero.
 
     By an orthogonal triangulation of the rows: rows^T = Q R, so that x = Q_1 R^-T right, and Q_2
@@ -52,7 +52,7 @@ def orthogonal(rows: Array, right: Array) -> tuple[Array, Array] | None:
     return turn[:, :count] @ coordinates, turn[:, count:]
 
 
-def least_squares(matrix: Array, right: Array) -> Array:
+def solve_least_squares(matrix: Array, right: Array) -> Array:
     """Returns the shortest x with the least |matrix x - right|."""
     count, size = matrix.shape
     if count >= size > 0:

@@ -15,12 +15,12 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, minimum_tangential_forces
-from pupper_analysis.statics.contacts import Contacts, contacts_of
+from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
-    distribution_of,
+    check_loops,
     gravity_compensation,
-    keeps_to_loops,
+    to_distribution,
 )
 from pupper_analysis.statics.foot_load import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
@@ -98,8 +98,8 @@ def gravity_compensations(
         StaticsInfeasibleError: Without ``keep_going``, for the first state that no forces hold;
             ``where`` tells which.
     """
-    wanted = distribution_of(distribution)
-    carrying = contacts_of(robot, contacts, friction, normals, depths)
+    wanted = to_distribution(distribution)
+    carrying = make_contacts(robot, contacts, friction, normals, depths)
     states = _States.of(robot, carrying, _rows(robot, qpos))
     count, base_rows = len(states.qpos), robot.nv - robot.nu
     size = 3 * len(carrying.feet)
@@ -182,7 +182,7 @@ class _States:
             except ConfigurationError as error:
                 raise error.at(diagnose("state-number", state=state)) from None
             if not feet:
-                keeps_to_loops(config, config.load())
+                check_loops(config, config.load())
             states.loads[state] = config.by_motors(config.load())
             states.coms[state] = config.center_of_mass()
             if feet:

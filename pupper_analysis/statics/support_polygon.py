@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Corner = tuple[float, float]
 
 
-def drop_at(place: Array, feet: Array, drops: Array) -> float:
+def interpolate_drop(place: Array, feet: Array, drops: Array) -> float:
     """Returns how much a plane through the feet has sunk at a place.
 
     Args:
@@ -39,10 +39,10 @@ def com_margin(com: Array, points: Mapping[str, Array]) -> float:
         number, as the zero-moment point of feet that would have to pull.
     """
     x, y, *_ = com.tolist()
-    return margin_inside((x, y), tuple([_corner(point) for point in points.values()]))
+    return margin_of_place((x, y), tuple([_corner(point) for point in points.values()]))
 
 
-def margin_inside(place: Corner, points: tuple[Corner, ...]) -> float:
+def margin_of_place(place: Corner, points: tuple[Corner, ...]) -> float:
     """Returns ``com_margin`` of a place (x, y) and the places of contacts, seen from above (m)."""
     if not math.isfinite(place[0]) or not math.isfinite(place[1]):
         return -math.inf

@@ -16,7 +16,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.support_polygon import drop_at
+from pupper_analysis.statics.support_polygon import interpolate_drop
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.named import AXES, Named, joints_of
 
@@ -240,7 +240,9 @@ def _sag(config: Configuration, stand: Stand, moved: Array, shift: Array) -> Sag
     drops = np.array([stand.foot_targets[f][2] - centres[f][2] for f in stand.stance_feet])
     sunk = np.array([-jacobians[foot][2] @ moved for foot in stand.stance_feet])
     place = stand.qpos[:2]
-    tilted = drop_at(place + shift, targets, drops) - drop_at(place, targets, drops)  # a plane
-    contact = drop_at(place, targets, sunk) + tilted
+    tilted = interpolate_drop(place + shift, targets, drops) - interpolate_drop(
+        place, targets, drops
+    )  # a plane
+    contact = interpolate_drop(place, targets, sunk) + tilted
     loss = -float(moved[2])
     return Sag(-loss, loss, loss - contact, contact)

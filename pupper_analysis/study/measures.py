@@ -160,7 +160,7 @@ def _stands(design: Design) -> bool:
 
 
 def _least_peak(design: Design) -> float:
-    held = stand_statics(design.robot, design.stand, distribution=ForceDistribution.MIN_PEAK)
+    held = stand_statics(design.robot, design.stand, distribution=ForceDistribution.MIN_MAX_TORQUE)
     return float(held.motor_utilisation.max())
 
 

@@ -129,7 +129,7 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
     ("stance", "Motor torques", "hip", "utilisation (%)", STANCE.statics.motor_utilisation[0], 100),
     ("stance", "Motor torques", "hip", "simulated (N m)", RUN.joint_torques[0], 1),
     ("stance", "Motor torques", "knee", "min-max (N m)",
-     STANCE.minimum_peak.joint_torques[1], 1),
+     STANCE.min_max_torque.joint_torques[1], 1),
     ("stance", "Motor torques", "knee", "position (rad)", STANCE.joint_positions[1], 1),
     *(("stance", "Contact forces on the feet, in world axes", foot, f"force {axis} (N)",
        STANCE.statics.foot_loads[foot].force[number], 1)

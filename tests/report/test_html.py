@@ -87,7 +87,7 @@ def analysis() -> pa.analysis.Analysis:
         one,
         total_mass=12.345,
         statics=replace(one.statics, joint_torques=-0.1 * count, motor_utilisation=count / 11.0),
-        minimum_peak=replace(one.minimum_peak, joint_torques=0.3 * count),
+        min_max_torque=replace(one.min_max_torque, joint_torques=0.3 * count),
         hanging_torques=0.4 * count,
         joints=tuple(
             replace(

@@ -10,8 +10,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.stance.sag.solution import move
-from pupper_analysis.stance.soft_ground import loaded_stand
+from pupper_analysis.stance.sag.solution import integrate_step
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
@@ -45,7 +45,9 @@ def test_its_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
         return mass * 9.81 * float(place[2])
 
     steps = 1e-6 * np.eye(robot.nv)
-    slope = [(energy(move(qpos, s)) - energy(move(qpos, -s))) / 2e-6 for s in steps]
+    slope = [
+        (energy(integrate_step(qpos, s)) - energy(integrate_step(qpos, -s))) / 2e-6 for s in steps
+    ]
     more = pa.Configuration(with_payload(robot, mass, POINT), qpos).gravity()
     less = pa.Configuration(robot, qpos).gravity()
     np.testing.assert_allclose(more - less, slope, atol=1e-7)
@@ -77,7 +79,7 @@ def test_all_else_stays() -> None:
 def test_the_base_stays_as_the_feet_sink() -> None:
     robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1, roll=-0.05))
     loaded = with_payload(robot, 2.0, (0.08, 0.0, 0.05))
-    sunk = loaded_stand(loaded, stand)
+    sunk = solve_loaded_stand(loaded, stand)
     np.testing.assert_allclose(sunk.qpos[:7], stand.qpos[:7], atol=1e-9)
     statics = pa.stance.stand_statics(
         loaded, sunk, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
@@ -109,7 +111,7 @@ def test_contacts_are_as_soft_as_mujoco_has_them_under_the_load() -> None:
     foot = robot.foot_places["FR"][0]
     light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
     assert heavy < light
-    stand = loaded_stand(loaded, stand_of("v3"))
+    stand = solve_loaded_stand(loaded, stand_of("v3"))
     data = mujoco_at(loaded, stand.qpos)
     total = np.zeros(3)
     for number in range(data.ncon):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.com_reach import moves_com
+from pupper_analysis.stance.com_reach import can_move_com
 from tests.support.legged import Pair, quadruped
 
 RADIUS = 0.06
@@ -75,7 +75,7 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     files = wheeled(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
     assert set(robot.foot_radius.values()) == {RADIUS}
-    assert not moves_com(robot)
+    assert not can_move_com(robot)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     seen = pa.verify_stand(robot, stand)
     assert seen.passed, seen.failures

@@ -13,7 +13,7 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
-from pupper_analysis.stance.branches import Branch, branches, combinations, limbs
+from pupper_analysis.stance.branches import Branch, combine_branches, find_branches, find_limbs
 from tests.support.engines import mujoco_at
 from tests.support.variants import load
 
@@ -37,7 +37,7 @@ def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndar
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_a_limb_is_a_leg(name: str) -> None:
     robot = load(name)
-    found = limbs(robot)
+    found = find_limbs(robot)
     assert [limb.feet for limb in found] == [(foot,) for foot in robot.feet]
     assert sorted(np.concatenate([limb.joints for limb in found])) == list(range(12))
 
@@ -58,7 +58,7 @@ def test_branches_reach_by_mujocos_kinematics_and_are_as_many_as_others_find(
     name: str, seed: int
 ) -> None:
     robot, qpos, targets = goals(name, seed)
-    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     others = 0
     for limb, ways in found.items():
         (foot,) = limb.feet
@@ -96,7 +96,7 @@ def test_a_whole_turn_is_no_other_branch() -> None:
     bent = qpos.copy()
     bent[7:] = np.tile([0.2, 0.7, -1.4], 4)
     targets = pa.Configuration(robot, bent).foot_positions()
-    found = branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
+    found = find_branches(robot, qpos, targets, robot.lower_limits, robot.upper_limits)
     for limb, ways in found.items():
         reached = [way.positions for way in ways if way.miss < 1e-5]
         assert len(reached) == 4
@@ -108,14 +108,14 @@ def test_a_whole_turn_is_no_other_branch() -> None:
 
 def test_combinations_begin_with_what_is_in_reach_and_near() -> None:
     robot = load("v3")
-    first, second, *rest = limbs(robot)
+    first, second, *rest = find_limbs(robot)
     near = np.zeros(12)
     found = {
         first: (Branch(np.full(3, 1.0), 0.0), Branch(np.full(3, 0.1), 0.0)),
         second: (Branch(np.full(3, 0.2), 0.0), Branch(np.full(3, 0.0), 0.01)),
         **{limb: (Branch(np.zeros(3), 0.0),) for limb in rest},
     }
-    chosen = list(combinations(found, near))
+    chosen = list(combine_branches(found, near))
     assert len(chosen) == 4
     pairs = [(row[first.joints[0]], row[second.joints[0]]) for row in chosen]
     assert pairs == [(0.1, 0.2), (1.0, 0.2), (0.1, 0.0), (1.0, 0.0)]

@@ -14,8 +14,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.clearance import Shapes
-from pupper_analysis.stance.judge import base_is_in_the_ground
-from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.judge import is_base_in_ground
+from pupper_analysis.stance.problem import make_goal
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
@@ -202,15 +202,15 @@ def test_a_base_in_the_ground_needs_no_search(name: str) -> None:
         data = mujoco_at(robot, qpos)
         up, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
         height = min(lowest(model, data, geom, up, zero) for geom in shapes_of(robot, base))
-        found = base_is_in_the_ground(Shapes(robot), goal_of(robot, task, {}))
+        found = is_base_in_ground(Shapes(robot), make_goal(robot, task, {}))
         assert found == (height < task.ground_clearance)
         seen.add(found)
         if found:
             with pytest.raises(pa.StanceUnreachableError):
                 pa.solve_stand(robot, task, explain=False)
     assert seen == {True, False}
-    slope = goal_of(robot, pa.StandTask(height=0.01, ground=pa.Ground(0.1), com="inside"), {})
-    assert not base_is_in_the_ground(Shapes(robot), slope)
+    slope = make_goal(robot, pa.StandTask(height=0.01, ground=pa.Ground(0.1), com="inside"), {})
+    assert not is_base_in_ground(Shapes(robot), slope)
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])

@@ -11,10 +11,10 @@ from scipy.spatial import ConvexHull
 import pupper_analysis as pa
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.optimize.space import StanceSpace
-from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.search import nearest, search
-from pupper_analysis.stance.soft_ground import loaded_stand
-from pupper_analysis.stance.workspace import base_workspace, stand_at
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.search import find_nearest, search_stand
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.stance.workspace import base_workspace, solve_stand_at
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load
 
@@ -100,7 +100,7 @@ def test_on_soft_ground_and_under_a_load() -> None:
     assert sunk.task.com_margin == 0.03
     assert margin_of(robot, sunk) >= 0.03 - 1e-9
     edge = replace(task, com_margin=pa.solve_stand(robot, task).com_margin)
-    loaded = loaded_stand(
+    loaded = solve_loaded_stand(
         pa.robot.with_payload(robot, 1.0, (0.05, 0.0, 0.0)), pa.solve_stand(robot, edge)
     )
     assert loaded.com_margin < edge.com_margin
@@ -129,7 +129,7 @@ def test_workspaces_keep_it() -> None:
     assert free["x"].low < bound["x"].low < bound["x"].high < free["x"].high
     for direction in ("pitch", "x"):
         for value in (bound[direction].low, bound[direction].high):
-            assert margin_of(robot, stand_at(robot, start, direction, value)) >= 0.065 - 1e-9
+            assert margin_of(robot, solve_stand_at(robot, start, direction, value)) >= 0.065 - 1e-9
 
 
 @pytest.mark.slow
@@ -150,8 +150,8 @@ def test_the_least_miss_of_the_feet_is_with_the_margin() -> None:
     robot, missed = load("v3"), []
     for margin in (0.0, 0.02, 0.025):
         task = pa.StandTask(com="inside", com_margin=margin, height=0.22, swing={"FR": 0.02})
-        goal, context = goal_of(robot, task, {}), Context(robot)
-        found = nearest(context, goal, search(context, goal).qpos)
+        goal, context = make_goal(robot, task, {}), Context(robot)
+        found = find_nearest(context, goal, search_stand(context, goal).qpos)
         com = mujoco_at(robot, found.qpos).body(robot.mj_base).subtree_com
         sides = ConvexHull(goal.contacts[:, :2]).equations
         assert -float((sides @ [*com[:2], 1.0]).max()) >= margin - 1e-7

@@ -13,8 +13,8 @@ import pupper_analysis as pa
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.judge import measure
-from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.judge import evaluate_stand
+from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import Solver
 from tests.support.variants import NAMES, load, stand_of
 
@@ -48,15 +48,15 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
 def test_copies_of_pinocchios_memory_are_not_taken_for_it() -> None:
     """Who has Pinocchio hand out copies gets what is true now, not what was."""
     robot = load("v3")
-    goals = [goal_of(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
-    expected = [measure(Shapes(robot), goal, stand_of("v3").qpos, 0) for goal in goals]
+    goals = [make_goal(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
+    expected = [evaluate_stand(Shapes(robot), goal, stand_of("v3").qpos, 0) for goal in goals]
     pin.sharedMemory(False)
     try:
         shapes = Shapes(robot)
-        found = [measure(shapes, goal, stand_of("v3").qpos, 0) for goal in goals]
+        found = [evaluate_stand(shapes, goal, stand_of("v3").qpos, 0) for goal in goals]
         moved = stand_of("v3").qpos.copy()
         moved[2] += 0.01
-        higher = measure(shapes, goals[0], moved, 0)
+        higher = evaluate_stand(shapes, goals[0], moved, 0)
     finally:
         pin.sharedMemory(True)
     for one, other in zip(found, expected, strict=True):
@@ -73,7 +73,7 @@ def test_nothing_that_is_not_finite_is_judged() -> None:
     spoilt = stand_of("v3").qpos.copy()
     spoilt[9] = np.nan  # one leg's: the other feet are in place
     with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
-        measure(Shapes(robot), goal_of(robot, None, {}), spoilt, 0)
+        evaluate_stand(Shapes(robot), make_goal(robot, None, {}), spoilt, 0)
 
 
 def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
@@ -92,7 +92,7 @@ def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
     context = Context(robot)
     home = robot.home[robot.nq - robot.nu :]
     for task in some_tasks(robot, 40):
-        solver = Solver(context, goal_of(robot, task, {}))
+        solver = Solver(context, make_goal(robot, task, {}))
         point = solver.run(home)
         watched = solver._watched(solver.begin(home, solver.goal.place), [])
         assert point.iterations == watched.iterations
@@ -120,7 +120,7 @@ def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
         pa.StandTask(com=(0.01, 0.002)),
     ]
     for index in np.random.default_rng(0).integers(0, len(tasks), 30):
-        goal = goal_of(robot, tasks[index], {})
+        goal = make_goal(robot, tasks[index], {})
         for joints in (home, home + 0.1):
             found = Solver(context, goal).begin(joints, goal.place)
             expected = Solver(Context(robot), goal).begin(joints, goal.place)

@@ -12,7 +12,7 @@ import shapely
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.problem import goal_of
+from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.solver import Solver
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import NAMES, load, stand_of
@@ -32,7 +32,7 @@ def tasks(robot: pa.Robot) -> list[pa.StandTask]:
 @pytest.mark.parametrize("name", NAMES)
 def test_tasks_that_were_aimed_elsewhere_solve_as_new_ones(name: str) -> None:
     robot = load(name)
-    goals = [goal_of(robot, task, {}) for task in tasks(robot)]
+    goals = [make_goal(robot, task, {}) for task in tasks(robot)]
     start = stand_of(name).joint_positions(robot)
     expected = [Solver(Context(robot), goal).run(start) for goal in goals]
     shared = Context(robot)
@@ -147,7 +147,7 @@ def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.Monk
     assert len(found) == 1
     loaded = pa.stance.stand_statics(pa.robot.with_payload(robot, 1.0), stand)
     assert loaded.joint_torques.tolist() != held.joint_torques.tolist()
-    peak = pa.stance.stand_statics(robot, stand, distribution="minimum peak")
+    peak = pa.stance.stand_statics(robot, stand, distribution="min-max torque")
     assert peak.joint_torques.tolist() != held.joint_torques.tolist()
     again = pickle.loads(pickle.dumps(stand))
     np.testing.assert_array_equal(

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.problem import Goal, goal_of
+from pupper_analysis.stance.problem import Goal, make_goal
 from tests.support.variants import NAMES, load
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_spheres_touch_plane_and_steps(name: str) -> None:
     robot, ground = load(name), pa.Ground(0.2, 0.7, {"FL": 0.02})
-    goal = goal_of(robot, pa.StandTask(ground=ground, swing={"RR": 0.03}), {"FR": 0.002})
+    goal = make_goal(robot, pa.StandTask(ground=ground, swing={"RR": 0.03}), {"FR": 0.002})
     normal = np.array([-np.sin(0.2) * np.cos(0.7), -np.sin(0.2) * np.sin(0.7), np.cos(0.2)])
     above = {foot: float(normal @ centre) for foot, centre in goal.targets.items()}
     radius = robot.foot_radius
@@ -30,36 +30,36 @@ def test_spheres_touch_plane_and_steps(name: str) -> None:
 
 def test_place_is_the_coms_or_the_bases() -> None:
     robot = load("v3")
-    centre = goal_of(robot, pa.StandTask(), {}).place
-    com = goal_of(robot, pa.StandTask(com=(0.01, 0.02)), {})
+    centre = make_goal(robot, pa.StandTask(), {}).place
+    com = make_goal(robot, pa.StandTask(com=(0.01, 0.02)), {})
     assert not com.by_base
     np.testing.assert_array_equal(com.place, (0.01, 0.02))
-    base = goal_of(robot, pa.StandTask(offset=(0.01, 0.02)), {})
+    base = make_goal(robot, pa.StandTask(offset=(0.01, 0.02)), {})
     assert base.by_base
     np.testing.assert_allclose(base.place - centre, (0.01, 0.02))
 
 
 def test_margins_narrow_the_limits() -> None:
     robot = load("v3")
-    goal = goal_of(robot, pa.StandTask(joint_margin=0.1), {})
+    goal = make_goal(robot, pa.StandTask(joint_margin=0.1), {})
     np.testing.assert_allclose(goal.lower, robot.lower_limits + 0.1)
     np.testing.assert_allclose(goal.upper, robot.upper_limits - 0.1)
     with pytest.raises(pa.ConfigurationError, match="leaves nothing of the range of leg_"):
-        goal_of(robot, pa.StandTask(joint_margin=2.0), {})
+        make_goal(robot, pa.StandTask(joint_margin=2.0), {})
     with pytest.raises(pa.ConfigurationError, match="com_margin"):
-        goal_of(robot, pa.StandTask(com_margin=0.2), {})
+        make_goal(robot, pa.StandTask(com_margin=0.2), {})
 
 
 def test_feet_on_one_line_carry_nothing() -> None:
     """Three that are left, the front one brought between the rear ones; 4 mm away, it is a base."""
     robot = load("original")
-    places = goal_of(robot, pa.StandTask(), {}).targets
+    places = make_goal(robot, pa.StandTask(), {}).targets
     swing, moved, one, two = "FL", "FR", "RL", "RR"
     middle = (places[one] + places[two]) / 2 - places[moved]
 
     def goal(ahead: float) -> Goal:
         offsets = {moved: (float(middle[0]) + ahead, float(middle[1]))}
-        return goal_of(robot, pa.StandTask(swing={swing: 0.02}, foot_offsets=offsets), {})
+        return make_goal(robot, pa.StandTask(swing={swing: 0.02}, foot_offsets=offsets), {})
 
     with pytest.raises(pa.ConfigurationError, match="along one line alone"):
         goal(0.0)

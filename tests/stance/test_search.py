@@ -16,8 +16,8 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.search import meet
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.search import meet_constraints
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.engines import mujoco_at
@@ -434,8 +434,8 @@ def test_feet_in_place_and_a_clear_ground_are_had_at_once() -> None:
     stand = pa.solve_stand(robot, task, explain=False)
     assert stand.ground_clearance is not None
     asked = replace(task, ground_clearance=stand.ground_clearance.distance + 1e-3)
-    goal = goal_of(robot, asked, {})
-    found = meet(Context(robot), goal, stand.qpos)
+    goal = make_goal(robot, asked, {})
+    found = meet_constraints(Context(robot), goal, stand.qpos)
     assert found is not None
     assert found.ground_clearance is not None
     assert found.ground_clearance.distance >= asked.ground_clearance - 1e-9

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.workspace import base_workspace, interval, reachable_heights, stand_at
+from pupper_analysis.stance.workspace import (
+    base_workspace,
+    find_interval,
+    reachable_heights,
+    solve_stand_at,
+)
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import load
 
@@ -84,7 +89,7 @@ def test_com_keeps_its_margin() -> None:
     bound = base_workspace(robot, task).intervals["x"]
     assert free.low < bound.low < bound.high < free.high
     for value in (bound.low, bound.high):
-        stand = stand_at(robot, pa.solve_stand(robot, task), "x", value)
+        stand = solve_stand_at(robot, pa.solve_stand(robot, task), "x", value)
         com = pa.Configuration(robot, stand.qpos).center_of_mass()
         assert com_margin(com, stand.contact_points) == pytest.approx(0.07, abs=1e-4)
 
@@ -95,7 +100,7 @@ def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
     task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
     start = pa.solve_stand(robot, task)
     place = pa.Configuration(robot, start.qpos).center_of_mass()[:2]
-    other = stand_at(robot, start, "pitch", 0.1)
+    other = solve_stand_at(robot, start, "pitch", 0.1)
     found = pa.Configuration(robot, other.qpos).center_of_mass()[:2]
     np.testing.assert_allclose(found, place, atol=1e-9)
     interval = base_workspace(robot, task).intervals["pitch"]
@@ -110,7 +115,7 @@ def test_an_end_that_is_far_enough_need_not_be_found() -> None:
     whole = pa.stance.base_workspace(robot).intervals
     for direction, enough in (("pitch", 0.3), ("roll", 0.45), ("height", 0.02)):
         begin = float(getattr(start.task, direction))
-        some = interval(robot, start, direction, enough)
+        some = find_interval(robot, start, direction, enough)
         for found, end, side in (
             (some.low, whole[direction].low, -1.0),
             (some.high, whole[direction].high, 1.0),

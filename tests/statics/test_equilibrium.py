@@ -205,7 +205,7 @@ def test_nothing_feasible_nearby_is_better(
                 if (slide <= friction * push * (1 - 1e-5)).all():
                     least = 1e-9 * float(forces @ forces)
                     if (
-                        distribution is pa.statics.ForceDistribution.MIN_PEAK
+                        distribution is pa.statics.ForceDistribution.MIN_MAX_TORQUE
                     ):  # its peak is within 1e-7 of the least
                         least = 0.0
                     assert cost(other) >= cost(forces) * (1 - 1e-6) - least
@@ -274,7 +274,7 @@ def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> Non
     config = pa.Configuration(robot, stand.qpos)
     strength = robot.effort_limits * np.linspace(1.0, 2.0, robot.nu)  # unequal motors
     weaker = pa.Configuration(with_efforts(robot, strength), stand.qpos)
-    result = pa.gravity_compensation(weaker, friction=friction, distribution="minimum peak")
+    result = pa.gravity_compensation(weaker, friction=friction, distribution="min-max torque")
     peak = result.motor_utilisation.max()
     around, inside = (
         linear_programme(config, result, 1 / strength, friction * factor)
@@ -288,7 +288,7 @@ def test_least_peak_is_a_linear_programmes(variant: str, friction: float) -> Non
 def test_least_peak_without_limits_is_of_the_torque() -> None:
     config = at_stand("v3")
     free = pa.Configuration(with_efforts(config.robot, np.full(12, np.inf)), config.qpos)
-    one, two = (pa.gravity_compensation(c, distribution="minimum peak") for c in (config, free))
+    one, two = (pa.gravity_compensation(c, distribution="min-max torque") for c in (config, free))
     np.testing.assert_allclose(one.joint_torques, two.joint_torques, atol=1e-6)
 
 
@@ -298,10 +298,10 @@ def test_a_motor_without_strength_does_not_count_for_the_peak() -> None:
     efforts[0] = 0.0
     result = pa.gravity_compensation(
         pa.Configuration(with_efforts(config.robot, efforts), config.qpos),
-        distribution="minimum peak",
+        distribution="min-max torque",
     )
     assert np.isinf(result.motor_utilisation[0])
-    least = pa.gravity_compensation(config, distribution="minimum peak").motor_utilisation.max()
+    least = pa.gravity_compensation(config, distribution="min-max torque").motor_utilisation.max()
     assert result.motor_utilisation[1:].max() <= least * (1 + 1e-6)
 
 

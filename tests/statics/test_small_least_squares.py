@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pupper_analysis.statics.small_least_squares import constrained, least_squares, orthogonal
+from pupper_analysis.statics.small_least_squares import (
+    solve_constrained,
+    solve_least_squares,
+    solve_orthogonal,
+)
 
 
 @pytest.fixture
@@ -15,7 +19,7 @@ def random() -> np.random.Generator:
 
 def test_the_shortest_solution_and_what_rows_take_to_zero(random: np.random.Generator) -> None:
     rows, right = random.normal(size=(3, 7)), random.normal(size=3)
-    found = orthogonal(rows, right)
+    found = solve_orthogonal(rows, right)
     assert found is not None
     shortest, null = found
     np.testing.assert_allclose(shortest, np.linalg.pinv(rows) @ right, atol=1e-12)
@@ -26,22 +30,22 @@ def test_the_shortest_solution_and_what_rows_take_to_zero(random: np.random.Gene
 def test_rows_that_depend_on_each_other_are_noticed(random: np.random.Generator) -> None:
     rows = random.normal(size=(3, 7))
     rows[2] = rows[0] - 2 * rows[1]
-    assert orthogonal(rows, random.normal(size=3)) is None
-    assert constrained(np.eye(7), np.zeros(7), rows, random.normal(size=3)) is None
-    assert orthogonal(random.normal(size=(7, 7)), np.ones(7)) is None  # nothing is left free
+    assert solve_orthogonal(rows, random.normal(size=3)) is None
+    assert solve_constrained(np.eye(7), np.zeros(7), rows, random.normal(size=3)) is None
+    assert solve_orthogonal(random.normal(size=(7, 7)), np.ones(7)) is None  # nothing is left free
 
 
 def test_least_squares_with_conditions(random: np.random.Generator) -> None:
     """By the conditions of Karush, Kuhn and Tucker."""
     cost, target = random.normal(size=(6, 5)), random.normal(size=6)
     rows, right = random.normal(size=(2, 5)), random.normal(size=2)
-    found = constrained(cost, target, rows, right)
+    found = solve_constrained(cost, target, rows, right)
     assert found is not None
     np.testing.assert_allclose(rows @ found, right, atol=1e-12)
     gradient = cost.T @ (cost @ found - target)
     prices = np.linalg.lstsq(rows.T, gradient)[0]
     np.testing.assert_allclose(rows.T @ prices, gradient, atol=1e-12)
-    assert constrained(cost[:2], target[:2], rows, right) is None  # several are as good
+    assert solve_constrained(cost[:2], target[:2], rows, right) is None  # several are as good
 
 
 @pytest.mark.parametrize("rank", [4, 2])
@@ -49,9 +53,9 @@ def test_least_squares(random: np.random.Generator, rank: int) -> None:
     matrix = random.normal(size=(6, rank)) @ random.normal(size=(rank, 4))
     right = random.normal(size=6)
     expected = np.linalg.pinv(matrix, rcond=1e-10) @ right
-    np.testing.assert_allclose(least_squares(matrix, right), expected, atol=1e-10)
+    np.testing.assert_allclose(solve_least_squares(matrix, right), expected, atol=1e-10)
     np.testing.assert_allclose(
-        least_squares(matrix.T, right[:4]),
+        solve_least_squares(matrix.T, right[:4]),
         np.linalg.pinv(matrix.T, rcond=1e-10) @ right[:4],
         atol=1e-10,
     )

@@ -64,7 +64,7 @@ def test_every_state_is_the_single_calls(name: str) -> None:
     "how",
     [
         {"distribution": "minimum torque"},
-        {"distribution": pa.statics.ForceDistribution.MIN_PEAK},
+        {"distribution": pa.statics.ForceDistribution.MIN_MAX_TORQUE},
         {"friction": 0.05},  # binds: the cones decide, state by state
         {"normals": {"FL": (0.05, -0.02, 1.0), "RR": (0.05, -0.02, 1.0)}},
         {"depths": {"FL": 2e-3, "RR": 1e-3}},

@@ -542,7 +542,9 @@ def test_measures_are_what_their_names_say() -> None:
     robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1))
     design = Maker(study({"pitch": [0.1]}).source, pa.StandTask(), (0, 0, 0)).design({"pitch": 0.1})
     statics, rest = pa.stance.stand_statics(robot, stand), pa.steady_state(robot, stand)
-    best = pa.stance.stand_statics(robot, stand, distribution=pa.statics.ForceDistribution.MIN_PEAK)
+    best = pa.stance.stand_statics(
+        robot, stand, distribution=pa.statics.ForceDistribution.MIN_MAX_TORQUE
+    )
     expected = {
         "total_mass": robot.total_mass,
         "peak_utilisation": statics.motor_utilisation.max(),

@@ -155,7 +155,7 @@ ANALYSIS: Any = Stub(
         )
     },
     statics=loads(0.0),
-    minimum_peak=loads(-0.05),
+    min_max_torque=loads(-0.05),
     hanging_torques=np.array([0.0077, 0.0088]),
     verification=run(0.0, passed=True),
     sagging=run(0.01, passed=False),
@@ -271,7 +271,7 @@ def stance(**changes: Any) -> Any:
         "verification": run(0.0, passed=True),
         "joint_positions": np.array([0.6543, -0.7654]),
         "statics": loads(0.0),
-        "minimum_peak": loads(-0.05),
+        "min_max_torque": loads(-0.05),
         "limits": np.array([3.1, 4.2]),
         "limit_origins": ORIGINS,
         "verdict": judge(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),

@@ -34,7 +34,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         _stand(analysis),
         *load_blocks(
             analysis.statics,
-            analysis.minimum_peak,
+            analysis.min_max_torque,
             analysis.verification,
             [joint.effort for joint in analysis.joints],
             [joint.effort_origin for joint in analysis.joints],

@@ -45,7 +45,7 @@ def proof_text(verification: StandVerification) -> doc.Text:
 
 def load_blocks(
     statics: GravityCompensation,
-    minimum_peak: GravityCompensation,
+    min_max_torque: GravityCompensation,
     verification: StandVerification,
     limits: Sequence[float],
     origins: Iterable[EffortStatement | None],
@@ -55,7 +55,7 @@ def load_blocks(
 
     Args:
         statics: Of the forces that last.
-        minimum_peak: Of least peak utilisation.
+        min_max_torque: Of least peak utilisation.
         verification: The simulation.
         limits: (nu,) of the motors (N m).
         origins: (nu,) where these are from.
@@ -67,19 +67,19 @@ def load_blocks(
         proof_text(verification),
     )
     notes = (
-        text("torque-distributions", peak=f"{minimum_peak.motor_utilisation.max():.1%}"),
+        text("torque-distributions", peak=f"{min_max_torque.motor_utilisation.max():.1%}"),
         text("limit-origins", origins=origins_text(origins)),
     )
     compared = {
         doc.Column(text("simulated"), "N m"): verification.joint_torques.tolist(),
-        doc.Column(text("minimum-peak"), "N m"): minimum_peak.joint_torques.tolist(),
+        doc.Column(text("min-max-torque"), "N m"): min_max_torque.joint_torques.tolist(),
         **more,
     }
     torques = torque_table(statics, limits, compared)
     return [
         replace(torques, notes=notes, source=source),
         torque_plot(statics, verification, limits),
-        _contacts(statics, minimum_peak, verification),
+        _contacts(statics, min_max_torque, verification),
     ]
 
 
@@ -182,7 +182,7 @@ def contact_table(
 
 def _contacts(
     statics: GravityCompensation,
-    minimum_peak: GravityCompensation,
+    min_max_torque: GravityCompensation,
     verification: StandVerification,
 ) -> doc.Table:
     flat = len(statics.foot_loads) < len(statics.contact_forces)
@@ -193,9 +193,10 @@ def _contacts(
         }
         for index, axis in enumerate("xyz")
     }
-    least = doc.Column(text("minimum-peak-x-y-z"), "N", left=True, detail=True)
+    least = doc.Column(text("min-max-torque-x-y-z"), "N", left=True, detail=True)
     more[least] = {
-        foot: doc.vector_cell(load.force, "+.3f") for foot, load in minimum_peak.foot_loads.items()
+        foot: doc.vector_cell(load.force, "+.3f")
+        for foot, load in min_max_torque.foot_loads.items()
     }
     notes = [
         text(

@@ -30,7 +30,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
         view_block(robot, stand, stance.statics, motions_of([run])),
         *load_blocks(
             stance.statics,
-            stance.minimum_peak,
+            stance.min_max_torque,
             run,
             stance.limits.tolist(),
             stance.limit_origins,

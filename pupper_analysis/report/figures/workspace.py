@@ -15,7 +15,7 @@ from pupper_analysis.report.figures import style
 from pupper_analysis.report.figures.skeleton import Skeleton, draw_skeleton, hull_corners
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.workspace import BaseWorkspace, stand_at
+from pupper_analysis.stance.workspace import BaseWorkspace, solve_stand_at
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         drawn = [draw_skeleton(robot, start.qpos)]
         _draw(axes, drawn[0], style.GREY, across, up)
         for end, value in (("low", low), ("high", high)):
-            drawn.append(draw_skeleton(robot, stand_at(robot, start, direction, value).qpos))
+            drawn.append(draw_skeleton(robot, solve_stand_at(robot, start, direction, value).qpos))
             _draw(axes, drawn[-1], _ENDS[end], across, up)
         shown = 1e3 * np.concatenate([lines.points() for lines in drawn])
         if up == 2:

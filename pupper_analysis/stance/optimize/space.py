@@ -19,7 +19,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
-from pupper_analysis.stance.workspace import interval
+from pupper_analysis.stance.workspace import find_interval
 from pupper_analysis.statics.support_polygon import polygon_sides
 
 Array = NDArray[np.float64]
@@ -113,7 +113,7 @@ class StanceSpace:
         start = solve_stand(self.robot, self.nominal.task)
         # Turns go no further than that, so that their ends need not be found.
         most = dict.fromkeys(BASE, math.inf) | dict.fromkeys(_TURNS, MOST_TURN)
-        within = {name: interval(self.robot, start, name, most[name]) for name in BASE}
+        within = {name: find_interval(self.robot, start, name, most[name]) for name in BASE}
         height = within["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
         low, high = [height.low + reserve], [height.high - reserve]

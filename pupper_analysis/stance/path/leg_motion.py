@@ -13,11 +13,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.geometry import Place
 from pupper_analysis.stance.path.path_limits import PathLimits
 from pupper_analysis.stance.path.time_optimum import Demands
-from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.dynamics import (
     joint_resistance,
-    left_to_turn,
     rolling_levers,
+    share_left_to_turn,
 )
 
 Array = NDArray[np.float64]
@@ -44,7 +44,7 @@ class LegMotion:
         ]
         normal = places[0].leg.start.task.ground.normal()
         self._normals = dict.fromkeys(self.feet, normal)
-        self._contacts = contacts_of(robot, self.feet, limits.friction, self._normals, None)
+        self._contacts = make_contacts(robot, self.feet, limits.friction, self._normals, None)
         self._motions, self._jacobians = [], []
         for place, (tangent, curvature) in zip(places, self._directions, strict=True):
             config = Configuration(robot, place.qpos)
@@ -117,7 +117,7 @@ class LegMotion:
             normal, lever, left = self._normals[foot], levers[foot], 1.0
             if forces is not None:
                 moment = max(0.0, float(forces[column] @ normal)) * lever
-                left = left_to_turn(robot, foot, forces[column], moment, normal)
+                left = share_left_to_turn(robot, foot, forces[column], moment, normal)
             turning = config.frame_jacobian(robot.foot_frames[foot])[3:]
             block = slice(3 * column, 3 * column + 3)
             jacobian[:, block] += np.outer(turning.T @ (left * lever), normal)

@@ -19,7 +19,7 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 Array = NDArray[np.float64]
 
 
-def buckling_modes(
+def find_buckling_modes(
     robot: Robot,
     loaded: Robot,
     stand: Stand,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.payload.buckling import buckling_modes
+from pupper_analysis.stance.payload.buckling import find_buckling_modes
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -100,7 +100,7 @@ class FirstOrder:
             stand_statics(one, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
             for one in (robot, loaded)
         )
-        modes = buckling_modes(robot, loaded, stand, kp, empty, laden)
+        modes = find_buckling_modes(robot, loaded, stand, kp, empty, laden)
         if modes is None:
             return None
         mass = loaded.total_mass - robot.total_mass

@@ -25,10 +25,10 @@ from pupper_analysis.stance.payload.servo_limit import (
     Bound,
     Failure,
     PayloadCommand,
-    first_failing,
+    find_first_failing,
     servo_limit,
 )
-from pupper_analysis.stance.payload.sharing import Sharing, load_sharing
+from pupper_analysis.stance.payload.sharing import Sharing, share_load
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
@@ -161,7 +161,7 @@ def payload_limit(
         motors=motors,
         servos=servos,
         contacts=contacts,
-        shared=load_sharing(robot, stand, place),
+        shared=share_load(robot, stand, place),
         point=place,
         command=command,
         unlimited=tuple(
@@ -229,7 +229,7 @@ def motor_limit(
         if least.min() < _NOTHING * weight or loads.contact_limit() < mass:
             mass = None
     if mass is None:
-        mass = first_failing(
+        mass = find_first_failing(
             lambda tried: (found := at(tried)) is not None and bool((found > 0).any()),
             robot.total_mass,
             ceiling,

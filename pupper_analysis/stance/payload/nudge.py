@@ -8,8 +8,8 @@ from scipy import linalg
 
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.stiffness import Compliance, compliance_at
-from pupper_analysis.stance.sag.way import Way
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ ones, of contacts, few are met at their peak, and these are the least."""
 _ROUNDS = 2.0 * 2.0 * np.pi  # two periods, by the angular frequency
 
 
-def nudges(robot: Robot, height: float) -> Array:
+def nudge_velocities(robot: Robot, height: float) -> Array:
     """Returns the velocities (8, nv) that nudge a base at a height (m): along and about z."""
     speeds = np.zeros((8, robot.nv))
     for axis, column in enumerate((0, 1, 2, 5)):
@@ -34,7 +34,7 @@ def nudges(robot: Robot, height: float) -> Array:
     return speeds
 
 
-def lost(way: Way, kd: Array) -> tuple[str, ...]:
+def find_saturating_motors(way: HomotopyPath, kd: Array) -> tuple[str, ...]:
     """Finds motors that a nudge saturates in an equilibrium that does not last without them.
 
     A saturated servo has no stiffness. Those whose torque swings beyond its limit, to first order,
@@ -56,7 +56,7 @@ def lost(way: Way, kd: Array) -> tuple[str, ...]:
     passive = joint_damping(robot.mj_model)[robot.mj_convention.qvel_index[6:]]
     torques = system.torques(solution.qpos)
     room = np.minimum(system.upper - torques, torques - system.lower)
-    speeds = nudges(robot, float(solution.qpos[2]))
+    speeds = nudge_velocities(robot, float(solution.qpos[2]))
     out = np.zeros(robot.nu, dtype=bool)
     while True:
         held, damped = np.where(out, 0.0, system.kp), np.where(out, 0.0, kd)

@@ -23,17 +23,17 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, lead, own_servos, servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
-from pupper_analysis.stance.payload.nudge import lost
+from pupper_analysis.stance.payload.nudge import find_saturating_motors
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
     check_request,
-    lasting,
-    pose_at,
-    settle,
+    describe_pose,
+    follow_to_end,
+    let_creep,
 )
-from pupper_analysis.stance.sag.way import Way
-from pupper_analysis.stance.soft_ground import loaded_stand
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
@@ -160,7 +160,7 @@ def servo_limit(
     """
 
     def judge(mass: float) -> LoadedPose | Bound:
-        return loaded_pose(robot, stand, mass, point, command=command, kp=kp, kd=kd)
+        return find_loaded_pose(robot, stand, mass, point, command=command, kp=kp, kd=kd)
 
     failed: dict[float, tuple[Failure, tuple[str, ...]]] = {}
 
@@ -172,7 +172,7 @@ def servo_limit(
 
     ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
     start = _guess(robot, stand, point, servos(robot, kp, None if kp is None else 0.0).kp) / 4
-    mass = 0.0 if fails(0.0) else first_failing(fails, min(start, most), ceiling)
+    mass = 0.0 if fails(0.0) else find_first_failing(fails, min(start, most), ceiling)
     if mass >= ceiling:
         return Bound(math.inf, Failure.NOTHING, ())
     failure, where = failed[min(tried for tried in failed if tried >= mass)]
@@ -191,7 +191,7 @@ def _guess(robot: Robot, stand: Stand, point: ArrayLike, kp: Array) -> float:
     return guess if 0 < guess < math.inf else mass
 
 
-def first_failing(fails: Callable[[float], bool], start: float, ceiling: float) -> float:
+def find_first_failing(fails: Callable[[float], bool], start: float, ceiling: float) -> float:
     """Returns the greatest mass (kg) below the first failure, or ``ceiling`` if there is none.
 
     Args:
@@ -210,7 +210,7 @@ def first_failing(fails: Callable[[float], bool], start: float, ceiling: float) 
     return low
 
 
-def loaded_pose(
+def find_loaded_pose(
     robot: Robot,
     stand: Stand,
     mass: float,
@@ -241,7 +241,7 @@ def loaded_pose(
     """
     loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
     try:
-        sunk = loaded_stand(loaded, stand)
+        sunk = solve_loaded_stand(loaded, stand)
         balance = stand_statics(loaded, sunk, distribution=ForceDistribution.MIN_TANGENTIAL)
     except StanceUnreachableError as error:
         return Bound(mass, Failure.GROUND, tuple(map(str, error.blocked)))
@@ -255,7 +255,7 @@ def loaded_pose(
     damping = drive.kd
     target = sunk.joint_positions(loaded) + lead(balance.joint_torques, drive.kp)
     if command is PayloadCommand.UNLOADED:
-        empty = loaded_stand(robot, stand)
+        empty = solve_loaded_stand(robot, stand)
         torques = stand_statics(
             robot, empty, distribution=ForceDistribution.MIN_TANGENTIAL
         ).joint_torques
@@ -263,7 +263,7 @@ def loaded_pose(
     try:
         if command is PayloadCommand.LOADED:
             way = _way(loaded, sunk, kp)
-            pose = settle(way, feedforward=True)
+            pose = follow_to_end(way, feedforward=True)
             start = pose.qpos
         else:
             way = _way(loaded, sunk, kp, target)
@@ -277,10 +277,10 @@ def loaded_pose(
                 return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.MOTOR, names)
         return LoadedPose(loaded, sunk, target, sunk.qpos, None, Failure.BUCKLING, ())
     why, where = _judge(loaded, sunk, pose, target)
-    if why is None and (weak := lost(way, damping)):
+    if why is None and (weak := find_saturating_motors(way, damping)):
         why, where = Failure.MOTOR, weak
     # Feet that are pressed against each other, as soles that are twisted are, creep from there.
-    if why is None and command is PayloadCommand.LOADED and math.isfinite(lasting(way, pose)):
+    if why is None and command is PayloadCommand.LOADED and math.isfinite(let_creep(way, pose)):
         why, where = Failure.SLIDING, _creeping(pose)
     return LoadedPose(loaded, sunk, target, start, pose, why, where)
 
@@ -291,19 +291,21 @@ def _creeping(pose: SteadyState) -> tuple[str, ...]:
     return tuple(foot for foot, speed in pose.foot_creep.items() if speed >= fastest / 2)
 
 
-def _way(robot: Robot, stand: Stand, kp: ArrayLike | None, target: Array | None = None) -> Way:
+def _way(
+    robot: Robot, stand: Stand, kp: ArrayLike | None, target: Array | None = None
+) -> HomotopyPath:
     """Begins the way from a stand, which full feed-forward holds, to another command (nu,)."""
     check_request(robot, stand, "pinned", 0.0)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    return Way(Equilibrium(robot, stand, kp, "pinned"), target)
+    return HomotopyPath(Equilibrium(robot, stand, kp, "pinned"), target)
 
 
-def _crept(way: Way) -> tuple[Array, SteadyState]:
+def _crept(way: HomotopyPath) -> tuple[Array, SteadyState]:
     """Returns the qpos (nq,) at a way's end, and the equilibrium after ``LASTING`` of creep."""
     way.follow(1.0)
     start = way.solution.qpos
     way.creep(LASTING)
-    return start, pose_at(way, math.nan)
+    return start, describe_pose(way, math.nan)
 
 
 def _judge(
@@ -331,7 +333,7 @@ def _judge(
         return Failure.TIPPING, tuple(sorted(idle))
     if pose.sliding_feet:
         return Failure.SLIDING, pose.sliding_feet
-    others = others_on_ground(robot, stand, pose.qpos)
+    others = find_bodies_on_ground(robot, stand, pose.qpos)
     if others:
         return Failure.GROUND, others
     if not pose.stable or pose.base_height < COLLAPSED * stand.qpos[2]:
@@ -347,7 +349,7 @@ def _damping(robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None) -> ArrayL
     return np.array([own.get(name, (0.0, 0.0))[1] for name in robot.joint_names])
 
 
-def others_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]:
+def find_bodies_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]:
     """Returns the bodies, but for feet that carry, that touch the ground at a qpos (nq,)."""
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     data = mujoco.MjData(robot.mj_model)

@@ -13,7 +13,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.contacts import contacts_of
+from pupper_analysis.statics.contacts import make_contacts
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class Sharing(Result):
     normal_forces: dict[str, float]
 
 
-def load_sharing(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sharing | None:
+def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sharing | None:
     """Finds the greatest payload that motors bear with any sharing of the load among the feet.
 
     Without tangential forces, which creep away, the feet's normal forces n and the mass m obey
@@ -55,7 +55,7 @@ def load_sharing(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> 
     if not all(np.array_equal(normal, UP) for normal in stand.normals.values()):
         return None
     config, feet = Configuration(robot, stand.qpos), stand.stance_feet
-    carrying = contacts_of(robot, feet, None, stand.normals, stand.depths)
+    carrying = make_contacts(robot, feet, None, stand.normals, stand.depths)
     lifting = config.by_motors(carrying.jacobian(config))[:, 2::3]
     offset = config.base_rotation() @ np.asarray(point, dtype=float)
     loading = config.by_motors(-robot.gravity @ config.frame_jacobian(robot.base, offset)[:3])

@@ -14,13 +14,13 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
     check_request,
-    pose_at,
+    describe_pose,
     release_margin,
 )
-from pupper_analysis.stance.sag.way import Way
 from pupper_analysis.stance.stand import Stand
 
 _SHARES = (0.25, 0.5, 1.0)  # of friction, that may carry a robot that does not stand without
@@ -98,8 +98,8 @@ def steady_state_band(
     check_request(robot, stand, "pinned", 0.0)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
 
-    def begin(lift: float) -> Way | None:
-        way = Way(Equilibrium(robot, stand, kp, "pinned"))
+    def begin(lift: float) -> HomotopyPath | None:
+        way = HomotopyPath(Equilibrium(robot, stand, kp, "pinned"))
         way.rub(lift)
         with contextlib.suppress(NoEquilibriumError):
             way.follow(0.0 if feedforward else 1.0)
@@ -108,13 +108,13 @@ def steady_state_band(
 
     way, frictionless, lowest = begin(0.0), None, None
     if way is not None:
-        frictionless = pose_at(way, release_margin(way))
+        frictionless = describe_pose(way, release_margin(way))
         down = begin(0.0)
         if down is not None and down.rub(-1.0) == -1.0:
-            lowest = pose_at(down, release_margin(down))
+            lowest = describe_pose(down, release_margin(down))
     for share in _SHARES:
         way = way or begin(share)
     if way is None:
         raise NoEquilibriumError(None, diagnose("no-stable-equilibrium"))
     share = way.rub(1.0)
-    return SteadyStateBand(pose_at(way, release_margin(way)), share, frictionless, lowest)
+    return SteadyStateBand(describe_pose(way, release_margin(way)), share, frictionless, lowest)

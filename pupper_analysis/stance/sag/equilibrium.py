@@ -15,11 +15,11 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, gains
-from pupper_analysis.stance.sag.pliancy import foot_pliancy, sole_pliancy
+from pupper_analysis.stance.sag.contact_compliance import contact_compliance, sole_compliance
+from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
+from pupper_analysis.stance.sag.coulomb_friction import apply_coulomb_friction
 from pupper_analysis.stance.sag.rigid import RigidSoles
-from pupper_analysis.stance.sag.rubbing import rub
-from pupper_analysis.stance.sag.solution import Anchor, Solution, goes_round, move
-from pupper_analysis.stance.sag.touch import Touch
+from pupper_analysis.stance.sag.solution import Anchor, Solution, integrate_step, is_cycling
 from pupper_analysis.stance.sag.units import Units
 from pupper_analysis.stance.stand import Stand
 
@@ -87,9 +87,12 @@ class Equilibrium:
         self.units = Units.of(robot, stand)
         self._in_newtons: slice | list[int] = []
         per_force = self.units.length / self.units.weight
-        self._pliancy, self._give = sole_pliancy(robot, per_force), foot_pliancy(robot, per_force)
+        self._pliancy, self._give = (
+            sole_compliance(robot, per_force),
+            contact_compliance(robot, per_force),
+        )
         self._giving, self._softer = any(self._give.values()), 1.0
-        self._touch: tuple[object, Array, Touch] | None = None
+        self._touch: tuple[object, Array, ContactKinematics] | None = None
         self._rigid = RigidSoles(self._sole, self.frame)
         self._sunk: tuple[tuple[tuple[str, float], ...], Array] = (), np.zeros(0)
         self._creeps = robot.mj_model.opt.noslip_iterations == 0  # with that solver feet stay
@@ -135,14 +138,14 @@ class Equilibrium:
         torques: Array = np.minimum(np.maximum(asked, self.lower), self.upper)
         return torques
 
-    def touch(self, qpos: Array) -> Touch:
+    def touch(self, qpos: Array) -> ContactKinematics:
         """Looks at the feet that touch, or has looked at them just now."""
         anchors, seen = tuple(self.anchors.items()), self._touch
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
             config, feet = Configuration(self.robot, qpos), self.robot.feet
             places = config.foot_places(feet)
             own = places[[feet.index(foot) for foot in self.anchors]].reshape(-1, 3)
-            touch = Touch(config, self.anchors, own, self.frame, self.depths(places))
+            touch = ContactKinematics(config, self.anchors, own, self.frame, self.depths(places))
             seen = self._touch = anchors, qpos.copy(), touch
         return seen[2]
 
@@ -294,7 +297,7 @@ class Equilibrium:
             if change > last / 2:  # to and fro between two ways to rub: half way is between them
                 share /= 2
             height = float(found.qpos[2])
-            if not rub(self, found, share):
+            if not apply_coulomb_friction(self, found, share):
                 return None
             found = self._newton(found)
         return None
@@ -336,9 +339,9 @@ class Equilibrium:
                 derivative = self.derivative(qpos, forces)
             # Otherwise the last one leaves no more: it errs by twice the share that its step left.
             *_, step, singular = lapack.dgesv(derivative, -residual)
-            if singular or self.units.is_too_far(step[:n]) or goes_round(left_over):
+            if singular or self.units.is_too_far(step[:n]) or is_cycling(left_over):
                 return None
-            qpos, forces = move(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
+            qpos, forces = integrate_step(qpos, step[:n]), forces + step[n:].reshape(-1, 3)
         return None
 
     def against(self, solution: Solution) -> dict[str, float]:

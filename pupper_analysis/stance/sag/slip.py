@@ -15,18 +15,18 @@ SMALL_SLIP = 0.01
 has come to: some 3 mm of a biped of 0.3 m. MuJoCo's pivoted by 0.1 to 0.4 mm."""
 
 
-def sliding(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
+def find_sliding_feet(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
     """Returns the pinned feet that slide: what presses of them slips, and it is no small way.
 
     A foot of one point slides where that point slips. A sole may pivot by a fraction of a
     millimetre, all its points at their friction, until its leg is no longer twisted: where
     there is an equilibrium so near, the sole rests in it.
     """
-    loose, names = set(slipping(system, solution)), tuple(system.anchors)
+    loose, names = set(find_slipping_feet(system, solution)), tuple(system.anchors)
     if not loose:
         return ()
     small = SMALL_SLIP * system.robot.stand_height
-    slips = np.linalg.norm(slipped(system, solution), axis=1)
+    slips = np.linalg.norm(measure_slips(system, solution), axis=1)
     found = []
     for foot in system.robot.feet_with(system.stand.stance_feet):
         points = [point for point in system.robot.soles[foot] if point in names]
@@ -39,15 +39,15 @@ def sliding(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
     return tuple(found)
 
 
-def turning_back(system: Equilibrium, solution: Solution) -> list[tuple[int, Array]]:
+def turning_stiffness(system: Equilibrium, solution: Solution) -> list[tuple[int, Array]]:
     """Returns number and stiffness (2, 2) of feet that slip against a slip to the side (N/m).
 
     Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it
     the force, by mu f_n / |s| to the side; along s nothing holds it.
     """
-    slips: Array = slipped(system, solution)
+    slips: Array = measure_slips(system, solution)
     found = []
-    forces, loose = system.stacked(solution), set(slipping(system, solution))
+    forces, loose = system.stacked(solution), set(find_slipping_feet(system, solution))
     for row, point in enumerate(system.anchors):
         if point not in loose:
             continue
@@ -60,21 +60,21 @@ def turning_back(system: Equilibrium, solution: Solution) -> list[tuple[int, Arr
     return found
 
 
-def slipping(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
+def find_slipping_feet(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
     """Returns the pinned feet that slip."""
     forces, names = system.stacked(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.slipping_rows(forces, places))
 
 
-def slipped(system: Equilibrium, solution: Solution) -> Array:
+def measure_slips(system: Equilibrium, solution: Solution) -> Array:
     """Returns how far the pinned feet that touch have slipped (n, 2), soles as one body (m)."""
     begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
     places = system.touch(solution.qpos).places[:, :2]
     return system.as_one(places - begun.reshape(-1, 2))
 
 
-def idle(system: Equilibrium, depths: Array) -> set[str]:
+def find_idle_points(system: Equilibrium, depths: Array) -> set[str]:
     """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
     soles = {point for points in system.robot.soles.values() if len(points) > 1 for point in points}
     return {

@@ -44,7 +44,7 @@ class Solution:
         return self.forces.get(foot, np.zeros(3))
 
 
-def move(qpos: Array, step: Array) -> Array:
+def integrate_step(qpos: Array, step: Array) -> Array:
     """Returns the qpos (nq,) after a step (nv,) in the directions of qvel."""
     moved = qpos.copy()
     moved[:3] += step[:3]
@@ -58,7 +58,7 @@ _LONGEST_ROUND = 6  # Newton steps: of 370 searches that did not end, 360 went r
 _ALIKE = 0.01  # relative: a round that repeats itself so well draws what is near into itself
 
 
-def goes_round(residuals: Sequence[float]) -> bool:
+def is_cycling(residuals: Sequence[float]) -> bool:
     """Tells whether Newton's iteration goes round and will never end.
 
     Beyond the place where an equilibrium ends there is none to be found; Newton's iteration is then

@@ -20,12 +20,12 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
-from pupper_analysis.stance.sag.slip import sliding
+from pupper_analysis.stance.sag.homotopy_path import CREEP_STEPS, HomotopyPath
+from pupper_analysis.stance.sag.slip import find_sliding_feet
 from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.units import Units
-from pupper_analysis.stance.sag.way import CREEP_STEPS, Way
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.support_polygon import drop_at
+from pupper_analysis.statics.support_polygon import interpolate_drop
 
 Array = NDArray[np.float64]
 
@@ -155,16 +155,16 @@ def steady_state(
     """
     check_request(robot, stand, feet, seconds)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    way = Way(Equilibrium(robot, stand, kp, feet), exact=feedforward)
-    pose = settle(way, feedforward=feedforward, seconds=seconds)
-    if pose.failures or math.isinf(lasts := lasting(way, pose)):
+    way = HomotopyPath(Equilibrium(robot, stand, kp, feet), exact=feedforward)
+    pose = follow_to_end(way, feedforward=feedforward, seconds=seconds)
+    if pose.failures or math.isinf(lasts := let_creep(way, pose)):
         return pose
     return replace(
         pose, lasts=lasts, failures=(diagnose("creep-ends-it", after=Quantity(lasts, "s")),)
     )
 
 
-def lasting(way: Way, pose: SteadyState) -> float:
+def let_creep(way: HomotopyPath, pose: SteadyState) -> float:
     """Lets pinned feet creep for ``LASTING`` more, if that moves the base.
 
     Args:
@@ -215,7 +215,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
 
 
-def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
+def follow_to_end(way: HomotopyPath, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
     """Goes a way to its end; see ``steady_state``.
 
     Args:
@@ -230,10 +230,10 @@ def settle(way: Way, *, feedforward: bool, seconds: float = 0.0) -> SteadyState:
     margin = release_margin(way)
     if seconds:
         way.creep(seconds)
-    return pose_at(way, margin)
+    return describe_pose(way, margin)
 
 
-def release_margin(way: Way) -> float:
+def release_margin(way: HomotopyPath) -> float:
     """Returns the ``release_margin`` of a ``SteadyState`` at the end of a way."""
     held, now, robot = way.balance.contact_forces, way.solution.forces, way.system.robot
     feet, nothing = tuple(dict.fromkeys((*held, *now))), np.zeros(3)
@@ -300,7 +300,7 @@ def minimum_stiffness(
     return high
 
 
-def pose_at(way: Way, margin: float) -> SteadyState:
+def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
     """Looks at where a way has come to, from all sides; ``margin`` is its release margin."""
     system, solution = way.system, way.solution
     robot, stand, qpos = system.robot, system.stand, solution.qpos
@@ -315,7 +315,7 @@ def pose_at(way: Way, margin: float) -> SteadyState:
     targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
     reached = touch.config.foot_places(stand.stance_feet)
     loss = float(stand.qpos[2] - qpos[2])
-    contact_sag = drop_at(stand.qpos[:2], targets, (targets - reached)[:, 2])
+    contact_sag = interpolate_drop(stand.qpos[:2], targets, (targets - reached)[:, 2])
     torques = system.torques(qpos)
     names = np.array(robot.joint_names)
     return SteadyState(
@@ -337,7 +337,7 @@ def pose_at(way: Way, margin: float) -> SteadyState:
         stiffness=stiffness,
         stable=stiffness > 0,
         release_margin=margin,
-        sliding_feet=sliding(system, solution),
+        sliding_feet=find_sliding_feet(system, solution),
         lasts=math.inf,
         failures=_failures(system, solution, stiffness),
     )
@@ -359,7 +359,8 @@ def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tupl
             failures.append(told)
     touching = {foot for foot, force in solution.forces.items() if force[2] > 0}
     failures += [
-        diagnose("foot-slides", subject=("foot", foot)) for foot in sliding(system, solution)
+        diagnose("foot-slides", subject=("foot", foot))
+        for foot in find_sliding_feet(system, solution)
     ]
     idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.soles[f])]
     failures += [diagnose("foot-idle", subject=("foot", foot), time=None) for foot in idle]

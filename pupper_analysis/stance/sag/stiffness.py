@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
-from pupper_analysis.stance.sag.slip import idle, slipping, turning_back
+from pupper_analysis.stance.sag.slip import find_idle_points, find_slipping_feet, turning_stiffness
 from pupper_analysis.stance.sag.solution import Solution
 
 Array = NDArray[np.float64]
@@ -68,17 +68,17 @@ def compliance_at(system: Equilibrium, solution: Solution, derivative: Array) ->
     rates = np.array(
         [system.laws[f].rate(d) for f, d in zip(system.anchors, places[:, 2], strict=True)]
     )
-    unpressed = idle(system, places[:, 2])
+    unpressed = find_idle_points(system, places[:, 2])
     rates[[row for row, foot in enumerate(system.anchors) if foot in unpressed]] = 0.0
     pushed = normal.copy()  # where a foot's normal force acts, with the friction it brings
-    moving = slipping(system, solution)
+    moving = find_slipping_feet(system, solution)
     for row, foot in enumerate(system.anchors):
         if foot in moving and foot not in unpressed:
             force = solution.forces[foot]
             pushed[row] += force[:2] / force[2] @ jacobian[3 * row : 3 * row + 2]
     hessian = derivative[:n, :n] + pushed.T @ (rates[:, None] * normal)
     across = system.as_one(jacobian.reshape(-1, 3, n)[:, :2])
-    for row, stiff in turning_back(system, solution):
+    for row, stiff in turning_stiffness(system, solution):
         hessian += across[row].T @ stiff @ across[row]
     loose = {*moving, *unpressed}
     sticks = [row for row, foot in enumerate(system.anchors) if foot not in loose]

@@ -158,7 +158,7 @@ def test_forces_are_chosen_so_that_motors_bear_them() -> None:
     still = stance_path(robot, tasks, 1e3, rate=1e-3)
     least = max(
         pa.gravity_compensation(
-            pa.Configuration(robot, qpos), distribution=pa.statics.ForceDistribution.MIN_PEAK
+            pa.Configuration(robot, qpos), distribution=pa.statics.ForceDistribution.MIN_MAX_TORQUE
         ).motor_utilisation.max()
         for qpos in still.qpos[::8]
     )

@@ -9,9 +9,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, buckling_modes
-from pupper_analysis.stance.sag.solution import move
-from pupper_analysis.stance.soft_ground import loaded_stand
+from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, find_buckling_modes
+from pupper_analysis.stance.sag.solution import integrate_step
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.variants import NAMES, load, stand_of
 
 EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
@@ -36,7 +36,8 @@ def test_stiffness_is_the_slope_of_the_balance(name: str, slope: float) -> None:
 
     steps = 1e-6 * np.eye(robot.nv)
     expected = [
-        (balance(move(stand.qpos, s)) - balance(move(stand.qpos, -s))) / 2e-6 for s in steps
+        (balance(integrate_step(stand.qpos, s)) - balance(integrate_step(stand.qpos, -s))) / 2e-6
+        for s in steps
     ]
     data = robot.pin_model.createData()
     pin.computeJointJacobians(robot.pin_model, data, robot.pin_convention.q(stand.qpos))
@@ -56,17 +57,17 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> 
     kp, mass, sunk = servos(robot).kp, 0.3, stand
     for _ in range(4):
         loaded = with_payload(robot, mass)
-        sunk = loaded_stand(loaded, stand)
+        sunk = solve_loaded_stand(loaded, stand)
         empty, laden = (
             pa.stance.stand_statics(one, sunk, distribution=EVEN) for one in (robot, loaded)
         )
-        modes = buckling_modes(robot, loaded, sunk, kp, empty, laden)
+        modes = find_buckling_modes(robot, loaded, sunk, kp, empty, laden)
         assert modes is not None
         mass = float(1 / modes[0])
     signs = []
     for share in (0.98, 1.02):
         heavy = with_payload(robot, share * mass)
-        pose = pa.steady_state(heavy, loaded_stand(heavy, stand), feedforward=True)
+        pose = pa.steady_state(heavy, solve_loaded_stand(heavy, stand), feedforward=True)
         signs.append(np.sign(pose.stiffness))
     assert signs == [1, -1]
 
@@ -77,4 +78,4 @@ def test_servos_too_soft_without_any_payload() -> None:
     empty, laden = (
         pa.stance.stand_statics(one, stand, distribution=EVEN) for one in (robot, loaded)
     )
-    assert buckling_modes(robot, loaded, stand, np.full(12, 0.5), empty, laden) is None
+    assert find_buckling_modes(robot, loaded, stand, np.full(12, 0.5), empty, laden) is None

@@ -20,10 +20,10 @@ from pupper_analysis.stance.payload.limit import _problem, contact_limit, motor_
 from pupper_analysis.stance.payload.servo_limit import (
     Failure,
     PayloadCommand,
-    first_failing,
+    find_first_failing,
     servo_limit,
 )
-from pupper_analysis.stance.soft_ground import loaded_stand
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at, with_efforts
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
@@ -221,7 +221,7 @@ def test_at_the_servos_limit_the_equilibrium_stops_being_stable() -> None:
     stiffness = []
     for share in (0.98, 1.02):
         heavy = with_payload(robot, share * bound.mass, ON_TOP)
-        pose = pa.steady_state(heavy, loaded_stand(heavy, stand), feedforward=True)
+        pose = pa.steady_state(heavy, solve_loaded_stand(heavy, stand), feedforward=True)
         stiffness.append(pose.stiffness)
         assert max(abs(pose.joint_torques)) < 0.6 * robot.effort_limits.max()
     assert stiffness[0] > 0 > stiffness[1]
@@ -243,7 +243,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     bound = servo_limit(robot, stand, ON_TOP)
     assert bound.failure is Failure.GROUND
     assert all(body.endswith("calf") for body in bound.where)
-    sunk = loaded_stand(with_payload(robot, bound.mass, ON_TOP), stand)
+    sunk = solve_loaded_stand(with_payload(robot, bound.mass, ON_TOP), stand)
     assert stand.ground_clearance is not None
     deepest = max(sunk.depths.values())
     assert deepest == pytest.approx(stand.ground_clearance.distance, rel=0.02)
@@ -271,11 +271,11 @@ def test_first_order_is_near_the_limit(name: str) -> None:
 
 
 def test_the_first_failure_is_bracketed_and_rounded_down() -> None:
-    assert first_failing(lambda mass: mass > 3.7, 1.0, 100.0) == pytest.approx(3.7, rel=1e-3)
-    assert first_failing(lambda mass: mass > 3.7, 1.0, 100.0) <= 3.7
-    assert first_failing(lambda mass: mass > 0.02, 1.0, 100.0) == pytest.approx(0.02, rel=1e-3)
-    assert first_failing(lambda mass: 2.0 < mass < 3.1, 1.0, 100.0) <= 2.0  # and not 100
-    assert first_failing(lambda mass: False, 1.0, 100.0) == 100.0
+    assert find_first_failing(lambda mass: mass > 3.7, 1.0, 100.0) == pytest.approx(3.7, rel=1e-3)
+    assert find_first_failing(lambda mass: mass > 3.7, 1.0, 100.0) <= 3.7
+    assert find_first_failing(lambda mass: mass > 0.02, 1.0, 100.0) == pytest.approx(0.02, rel=1e-3)
+    assert find_first_failing(lambda mass: 2.0 < mass < 3.1, 1.0, 100.0) <= 2.0  # and not 100
+    assert find_first_failing(lambda mass: False, 1.0, 100.0) == 100.0
 
 
 # ------------------------------------------------------------------------------------- simulated

@@ -13,10 +13,10 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.context import context_of
-from pupper_analysis.stance.payload.sharing import load_sharing
-from pupper_analysis.stance.problem import goal_of
-from pupper_analysis.stance.soft_ground import loaded_stand
-from pupper_analysis.stance.stand import stand_for
+from pupper_analysis.stance.payload.sharing import share_load
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.stance.stand import solve_goal
 from tests.support.random_legged import ring, written
 
 POINT = (0.03, 0.02, 0.05)
@@ -29,16 +29,16 @@ def loaded(folder: Path, seed: int, legs: int) -> pa.Robot:
 
 def lowest(robot: pa.Robot, stand: pa.Stand, share: float) -> float:
     """By how much MuJoCo's base sinks in 4 s with a share of the load that is shared (m)."""
-    sharing = load_sharing(robot, stand, POINT)
+    sharing = share_load(robot, stand, POINT)
     assert sharing is not None
     laden = with_payload(robot, share * sharing.mass, POINT)
     depths = {
         foot: GroundLaw.of(laden, foot).depth(force)
         for foot, force in sharing.normal_forces.items()
     }
-    task = loaded_stand(laden, stand).task
+    task = solve_loaded_stand(laden, stand).task
     with context_of(laden) as context:
-        sunk = stand_for(context, goal_of(laden, task, depths), explain=False)
+        sunk = solve_goal(context, make_goal(laden, task, depths), explain=False)
     drive = servos(laden)
     data = mujoco.MjData(drive.model)
     speed = np.zeros(laden.nv)

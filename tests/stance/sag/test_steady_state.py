@@ -15,10 +15,10 @@ from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
-from pupper_analysis.stance.sag.slip import slipping
-from pupper_analysis.stance.sag.solution import Solution, goes_round, move
+from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
+from pupper_analysis.stance.sag.slip import find_slipping_feet
+from pupper_analysis.stance.sag.solution import Solution, integrate_step, is_cycling
 from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
-from pupper_analysis.stance.sag.way import Way
 from tests.support.cases import some
 from tests.support.engines import changed, mujoco_at
 from tests.support.variants import BASES_FIRST, NAMES, SKELETON_NAMES, load, stand_of
@@ -91,7 +91,7 @@ def test_it_is_a_minimum_of_the_energy(name: str) -> None:
     least, random = energy(pose.qpos), np.random.default_rng(0)
     for _ in range(8):
         step = 1e-4 * random.standard_normal(robot.nv)
-        up, down = (energy(move(pose.qpos, sign * step)) for sign in (1, -1))
+        up, down = (energy(integrate_step(pose.qpos, sign * step)) for sign in (1, -1))
         assert up > least
         assert down > least
         assert abs(up - down) < 0.1 * (up + down - 2 * least)
@@ -362,10 +362,10 @@ def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa
 
 def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
     robot, stand = load("original"), lifted("original", "FL", 0.002)
-    way = Way(Equilibrium(robot, stand, 12.0, "pinned"))
+    way = HomotopyPath(Equilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
-    assert slipping(system, solution) == ("FL",)
+    assert find_slipping_feet(system, solution) == ("FL",)
     force = solution.forces["FL"]
     mu = robot.contacts["FL"].sliding_friction
     assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=1e-9)
@@ -383,7 +383,7 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
 @pytest.mark.parametrize(("name", "foot", "kp"), [("original", "FL", 12.0), ("v3", "RR", 4.0)])
 def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
     """Against differences, with feet that stick, slip, and creep."""
-    way = Way(Equilibrium(load(name), lifted(name, foot, 0.002), kp, "pinned"))
+    way = HomotopyPath(Equilibrium(load(name), lifted(name, foot, 0.002), kp, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
     forces = np.array(list(solution.forces.values()))
@@ -394,7 +394,7 @@ def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
             step = 1e-6 * random.standard_normal(len(derivative))
             ends = [
                 system.residual(
-                    move(solution.qpos, sign * step[: system.robot.nv]),
+                    integrate_step(solution.qpos, sign * step[: system.robot.nv]),
                     forces + sign * step[system.robot.nv :].reshape(-1, 3),
                 )
                 for sign in (1, -1)
@@ -551,15 +551,15 @@ def test_a_search_that_finds_something_does_not_go_round(
     found = [one.residuals for one, _ in ended if one is not None]
     assert len(found) >= 6
     for residuals in found:
-        assert not any(goes_round(residuals[:end]) for end in range(len(residuals)))
+        assert not any(is_cycling(residuals[:end]) for end in range(len(residuals)))
 
 
 def test_what_goes_round() -> None:
-    assert goes_round([0.1, 3.0, 0.02, 3.1, 0.0201, 3.105])
-    assert goes_round([1.0, 7.0, 0.16, 0.003, 0.88, 0.16, 0.003, 0.88])
-    assert not goes_round([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125])
-    assert not goes_round([1.0, 0.02, 1.0, 0.01, 1.0, 0.005])  # every other one comes nearer
-    assert not goes_round([0.5, 0.5, 0.5])
+    assert is_cycling([0.1, 3.0, 0.02, 3.1, 0.0201, 3.105])
+    assert is_cycling([1.0, 7.0, 0.16, 0.003, 0.88, 0.16, 0.003, 0.88])
+    assert not is_cycling([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125])
+    assert not is_cycling([1.0, 0.02, 1.0, 0.01, 1.0, 0.005])  # every other one comes nearer
+    assert not is_cycling([0.5, 0.5, 0.5])
 
 
 def test_instability_is_reported() -> None:

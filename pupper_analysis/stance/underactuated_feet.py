@@ -25,7 +25,7 @@ _YIELD = 5e-5
 _JOINTS = 6  # of a leg that lays its sole anywhere, in any orientation
 
 
-def yields(robot: Robot) -> bool:
+def has_underactuated_feet(robot: Robot) -> bool:
     """Tells whether a robot has soles that its legs, of fewer than six joints, lay as they can."""
     return any(
         len(points) > 1 and _joints_to(robot, points[0]) < _JOINTS
@@ -33,7 +33,7 @@ def yields(robot: Robot) -> bool:
     )
 
 
-def lacking(robot: Robot, goal: Goal) -> Diagnostic | None:
+def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
     """Tells which joints the legs lack for a sole that is lifted or moved; None if none.
 
     Or for loops and couplings that give way.
@@ -65,7 +65,7 @@ def _joints_to(robot: Robot, point: str) -> int:
     return sum(model.names[joint] in robot.joint_names for joint in above)
 
 
-def as_the_legs_can(robot: Robot, goal: Goal, point: Point) -> Goal:
+def relax_foot_orientation(robot: Robot, goal: Goal, point: Point) -> Goal:
     """Returns a goal whose feet are where a configuration has them, if they miss by micrometres.
 
     Args:
@@ -74,7 +74,7 @@ def as_the_legs_can(robot: Robot, goal: Goal, point: Point) -> Goal:
         point: Where a solver ended.
     """
     # Half of it: PlaCo's miss and the one that is measured afterwards differ in the last digits.
-    if point.miss < TASK_TOLERANCE / 2 or point.miss >= _YIELD or not yields(robot):
+    if point.miss < TASK_TOLERANCE / 2 or point.miss >= _YIELD or not has_underactuated_feet(robot):
         return goal
     places = Configuration(robot, point.qpos).foot_positions()
     return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))

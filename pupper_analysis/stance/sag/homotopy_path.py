@@ -31,7 +31,7 @@ _LEAST_EULER = 1 / 4096
 they give."""
 
 
-class Way:
+class HomotopyPath:
     """The way of an equilibrium from the stand: feed-forward is taken away, then the feet creep.
 
     Args:

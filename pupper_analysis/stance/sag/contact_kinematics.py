@@ -15,7 +15,7 @@ from pupper_analysis.stance.sag.solution import Anchor
 Array = NDArray[np.float64]
 
 
-class Touch:
+class ContactKinematics:
     """The feet that touch, at a configuration.
 
     Args:

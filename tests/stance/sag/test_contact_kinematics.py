@@ -12,7 +12,7 @@ from scipy import optimize
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.sag.equilibrium import Equilibrium
-from pupper_analysis.stance.sag.solution import move
+from pupper_analysis.stance.sag.solution import integrate_step
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -43,10 +43,10 @@ def test_derivative_is_that_of_the_residual(
     system = Equilibrium(robot, stand, None, feet)
     forces = rng.normal(size=(len(system.anchors), 3)) + np.array([0.0, 0.0, 8.0])
     system.moments = {foot: 0.1 * rng.normal(size=3) for foot in system.anchors}
-    qpos = move(stand.qpos, 2e-4 * rng.normal(size=robot.nv))  # the feet stick
+    qpos = integrate_step(stand.qpos, 2e-4 * rng.normal(size=robot.nv))  # the feet stick
     n = robot.nv
     found = system.derivative(qpos, forces)
-    by_qpos = differences(lambda step: system.residual(move(qpos, step), forces), n, 1e-5)
+    by_qpos = differences(lambda step: system.residual(integrate_step(qpos, step), forces), n, 1e-5)
     by_force = differences(
         lambda step: system.residual(qpos, forces + step.reshape(-1, 3)), forces.size, 1e-3
     )
@@ -58,11 +58,13 @@ def test_derivative_is_that_of_the_residual(
 def test_moments_turn_with_nothing() -> None:
     """Far from the stand, where second-order terms of all rotations count."""
     robot, rng = load("v3"), np.random.default_rng(6)
-    config = pa.Configuration(robot, move(stand_of("v3").qpos, 0.3 * rng.normal(size=robot.nv)))
+    config = pa.Configuration(
+        robot, integrate_step(stand_of("v3").qpos, 0.3 * rng.normal(size=robot.nv))
+    )
     wrenches = {foot: rng.normal(size=6) for foot in robot.feet}
 
     def left(step: np.ndarray) -> np.ndarray:
-        at = pa.Configuration(robot, move(config.qpos, step))
+        at = pa.Configuration(robot, integrate_step(config.qpos, step))
         return at.gravity() - sum(
             at.frame_jacobian(robot.foot_frames[foot]).T @ wrench
             for foot, wrench in wrenches.items()

@@ -14,10 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.stance.branches import Branch, Limb, branches, combinations, followed
+from pupper_analysis.stance.branches import (
+    Branch,
+    Limb,
+    combine_branches,
+    find_branches,
+    follow_branches,
+)
 from pupper_analysis.stance.clearance import Shapes
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.statics.support_polygon import margin_inside
+from pupper_analysis.statics.support_polygon import margin_of_place
 
 Array = NDArray[np.float64]
 
@@ -44,7 +50,7 @@ class _Start:
     off: float
 
 
-def clear_starts(shapes: Shapes, goal: Goal, qpos: Array) -> Iterator[Array]:
+def collision_free_seeds(shapes: Shapes, goal: Goal, qpos: Array) -> Iterator[Array]:
     """Yields configurations (nq,) where to begin, those that are least in the way first.
 
     Args:
@@ -53,7 +59,7 @@ def clear_starts(shapes: Shapes, goal: Goal, qpos: Array) -> Iterator[Array]:
         qpos: (nq,) a stand of it but for what is in the ground.
     """
     robot = shapes.robot
-    found = branches(robot, qpos, goal.targets, goal.lower, goal.upper)
+    found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
     step = 2 * _FAR / (_ACROSS - 1) * robot.stand_height
     starts = _starts(shapes, goal, qpos, found, step * _grid(_ACROSS))
     yield from (start.qpos for start in sorted(starts, key=lambda start: start.off))
@@ -75,7 +81,7 @@ def _starts(
     """Returns starts with the base of a configuration (nq,) moved by (n, 3) (m)."""
     robot = shapes.robot
     starts: list[_Start] = []
-    ways = followed(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
+    ways = follow_branches(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
     for number, move in enumerate(moves):
         base = qpos.copy()
         base[:3] += move
@@ -110,7 +116,7 @@ def _bent(
     """Yields the choices of one branch per limb."""
     robot = shapes.robot
     ways = {limb: tuple(rooms) for limb, rooms in high.items()}
-    for joints in combinations(ways, qpos[-robot.nu :]):
+    for joints in combine_branches(ways, qpos[-robot.nu :]):
         bent = qpos.copy()
         bent[-robot.nu :] = joints
         lowest = min(
@@ -120,5 +126,5 @@ def _bent(
             if np.array_equal(branch.positions, joints[limb.joints])
         )
         x, y, _ = Configuration(robot, bent).center_of_mass().tolist()
-        outside = goal.task.com_margin - margin_inside((x, y), goal.corners)
+        outside = goal.task.com_margin - margin_of_place((x, y), goal.corners)
         yield _Start(bent, max(0.0, -lowest) + max(0.0, outside))
