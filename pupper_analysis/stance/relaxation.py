@@ -1,4 +1,4 @@
-"""Why a stance is out of reach: demands that must give, as few as found, and how far they can go."""
+"""Why a stance is out of reach: as few demands as are found that must give, and how far."""
 
 from __future__ import annotations
 
