@@ -68,10 +68,11 @@ benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peer
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree
 	$(BIN)/python benchmarks/run.py --quick
 
-lint: $(VENV)/.ready-dev ## check style, format and who imports whom
+lint: $(VENV)/.ready-dev ## check style, format, who imports whom, and workflows
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/lint-imports --no-logo
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 
 types: $(VENV)/.ready-dev ## check the types
 	$(BIN)/mypy
