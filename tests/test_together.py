@@ -195,7 +195,7 @@ def test_sync_of_both_sides_is_all_or_nothing(
         monkeypatch.setattr(os, "access", deny(files.mjcf.resolve()))
     else:
         fails_at(files.mjcf.name, monkeypatch, OSError(errno.ENOSPC, "No space left on device"))
-    take = ["mjcf:body of base: mass", "urdf:damping"]
+    take = ["mjcf:link base: mass", "urdf:damping"]
     with pytest.raises(pa.OutputError) as raised:
         pa.sync_models(files.urdf, files.mjcf, take=take)
     assert str(files.mjcf) in str(raised.value)

@@ -80,7 +80,8 @@ def changes_between(
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))
         if owner != other_owner:
-            both = {"one": owner, "two": other_owner, **sides.named}
+            links = {"one": one.bodies[owner].link, "two": two.bodies[other_owner].link}
+            both = {**links, **sides.named}
             told = diagnose("frame-on-other-body", subject=("frame", name), **both)
         elif apart > tolerances.position:
             both = {**vectors(position, other, "m"), **sides.named}
@@ -108,7 +109,7 @@ def body_changes(
     name: str, one: TreeBody, two: TreeBody, tolerances: Tolerances, sides: ModelNames = FORMATS
 ) -> Iterable[Change]:
     """Yields the differences of two bodies."""
-    body = ("body", name)
+    body = ("link", one.link or two.link or name)
     greater = max(abs(one.mass), abs(two.mass))
     if abs(two.mass - one.mass) > tolerances.mass * greater:
         both = {**pair(one.mass, two.mass, "kg"), **sides.named}

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="SIDE[:WHICH]",
     help="Whose value is taken, urdf or mjcf: for all, or for WHICH: a number of the list (3, "
-    "1,4-6), a kind (mass), a body or joint (base, joint FL_hip), or one difference (body of base: "
-    "mass). May be repeated; the more particular counts.",
+    "1,4-6), a kind (mass), a link or joint (link base, joint FL_hip), or one difference (link "
+    "base: mass). May be repeated; the more particular counts.",
 )
 @click.option("--dry-run", is_flag=True, help="Write nothing; show what would change.")
 @click.option(
@@ -75,7 +75,7 @@ def sync_command(
     Examples:
       pupper-analysis sync robot.urdf robot.xml
       pupper-analysis sync robot.urdf robot.xml --take urdf --dry-run
-      pupper-analysis sync robot.urdf robot.xml --take urdf --take mjcf:"body of base: mass"
+      pupper-analysis sync robot.urdf robot.xml --take urdf --take mjcf:"link base: mass"
       pupper-analysis sync robot.urdf robot.xml --take mjcf:effort --take urdf:2,5-7 --backup
 
     \b

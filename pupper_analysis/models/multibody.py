@@ -30,11 +30,14 @@ class TreeBody:
         mass: kg.
         com: (3,) in the body's frame (m).
         inertia: (3, 3) about the com, in the body's axes (kg m^2).
+        link: What the file calls it: the link, or MuJoCo's body, that the joint moves, to which
+            others may be fixed; empty if that is not known.
     """
 
     mass: float
     com: Array
     inertia: Array
+    link: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +167,8 @@ def from_pinocchio(
     floating = model.nv > len(names)
     root = 1 if floating else 0
     owner = {0: base, root: base}
-    bodies = {base: _body(model.inertias[root])}
+    links = _links(model)
+    bodies = {base: _body(model.inertias[root], links.get(root, ""))}
     joints: dict[str, TreeJoint] = {}
     for index in range(root + 1, model.njoints):
         name = str(model.names[index])
@@ -185,7 +189,7 @@ def from_pinocchio(
             upper=float(model.upperPositionLimit[q]) if bounded else np.inf,
             **{one.field: float(getattr(model, one.pinocchio)[v]) for one in _OF_PINOCCHIO},
         )
-        bodies[name] = _body(model.inertias[index])
+        bodies[name] = _body(model.inertias[index], links.get(index, ""))
     places = {}
     for name, frame in frames.items():
         found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
@@ -217,8 +221,17 @@ def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
     return placements
 
 
-def _body(inertia: pin.Inertia) -> TreeBody:
-    return TreeBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia))
+def _body(inertia: pin.Inertia, link: str) -> TreeBody:
+    return TreeBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia), link)
+
+
+def _links(model: pin.Model) -> dict[int, str]:
+    """Returns {joint: the link that it moves}: the first of those that move with it."""
+    found: dict[int, str] = {}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            found.setdefault(int(frame.parentJoint), str(frame.name))
+    return found
 
 
 def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
@@ -308,7 +321,8 @@ def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
             joints[other] = child
     bodies = {other: body for other, body in values.bodies.items() if other != name}
     carried = pose.act(_inertia(values.bodies[name]))
-    bodies[joint.parent] = _body(_inertia(values.bodies[joint.parent]) + carried)
+    parent = values.bodies[joint.parent]
+    bodies[joint.parent] = _body(_inertia(parent) + carried, parent.link)
     frames = {
         frame: (joint.parent, np.array(pose.act(place))) if owner == name else (owner, place)
         for frame, (owner, place) in values.frames.items()

@@ -31,9 +31,9 @@ _OF_JOINT: Final = (
 
 
 def owner_name(difference: Difference) -> str:
-    """Names what a difference is of: ``body of base``, ``joint FL_hip``, ``frame FL_foot``."""
+    """Names what a difference is of: ``link FL_hip``, ``joint FL_hip_joint``, ``frame FL_foot``."""
     if difference.kind in _OF_BODY:
-        return f"body of {difference.element}"
+        return f"link {link_of(difference)}"
     if difference.kind in _OF_JOINT:
         return f"joint {difference.element}"
     if difference.kind == "frame":
@@ -41,8 +41,14 @@ def owner_name(difference: Difference) -> str:
     return difference.element
 
 
+def link_of(difference: Difference) -> str:
+    """Returns the link that a difference is of; its element, where it is not of a link."""
+    subject = difference.diagnostic.subject
+    return subject.name if subject is not None and subject.kind == "link" else difference.element
+
+
 def difference_label(difference: Difference) -> str:
-    """Names a difference: ``body of base: mass``."""
+    """Names a difference: ``link FL_hip: mass``."""
     kind = "position" if difference.kind == "frame" else difference.kind
     return f"{owner_name(difference)}: {kind}"
 
@@ -56,7 +62,7 @@ def choose_files(
         differences: The differences, numbered from 1.
         take: ``"urdf"``, ``"mjcf"``, or either with a colon and what it is taken for: numbers
             (``3``, ``1,4-6``), a kind (``mass``), what it is of (``base``, ``joint FL_hip``), or
-            both (``body of base: mass``). What is more particular counts, whatever the order; of
+            both (``link FL_hip: mass``). What is more particular counts, whatever the order; of
             two that are as particular, the last.
 
     Raises:
@@ -81,10 +87,16 @@ def _meant(differences: Sequence[Difference], which: str) -> Iterator[tuple[int,
         yield from ((index, 0) for index in range(len(differences)))
         return
     names = [
-        (difference_label(difference), owner_name(difference), difference.element, difference.kind)
+        (
+            difference_label(difference),
+            owner_name(difference),
+            link_of(difference),
+            difference.element,
+            difference.kind,
+        )
         for difference in differences
     ]
-    ranks = (3, 2, 2, 1)
+    ranks = (3, 2, 2, 2, 1)
     if not any(which in of_one for of_one in names) and re.fullmatch(r"[\d,\s-]+", which):
         yield from ((number - 1, 4) for number in _numbers(which, len(differences)))
         return

@@ -32,7 +32,7 @@ class Unmended(Result):
     """A difference that is not mended.
 
     Attributes:
-        difference: Its name: ``body of base: mass``.
+        difference: Its name: ``link base: mass``.
         reason: Why.
         cause: The kind of reason.
     """
@@ -99,7 +99,7 @@ def sync_models(
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: Whose values are taken: ``"urdf"`` (then the MJCF is changed) or ``"mjcf"``, for all,
-            or for some (``"mjcf:mass"``, ``"urdf:body of base: mass"``, ``"mjcf:3"``). Of what is
+            or for some (``"mjcf:mass"``, ``"urdf:link base: mass"``, ``"mjcf:3"``). Of what is
             not named, nothing is changed.
         take_absent: Take also that a file states no value: a limit is switched off, a damping
             becomes 0. By default what is not stated overwrites nothing.

@@ -187,7 +187,7 @@ def test_a_frame_on_another_body_is_told(tmp_path: Path) -> None:
     files = write(tmp_path, urdf_text(quadruped(), moved), mjcf_text(quadruped()))
     explanation = explain_differences(matched(files).robot)
     assert found(explanation) == [("frame", "foot1")]
-    assert "is on the body of hip1 in the URDF, of knee1 in the MJCF" in only(explanation).message
+    assert "is on link thigh1 in the URDF, on shank1 in the MJCF" in only(explanation).message
     assert explanation.complete
 
 

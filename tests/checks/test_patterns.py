@@ -140,7 +140,7 @@ def test_left_and_right_of_pupper_are_exchanged(tmp_path: Path) -> None:
 
 def test_one_mass_ten_times_too_large(tmp_path: Path) -> None:
     line = first_line(pair(tmp_path, changed(quadruped(), "shank2", mass=2.2)))
-    assert line.startswith("DISAGREE: body of knee2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
+    assert line.startswith("DISAGREE: link shank2: mass 0.22 kg in the URDF, 2.2 kg in the MJCF")
     assert "(ten times: a decimal point?)" in line
 
 
@@ -176,7 +176,7 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
     (cause,) = comparison.causes
     assert cause.differences == (0, 1, 2)
     assert lines(comparison)[0].startswith(
-        "DISAGREE: body of base: all inertial parameters differ: mass 6 kg in the URDF, 11 kg"
+        "DISAGREE: link base: all inertial parameters differ: mass 6 kg in the URDF, 11 kg"
     )
 
 
@@ -184,7 +184,7 @@ def test_the_inertial_of_another_link_is_recognised(tmp_path: Path) -> None:
     thigh = quadruped()["thigh3"]
     mine = {"mass": thigh.mass, "com": thigh.com, "inertia": thigh.inertia}
     line = first_line(pair(tmp_path, changed(quadruped(), "shank1", **mine)))
-    assert "it is that of hip3 in the URDF" in line
+    assert "it is that of thigh3 in the URDF" in line
 
 
 def test_no_pattern_where_there_is_none(tmp_path: Path) -> None:

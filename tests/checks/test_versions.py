@@ -128,7 +128,7 @@ def test_old_and_new_are_not_exchanged(tmp_path: Path) -> None:
     diff = diff_of(tmp_path, ROBOT, other, "urdf")
     assert (diff.changes[0].old, diff.changes[0].new) == (6.0, 9.0)
     assert diff.changes[0].message == (
-        "body of base: mass 6 kg in the old file, 9 kg in the new file (+50 %)"
+        "link base: mass 6 kg in the old file, 9 kg in the new file (+50 %)"
     )
     assert diff.mass[1] - diff.mass[0] == pytest.approx(3.0, abs=1e-12)
     back = diff_of(tmp_path, other, ROBOT, "urdf")
@@ -630,7 +630,7 @@ def test_what_is_printed(tmp_path: Path) -> None:
     assert result.returncode == 1
     shown = result.stdout
     assert "DIFFERENT old.urdf and new.urdf: 2 changes" in shown
-    assert "1. body of knee0: mass 0.2 kg in the old file, 0.4 kg in the new file" in shown
+    assert "1. link shank0: mass 0.2 kg in the old file, 0.4 kg in the new file" in shown
     assert "alone it changes " in shown
     assert "no effect on the dynamics of the tree of joints" in shown
     assert "now 11.3" in shown

@@ -49,7 +49,7 @@ def test_models_that_differ_are_exit_status_1(models: Path, tmp_path: Path) -> N
     result = run(models, "robot.urdf", "heavier.xml", "--json", str(output))
     assert result.returncode == 1
     assert result.stderr == ""
-    verdict = "DISAGREE robot.urdf and heavier.xml: body of base: mass 6 kg in the URDF, 7.5 kg"
+    verdict = "DISAGREE robot.urdf and heavier.xml: link base: mass 6 kg in the URDF, 7.5 kg"
     assert result.stdout.startswith(verdict)
     assert "robot.urdf:5   heavier.xml:7" in result.stdout
     content = json.loads(output.read_text())
@@ -64,7 +64,7 @@ def test_github(models: Path) -> None:
     assert result.returncode == 1
     commands = result.stdout.splitlines()
     assert len(commands) == 9
-    assert commands[0].startswith("::error file=robot.urdf,line=5,title=mass of base::body of base")
+    assert commands[0].startswith("::error file=robot.urdf,line=5,title=mass of base::link base")
     assert "(+25 %25)" in commands[0]
     assert all(command.startswith("::error file=robot.urdf,line=") for command in commands)
     quiet = run(models, "robot.urdf", "robot.xml", "--format", "github")

@@ -31,11 +31,11 @@ def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
     result = run(folder)
     assert result.returncode == 1
     assert result.stderr == ""
-    assert "1. body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in result.stdout
+    assert "1. link base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in result.stdout
     assert "   robot.urdf:5   robot.xml:7" in result.stdout
     assert "2. joint hip1: effort 21 N m in the URDF, 25 N m in the MJCF" in result.stdout
     assert "Nothing was changed. --take urdf takes the URDF's values" in result.stdout
-    assert '--take urdf:"body of base: mass"' in result.stdout
+    assert '--take urdf:"link base: mass"' in result.stdout
     assert (folder / "robot.xml").read_bytes() == before
 
 

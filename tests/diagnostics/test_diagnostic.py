@@ -233,9 +233,9 @@ def test_a_difference_is_said_in_both_languages() -> None:
     )
     told = diagnose("inertia-differs", subject=("body", "base"), entries=[entry, entry], guess=None)
     english = "ixx 0.018 kg m^2 in the URDF, 0.016 kg m^2 in the MJCF (-7.39 %)"
-    assert str(told) == f"body of base: inertia about the com: {english}; {english}"
+    assert str(told) == f"link base: inertia about the com: {english}; {english}"
     chinese = "ixx 在 URDF 中为 0.018 kg m^2，在 MJCF 中为 0.016 kg m^2（-7.39 %）"
-    assert told.text("zh") == f"base 的刚体：关于质心的惯量：{chinese}；{chinese}"
+    assert told.text("zh") == f"连杆 base：关于质心的惯量：{chinese}；{chinese}"
 
 
 # --- diagnostics

@@ -58,7 +58,7 @@ def files(tmp_path: Path) -> Files:
 
 def test_the_verdict_names_the_first_cause(files: Files) -> None:
     assert lines(compared(files))[0] == (
-        "DISAGREE: body of base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)"
+        "DISAGREE: link base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)"
     )
 
 
@@ -142,12 +142,13 @@ LONG = "knee_of_the_left_hind_leg_whose_name_is_as_long_as_a_whole_line_of_a_ter
 @pytest.mark.parametrize("width", [80, 100, 120])
 def test_nothing_is_cut_off(tmp_path: Path, width: int, spring: bool) -> None:
     urdf = changed(quadruped(), "shank1", joint=LONG)
-    mjcf = mjcf_text(changed(changed(quadruped(), "shank1", joint=LONG), "shank1", mass=0.9))
+    mjcf = mjcf_text(changed(urdf, "shank1", mass=0.9, upper=0.8))
     if spring:
         mjcf = mjcf.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compared(write(tmp_path, urdf_text(urdf), mjcf))
     text = printed(comparison, width=width)
-    assert f"body of {LONG}: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
+    assert "link shank1: mass 0.21 kg in the URDF, 0.9 kg in the MJCF" in text
+    assert f"joint {LONG}: upper limit" in text
     after = text[text.index("Deviation relative to") :].splitlines()
     for quantity in comparison.check.quantities:
         rows = " ".join(line for line in after if line.startswith(f"{quantity.name} "))
@@ -159,11 +160,11 @@ def test_nothing_is_cut_off(tmp_path: Path, width: int, spring: bool) -> None:
 
 def test_brackets_in_names_are_printed(tmp_path: Path) -> None:
     """Names that look like markup are not taken for it."""
-    mjcf = changed(changed(quadruped(), "shank1", joint="[red]knee"), "shank1", mass=0.9)
     urdf = changed(quadruped(), "shank1", joint="[red]knee")
+    mjcf = changed(urdf, "shank1", upper=0.8)
     files = write(tmp_path, urdf_text(urdf), mjcf_text(mjcf), stem="go[blue]1")
     text = printed(compared(files))
-    assert "body of [red]knee" in text
+    assert "joint [red]knee: upper limit" in text
     assert "go[blue]1.urdf:" in text
     assert "go[blue]1.xml:" in text
 

@@ -121,7 +121,7 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
     assert (first.urdf, first.mjcf) == (3.3, 6.921)
     assert str(first.urdf_place).endswith("mini_cheetah.urdf:5")
     assert str(first.mjcf_place).endswith("mini_cheetah.xml:44")
-    assert first.message == ("body of base: mass 3.3 kg in the URDF, 6.921 kg in the MJCF (+110 %)")
+    assert first.message == ("link base: mass 3.3 kg in the URDF, 6.921 kg in the MJCF (+110 %)")
     inertials = []
     for name in ("mini_cheetah/mini_cheetah.xml", "go2/go2.xml"):
         base = ElementTree.parse(file(MJCF, name)).find("worldbody/body[@name='base']/inertial")

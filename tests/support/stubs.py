@@ -378,8 +378,8 @@ def files() -> Any:
         weight=(0.34, 0.341),
         urdf=3.3,
         mjcf=6.9,
-        message="body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
-        diagnostic=problem("body of base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF"),
+        message="link base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF",
+        diagnostic=problem("link base: mass 3.3 kg in the URDF, 6.9 kg in the MJCF"),
         urdf_place="a.urdf:5",
         mjcf_place="b.xml:44",
         effects={

@@ -69,7 +69,7 @@ def test_without_a_choice_nothing_is_changed(tmp_path: Path) -> None:
     assert result.taken == {}
     assert result.edits == ()
     assert [(left.difference, str(left.reason)) for left in result.not_mended] == [
-        ("body of base: mass", "nothing was chosen for it")
+        ("link base: mass", "nothing was chosen for it")
     ]
     assert not result.agree
     assert [file.read_bytes() for file in files] == before
@@ -92,9 +92,9 @@ DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, dam
     ("take", "expected"),
     [
         (["mjcf"], {"mass": "mjcf", "effort": "mjcf", "damping": "mjcf"}),
-        (["mjcf:body of base: mass"], {"mass": "mjcf"}),
+        (["mjcf:link base: mass"], {"mass": "mjcf"}),
         (["urdf:base"], {"mass": "urdf"}),
-        (["urdf:body of base"], {"mass": "urdf"}),
+        (["urdf:link base"], {"mass": "urdf"}),
         (["urdf:mass", "mjcf:hip1"], {"mass": "urdf", "effort": "mjcf", "damping": "mjcf"}),
         (["mjcf:joint hip1: effort"], {"effort": "mjcf"}),
         (["mjcf:1"], {"mass": "mjcf"}),
@@ -117,7 +117,7 @@ def test_choices(tmp_path: Path, take: list[str], expected: dict[str, str]) -> N
     [
         ("both", "'both' is not of the form urdf, mjcf, urdf:WHICH or mjcf:WHICH"),
         ("urdf:", "'urdf:' is not of the form"),
-        ("urdf:tail", "no difference is called 'tail'; there are: body of base: mass; joint hip1"),
+        ("urdf:tail", "no difference is called 'tail'; there are: link base: mass; joint hip1"),
         ("urdf:4", "'4': the differences are numbered from 1 to 3"),
         ("urdf:0", "'0': the differences are numbered from 1 to 3"),
         ("urdf:0-1", "'0-1': the differences are numbered from 1 to 3"),
@@ -341,7 +341,7 @@ def test_of_what_was_chosen_all_is_written_or_nothing(tmp_path: Path) -> None:
         assert [edit[0] for edit in edits(result)] == ["link thigh1 > inertial > mass"]
         assert {left.cause for left in result.not_mended} == {UnwrittenCause.NOT_MENDED}
         assert (files.urdf.read_bytes(), files.mjcf.read_bytes()) == before
-    for choice, options in (("mjcf", {"partial": True}), ("mjcf:body of hip1", {})):
+    for choice, options in (("mjcf", {"partial": True}), ("mjcf:link thigh1", {})):
         files = write(tmp_path, urdf_text(parts), mjcf_text(ROBOT))
         result = sync(files, choice, **options)
         assert not result.withheld
@@ -360,7 +360,7 @@ def test_of_merged_links_the_one_that_needs_the_fewest_changes_is_changed(tmp_pa
     result = sync(files, "mjcf")
     assert edits(result) == [("link pad > inertial > mass", "value", "0.1", "0.12")]
     assert "of the 2 links of this body, link pad was changed" in str(
-        result.notes["body of knee0: mass"]
+        result.notes["link shank0: mass"]
     )
     assert agree(files)
     # Of the mass alone, the sum can be made right as well, by the shank.
@@ -379,7 +379,7 @@ def test_a_sum_that_no_body_can_have_is_left(tmp_path: Path) -> None:
     before = files.urdf.read_bytes()
     result = sync(files, "mjcf")
     assert {left.difference for left in result.not_mended} == {
-        f"body of knee0: {kind}" for kind in ("mass", "com", "inertia")
+        f"link shank0: {kind}" for kind in ("mass", "com", "inertia")
     }
     (reason,) = {str(left.reason) for left in result.not_mended}
     assert "none of them can be changed so that the sum is right" in reason
@@ -396,7 +396,7 @@ def test_a_body_that_gets_its_mass_from_shapes_is_given_an_inertial(tmp_path: Pa
     files.mjcf.write_text(text)
     result = sync(files, "urdf")
     assert agree(files)
-    assert "its mass comes from its shapes" in str(result.notes["body of base: inertia"])
+    assert "its mass comes from its shapes" in str(result.notes["link base: inertia"])
     files.mjcf.write_text(text.replace("<compiler", '<compiler inertiafromgeom="true"'))
     result = sync(files, "urdf:base")
     assert result.edits == ()

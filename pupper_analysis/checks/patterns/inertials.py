@@ -39,7 +39,7 @@ def other_inertials(case: PatternCase) -> Found:
         one, two = case.first.bodies[name], case.second.bodies[name]
         twin = next(
             (
-                other
+                body.link or other
                 for other, body in case.first.bodies.items()
                 if other != name
                 and math.isclose(body.mass, two.mass, rel_tol=case.tolerances.mass)
@@ -57,7 +57,7 @@ def other_inertials(case: PatternCase) -> Found:
             "inertial",
             diagnose(
                 "inertial-of-another",
-                subject=("body", name),
+                subject=("link", one.link or name),
                 urdf=Quantity(one.mass, "kg"),
                 mjcf=Quantity(two.mass, "kg"),
                 guess=guess,
