@@ -15,6 +15,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.structure import Structure
+from pupper_analysis.stance.sag.solution import move
+from tests.stance.sag.test_touch import differences
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -182,3 +184,20 @@ def test_nobody_changes_a_velocity_of_zero(any_robot: pa.Robot) -> None:
 def numbers_agree(actual: np.ndarray, expected: np.ndarray) -> None:
     size = float(np.abs(expected).max()) or 1.0
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-13 * size)
+
+
+def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:
+    """Rows and columns of what gravity and a foot's wrench do, against differences of both."""
+    rng = np.random.default_rng(4)
+    config = pa.Configuration(tiny, move(tiny.neutral(), 0.3 * rng.normal(size=tiny.nv)))
+    wrenches = {foot: rng.normal(size=6) for foot in tiny.feet}
+
+    def left(step: np.ndarray) -> np.ndarray:
+        at = pa.Configuration(tiny, move(config.qpos, step))
+        return at.gravity() - sum(
+            at.frame_jacobian(tiny.foot_frames[foot]).T @ wrench
+            for foot, wrench in wrenches.items()
+        )
+
+    rates = config.static_rates(wrenches)
+    np.testing.assert_allclose(rates, differences(left, tiny.nv, 1e-4), rtol=0, atol=1e-8)
