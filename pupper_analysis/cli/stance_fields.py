@@ -21,7 +21,8 @@ TYPED = {name: field for name, field in FIELDS.items() if field.help}
 
 def option_of(field: Field) -> Callable[[Command], Command]:
     """Returns a field's option."""
-    options: dict[str, Any] = {"help": field.help}
+    example = f"; e.g. {field.example}." if field.example else "."
+    options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
     point = field.axes or field.choices
     if field.per_foot:
         form = "X,Y" if point else field.kind.upper()

@@ -94,6 +94,7 @@ class Field:
         always_said: Whether a task's text has it where it is 0, too.
         option: Of the command line, without its dashes; there is none without ``help``.
         help: What ``--help`` says of it.
+        example: A value as one types it, which ``--help`` shows.
         address: What the page's address calls it.
         slider: How far the page's goes; None if it has none.
     """
@@ -115,6 +116,7 @@ class Field:
     always_said: bool = False
     option: str = ""
     help: str = ""
+    example: str = ""
     address: str = ""
     slider: Slider | None = None
 

@@ -116,6 +116,15 @@ def test_each_refuses_what_makes_no_sense(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
+def test_the_example_of_each_option_is_a_value_that_it_takes(field: Field) -> None:
+    context = cli.group.commands["stand"].make_context(
+        "stand", ["v3", f"--{field.option}", field.example]
+    )
+    task = task_of({name: context.params[name] for name in TYPED})
+    assert task.values()[field.name] != pa.StandTask().values()[field.name]
+
+
+@pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
 def test_each_is_an_option_of_the_same_value(field: Field) -> None:
     command = cli.group.commands["stand"]
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
