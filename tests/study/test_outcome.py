@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import fnmatch
 import math
 import os
+import re
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from pathlib import Path
@@ -34,6 +36,7 @@ from pupper_analysis.study.tolerance import (
     tightest_tolerance,
 )
 from tests.support import study_measures
+from tests.support.variants import load
 
 
 @pytest.fixture(scope="module")
@@ -440,6 +443,17 @@ def test_randomisation_as_terms_of_mjlab(tmp_path: Path) -> None:
     text = (tmp_path / "dr.py").read_text()
     assert text.count("one for all") == 2  # kp:*, effort:*, of which mjlab draws each
     assert (found["payload"]["func"], found["payload"]["operation"]) == ("dr.body_mass", "add")
+
+
+@pytest.mark.parametrize("pattern", ["leg_[!f]*_3", "leg_[fb]*_[12]", "leg_?*_l_1", "base_link"])
+def test_patterns_match_the_same_names_as_regular_expressions(tmp_path: Path, pattern: str) -> None:
+    write_randomisation({f"mass:{pattern}": {"uniform": [0.9, 1.1]}}, tmp_path / "dr.py", "mjlab")
+    told = terms(tmp_path / "dr.py")[f"mass:{pattern}"]["asset_cfg"]
+    (expression,) = ast.literal_eval(told[told.index("(", 15) : -1])
+    names = load("v3").structure.links
+    matched = [name for name in names if re.fullmatch(expression, name)]
+    assert matched == [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+    assert matched
 
 
 def test_the_terms_are_mjlabs_own(tmp_path: Path) -> None:
