@@ -15,8 +15,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.structure import Structure
-from pupper_analysis.stance.sag.solution import move
-from tests.stance.sag.test_touch import differences
+from pupper_analysis.stance.sag.solution import integrate_step
+from tests.stance.sag.test_contact_kinematics import differences
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load
 
@@ -189,11 +189,11 @@ def numbers_agree(actual: np.ndarray, expected: np.ndarray) -> None:
 def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:
     """Rows and columns of what gravity and a foot's wrench do, against differences of both."""
     rng = np.random.default_rng(4)
-    config = pa.Configuration(tiny, move(tiny.neutral(), 0.3 * rng.normal(size=tiny.nv)))
+    config = pa.Configuration(tiny, integrate_step(tiny.neutral(), 0.3 * rng.normal(size=tiny.nv)))
     wrenches = {foot: rng.normal(size=6) for foot in tiny.feet}
 
     def left(step: np.ndarray) -> np.ndarray:
-        at = pa.Configuration(tiny, move(config.qpos, step))
+        at = pa.Configuration(tiny, integrate_step(config.qpos, step))
         return at.gravity() - sum(
             at.frame_jacobian(tiny.foot_frames[foot]).T @ wrench
             for foot, wrench in wrenches.items()
