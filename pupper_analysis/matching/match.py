@@ -206,9 +206,7 @@ def match_models(
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
     unstated = {} if strict else take_unstated(root, spec, mjcf.path, urdf.unknown, pairs)
     frames = common_frames(root, spec, wanted)
-    for foot in feet:
-        if foot not in frames:
-            raise UnknownNameError(urdf.path, "frame of both files (for a foot)", foot, frames)
+    _check_feet(feet, frames, urdf.path)
     description = _described(root, spec, (urdf, mjcf), {n: frames[n] for n in feet or frames})
     robot, meant, moved = _in_one_convention(root, description, tolerances or Tolerances())
     return Match(
@@ -232,6 +230,13 @@ def match_models(
         parts=tuple(parts),
         unstated=unstated,
     )
+
+
+def _check_feet(feet: Sequence[str], frames: Mapping[str, tuple[str, str]], urdf: Path) -> None:
+    """Raises UnknownNameError for a foot that is no frame of both files."""
+    for foot in feet:
+        if foot not in frames:
+            raise UnknownNameError(urdf, "frame of both files (for a foot)", foot, frames)
 
 
 def _described(
