@@ -158,12 +158,12 @@ def test_the_page_has_the_table_s_numbers() -> None:
     failed = {row["failure"]: row for row in tables["What failed, by kind"]}
     assert failed["unreachable"]["designs (–)"] == "6"
     assert failed["unreachable"]["share (–)"].startswith("33.3%")
-    varied = {row["number"]: row for row in tables["Parameters"]}
+    varied = {row["parameter"]: row for row in tables["Parameters"]}
     assert varied["height (m)"]["range or values"] == "0.12, 0.15, 0.5"
     front = next(rows for title, rows in tables.items() if "Pareto front" in title)
     assert [float(row["leg_scale"]) for row in front] == found.front["leg_scale"].to_list()
     assert "18 designs, of which 6 failed" in page.shown()
-    told = {row["measure"]: row for row in tables["Metrics"]}
+    told = {row["metric"]: row for row in tables["Metrics"]}
     assert float(told["com_margin"]["median"]) == pytest.approx(
         float(found.table["com_margin"].median()), rel=1e-4
     )
@@ -172,10 +172,10 @@ def test_the_page_has_the_table_s_numbers() -> None:
 def test_shares_and_certainties_are_in_their_columns() -> None:
     tables = Page(written(full(), robots=False)).tables()
     shares = next(rows for title, rows in tables.items() if title.startswith("Sensitivity"))
-    row = next(r for r in shares if r["measure"] == "servo_sag" and r["number"] == "kp")
+    row = next(r for r in shares if r["metric"] == "servo_sag" and r["parameter"] == "kp")
     names = ("by derivatives", "Sobol, alone", "Sobol, in all", "± 95 %")
     assert [row[f"{name} (–)"] for name in names] == ["45.6%", "22.2%", "55.5%", "2.2%"]
-    other = next(r for r in shares if r["measure"] == "com_margin")
+    other = next(r for r in shares if r["metric"] == "com_margin")
     assert other["Sobol, alone (–)"] == "-"
     sure = {row["what"]: row for row in tables["How sure the stand is"]}
     assert sure["It stays up on its servos"]["probability (–)"] == "90.00%"
