@@ -372,7 +372,14 @@ def rows(names: tuple[str, ...]) -> Iterator[Row]:
                 yield row(name, edit, robot, stand, folder)
 
 
-COLUMNS = ("feature of the MJCF", "predicted (mm)", "bare MuJoCo (mm)", "stand", "audit", "crosscheck")
+COLUMNS = (
+    "feature of the MJCF",
+    "predicted (mm)",
+    "bare MuJoCo (mm)",
+    "stand",
+    "audit",
+    "crosscheck",
+)
 
 
 def millimetres(value: float | None) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +29,8 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
 
         v / (f_t/mu^2) = omega / (m/mu_r^2) = -|mu_r omega| / sqrt(f_n^2 - |f_t|^2/mu^2)
 
-    so that the same push moves it as fast as it rolls: by 1 mm in a sway of v3.
+    so that the same push moves it as fast as it rolls: by 1 mm in a sway of v3. In a pyramidal cone
+    a foot that is pushed by more than half of its friction creeps faster (``_past_an_edge``).
 
     Args:
         robot: The robot on the path's ground.
@@ -42,6 +44,9 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
     laws = {foot: GroundLaw.of(robot, foot) for foot in path.feet}
     speeds = np.zeros_like(forces)
     carrying = path.stance_feet & ~path.infeasible[:, None]
+    pyramidal = robot.mj_model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
+    edges = _edges(normal) if pyramidal else None
+    shares_in = pressed_in(robot, path, forces)
     for row, (qpos, qvel) in enumerate(zip(path.qpos, motion, strict=True)):
         config = Configuration(robot, qpos)
         for column in np.flatnonzero(carrying[row]):
@@ -56,8 +61,78 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
             rolling = limits[0] * float(np.linalg.norm(turning - about * normal))
             scaled = math.hypot(rolling, limits[2] * about)
             room = math.sqrt(pressing**2 - float(pushed @ pushed) / mu**2)
-            viscosity = laws[foot].viscosity(laws[foot].depth(pressing))
+            depth = laws[foot].depth(pressing * float(shares_in[row, column]))
+            viscosity = laws[foot].viscosity(depth)
             rate = max(1 / viscosity, scaled / (mu**2 * room))
-            speeds[row, column] = -rate * pushed
+            faster = np.eye(3)
+            if edges is not None:
+                shares = np.abs(edges @ pushed) / (mu * pressing)
+                condim = robot.contacts[foot].condim
+                faster = edges.T @ np.diag([_past_an_edge(u, condim) for u in shares]) @ edges
+            speeds[row, column] = -rate * faster @ pushed
+    speeds = _followed(path.time, speeds, np.array([law.damping for law in laws.values()]))
     found: Array = cumulative_trapezoid(speeds, path.time, axis=0, initial=0.0)
     return found
+
+
+def _followed(time: Array, speeds: Array, damping: Array) -> Array:
+    """Returns speeds (n, feet, 3) that follow these by dv/dt = b (w - v), as contacts have it."""
+    found = speeds.copy()
+    left = np.exp(-np.diff(time)[:, None] * damping)[..., None]
+    for index, share in enumerate(left):
+        wanted = (speeds[index] + speeds[index + 1]) / 2
+        found[index + 1] = wanted + share * (found[index] - wanted)
+    return found
+
+
+def pressed_in(robot: Robot, path: StancePath, forces: Array) -> Array:
+    """Returns the share of feet's normal forces (n, feet) that presses them into the ground.
+
+    All of it in an elliptic cone. In a pyramidal one that is pushed past an edge
+    (``_past_an_edge``), the edges that press evenly are left with (1 - u) n/(n - 2) of it.
+
+    Args:
+        robot: The robot on the path's ground.
+        path: Its path.
+        forces: (n, feet, 3) of the ground on each foot, in world axes (N).
+    """
+    found = np.ones(forces.shape[:2])
+    if robot.mj_model.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL.value:
+        return found
+    friction, normal = DryFriction.of(robot), path.stances[0].task.ground.normal()
+    for column, foot in enumerate(path.feet):
+        limit = friction.sliding[foot] * np.maximum(forces[:, column] @ normal, 0.0)
+        pushed = np.abs(forces[:, column] @ _edges(normal).T).max(axis=1)
+        share = np.divide(pushed, limit, out=np.zeros_like(limit), where=limit > 0)
+        edges = 2 * (robot.contacts[foot].condim - 1)
+        past = edges * (1 - np.minimum(share, _SLIDING)) / max(1, edges - 2)
+        found[:, column] = np.where(share > 2 / max(1, edges), past, 1.0)
+    return found
+
+
+def _edges(normal: Array) -> Array:
+    """Returns the directions (2, 3) of a friction pyramid's edges on the ground.
+
+    Source: MuJoCo, mju_makeFrame: the first is that of y, if the normal is not near to it.
+    """
+    start = np.array([0.0, 1.0, 0.0] if abs(normal[1]) < 0.5 else [0.0, 0.0, 1.0])
+    first = start - float(start @ normal) * normal
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(normal, first)])
+
+
+def _past_an_edge(share: float, condim: int) -> float:
+    """Returns how much faster than by its viscosity a foot creeps along an edge of a pyramid.
+
+    A pyramidal cone is n = 2 (condim - 1) forces along its edges, of N/n each at rest: a creep adds
+    w to one and takes it from the one opposite, and w = u N/2 for a push of u times the friction.
+    From u = 2/n on the one opposite is gone. The others share N, and u N = (N - w)/(n - 1) + w.
+
+    Args:
+        share: Tangential force / (friction coefficient x normal force), along the edge.
+        condim: Of the contact.
+    """
+    edges = 2 * (condim - 1)
+    if share <= 2 / edges:
+        return 1.0
+    return 2 * ((edges - 1) * share - 1) / ((edges - 2) * share)

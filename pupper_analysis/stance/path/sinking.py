@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.creeping import crept
+from pupper_analysis.stance.path.creeping import crept, pressed_in
 from pupper_analysis.stance.path.stance_path import StancePath
 from pupper_analysis.statics.dynamics import joint_resistance, rolling_resistance
 
@@ -76,7 +76,8 @@ def sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
     own = path.forces @ normal
     borne, forces = own, path.forces
     for _ in range(_ROUNDS):
-        columns = zip(laws, borne.T, masses.T, strict=True)
+        pressing_in = borne * pressed_in(robot, path, forces)
+        columns = zip(laws, pressing_in.T, masses.T, strict=True)
         sunk = np.array([depths_of(law, path.time, *rest) for law, *rest in columns])
         depths, sinking = sunk[:, 0].T, sunk[:, 1].T
         # A sole's corners do not roll.
