@@ -42,7 +42,7 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
 
     friction, normal = DryFriction.of(robot), path.stances[0].task.ground.normal()
     laws = {foot: GroundLaw.of(robot, foot) for foot in path.feet}
-    speeds = np.zeros_like(forces)
+    speeds, rolling_off = np.zeros_like(forces), np.zeros_like(forces)
     carrying = path.stance_feet & ~path.infeasible[:, None]
     pyramidal = robot.mj_model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
     edges = _edges(normal) if pyramidal else None
@@ -63,14 +63,18 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
             room = math.sqrt(pressing**2 - float(pushed @ pushed) / mu**2)
             depth = laws[foot].depth(pressing * float(shares_in[row, column]))
             viscosity = laws[foot].viscosity(depth)
-            rate = max(1 / viscosity, scaled / (mu**2 * room))
+            rate = scaled / (mu**2 * room)
+            if rate > 1 / viscosity:
+                rolling_off[row, column] = -rate * pushed
+                continue
             faster = np.eye(3)
             if edges is not None:
                 shares = np.abs(edges @ pushed) / (mu * pressing)
                 condim = robot.contacts[foot].condim
                 faster = edges.T @ np.diag([_past_an_edge(u, condim) for u in shares]) @ edges
-            speeds[row, column] = -rate * faster @ pushed
+            speeds[row, column] = -faster @ pushed / viscosity
     speeds = _followed(path.time, speeds, np.array([law.damping for law in laws.values()]))
+    speeds += rolling_off
     found: Array = cumulative_trapezoid(speeds, path.time, axis=0, initial=0.0)
     return found
 
