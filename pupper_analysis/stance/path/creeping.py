@@ -44,8 +44,7 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
     laws = {foot: GroundLaw.of(robot, foot) for foot in path.feet}
     speeds, rolling_off = np.zeros_like(forces), np.zeros_like(forces)
     carrying = path.stance_feet & ~path.infeasible[:, None]
-    pyramidal = robot.mj_model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
-    edges = _edges(normal) if pyramidal else None
+    edges = _edges(normal)
     shares_in = pressed_in(robot, path, forces)
     for row, (qpos, qvel) in enumerate(zip(path.qpos, motion, strict=True)):
         config = Configuration(robot, qpos)
@@ -68,10 +67,9 @@ def crept(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array
                 rolling_off[row, column] = -rate * pushed
                 continue
             faster = np.eye(3)
-            if edges is not None:
+            if _is_pyramid(robot, foot):
                 shares = np.abs(edges @ pushed) / (mu * pressing)
-                condim = robot.contacts[foot].condim
-                faster = edges.T @ np.diag([_past_an_edge(u, condim) for u in shares]) @ edges
+                faster = edges.T @ np.diag([_past_an_edge(share) for share in shares]) @ edges
             speeds[row, column] = -faster @ pushed / viscosity
     speeds = _followed(path.time, speeds, np.array([law.damping for law in laws.values()]))
     speeds += rolling_off
@@ -93,7 +91,7 @@ def pressed_in(robot: Robot, path: StancePath, forces: Array) -> Array:
     """Returns the share of feet's normal forces (n, feet) that presses them into the ground.
 
     All of it in an elliptic cone. In a pyramidal one that is pushed past an edge
-    (``_past_an_edge``), the edges that press evenly are left with (1 - u) n/(n - 2) of it.
+    (``_past_an_edge``), the four edges would bear 2 (1 - u) of it if they pressed evenly.
 
     Args:
         robot: The robot on the path's ground.
@@ -101,17 +99,24 @@ def pressed_in(robot: Robot, path: StancePath, forces: Array) -> Array:
         forces: (n, feet, 3) of the ground on each foot, in world axes (N).
     """
     found = np.ones(forces.shape[:2])
-    if robot.mj_model.opt.cone != mujoco.mjtCone.mjCONE_PYRAMIDAL.value:
-        return found
     friction, normal = DryFriction.of(robot), path.stances[0].task.ground.normal()
     for column, foot in enumerate(path.feet):
+        if not _is_pyramid(robot, foot):
+            continue
         limit = friction.sliding[foot] * np.maximum(forces[:, column] @ normal, 0.0)
         pushed = np.abs(forces[:, column] @ _edges(normal).T).max(axis=1)
         share = np.divide(pushed, limit, out=np.zeros_like(limit), where=limit > 0)
-        edges = 2 * (robot.contacts[foot].condim - 1)
-        past = edges * (1 - np.minimum(share, _SLIDING)) / max(1, edges - 2)
-        found[:, column] = np.where(share > 2 / max(1, edges), past, 1.0)
+        found[:, column] = np.minimum(1.0, 2 * (1 - np.minimum(share, _SLIDING)))
     return found
+
+
+def _is_pyramid(robot: Robot, foot: str) -> bool:
+    """Returns whether a foot's friction is a pyramid of four edges.
+
+    (Of condim 4 and 6 it has more, and those of rolling take their part of the load.)
+    """
+    pyramidal = robot.mj_model.opt.cone == mujoco.mjtCone.mjCONE_PYRAMIDAL.value
+    return bool(pyramidal and robot.contacts[foot].condim == 3)
 
 
 def _edges(normal: Array) -> Array:
@@ -125,18 +130,14 @@ def _edges(normal: Array) -> Array:
     return np.array([first, np.cross(normal, first)])
 
 
-def _past_an_edge(share: float, condim: int) -> float:
+def _past_an_edge(share: float) -> float:
     """Returns how much faster than by its viscosity a foot creeps along an edge of a pyramid.
 
-    A pyramidal cone is n = 2 (condim - 1) forces along its edges, of N/n each at rest: a creep adds
-    w to one and takes it from the one opposite, and w = u N/2 for a push of u times the friction.
-    From u = 2/n on the one opposite is gone. The others share N, and u N = (N - w)/(n - 1) + w.
+    The pyramid is four forces along its edges, of N/4 each at rest: a creep adds w to one and takes
+    it from the one opposite, and w = u N/2 for a push of u times the friction. From u = 1/2 on the
+    one opposite is gone. The others share N, and u N = (N - w)/3 + w.
 
     Args:
         share: Tangential force / (friction coefficient x normal force), along the edge.
-        condim: Of the contact.
     """
-    edges = 2 * (condim - 1)
-    if share <= 2 / edges:
-        return 1.0
-    return 2 * ((edges - 1) * share - 1) / ((edges - 2) * share)
+    return 1.0 if share <= 0.5 else (3 * share - 1) / share
