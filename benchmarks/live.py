@@ -33,7 +33,7 @@ from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.server import LOOPBACK, Page
 from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 
 
 class Still:
@@ -45,7 +45,7 @@ class Still:
 
 def measure(variant: str, moves: int) -> dict[str, list[float]]:
     """Returns the times (s) of the parts of each move."""
-    model = Model(Variants(pa.VARIANTS[variant]))
+    model = Model(LiveVariants(pa.VARIANTS[variant]))
     port = viser_parts.free_port(LOOPBACK, None)
     server = viser_parts.start_server(LOOPBACK, port, "benchmark")
     taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
@@ -96,7 +96,7 @@ def dragged(variant: str, executable: str, seconds: float = 6.0) -> tuple[float,
     def listen(socket: Any) -> None:
         socket.on("framesent", sent)
 
-    page = Page(Variants(pa.VARIANTS[variant]))
+    page = Page(LiveVariants(pa.VARIANTS[variant]))
     with sync_playwright() as driver, mock.patch.object(Scene, "show", counted):
         arguments = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
         browser = driver.chromium.launch(executable_path=executable, args=arguments)

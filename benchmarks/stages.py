@@ -17,7 +17,7 @@ import pupper_analysis as pa
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
 from pupper_analysis.stance.solver import Solver
@@ -155,7 +155,7 @@ def _sag(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     stand = pa.solve_stand(robot)
 
     def run() -> None:
-        system = Equilibrium(robot, stand, None, "pinned")
+        system = SagEquilibrium(robot, stand, None, "pinned")
         watch.stop("the equations")
         way = HomotopyPath(system)
         watch.stop("statics, and steps to the stand on soft ground")

@@ -20,7 +20,7 @@ from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.live.export import write_link
 from pupper_analysis.live.server import Page
 from pupper_analysis.live.state import parse_state
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 
 IMAGES = Path(__file__).resolve().parent / "images"
 OPTIONS = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader"]
@@ -31,7 +31,7 @@ PATIENCE = 120_000.0
 
 def live(browser: Browser, path: Path) -> None:
     """The live page: v3 on three legs, uphill, and the simulated robot beside it."""
-    served = Page(Variants(pa.VARIANTS["v3"]))
+    served = Page(LiveVariants(pa.VARIANTS["v3"]))
     page = browser.new_page(viewport={"width": 1240, "height": 840})
     page.set_default_timeout(PATIENCE)
     page.goto(write_link(served.address.removeprefix("http://").rstrip("/"), parse_state(STATE)))

@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.models.mjcf import quiet
 from pupper_analysis.models.spec_state import spec_from, state_of
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of
 
@@ -305,16 +305,16 @@ def test_a_killed_worker_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None
 
     for name in ("mkstemp", "mkdtemp", "TemporaryDirectory", "NamedTemporaryFile"):
         monkeypatch.setattr(tempfile, name, refuse)
-    shapes = Shapes(load("v3"))
+    shapes = ClearanceShapes(load("v3"))
     near = shapes.between_links(stand_of("v3").qpos)
     assert near is not None
     assert near.distance > 0
 
 
 def test_without_files_in_memory_it_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    one = Shapes(load("v3")).between_links(stand_of("v3").qpos)
+    one = ClearanceShapes(load("v3")).between_links(stand_of("v3").qpos)
     monkeypatch.delattr(os, "memfd_create", raising=False)
-    assert Shapes(load("v3")).between_links(stand_of("v3").qpos) == one
+    assert ClearanceShapes(load("v3")).between_links(stand_of("v3").qpos) == one
 
 
 def test_silence_ends_with_the_last_who_wanted_it() -> None:

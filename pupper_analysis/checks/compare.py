@@ -14,7 +14,7 @@ from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanat
 from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
 from pupper_analysis.checks.mount import Mount, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
-from pupper_analysis.checks.patterns import Cause, find_causes
+from pupper_analysis.checks.patterns import PatternCause, find_causes
 from pupper_analysis.checks.shares import mass_shares
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.words import with_names_of_models
@@ -80,7 +80,7 @@ class Comparison(Tabular):
     notes: tuple[Diagnostic, ...]
     check: CrossCheck
     differences: tuple[Difference, ...]
-    causes: tuple[Cause, ...]
+    causes: tuple[PatternCause, ...]
     deviations: dict[str, float]
     residual: dict[str, float]
     explained: float

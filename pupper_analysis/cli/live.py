@@ -22,7 +22,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pupper_analysis.live.source import Source
+    from pupper_analysis.live.source import LiveSource
 
 
 @click.command("live", context_settings=shared.CONTEXT, short_help="A page to play with stances.")
@@ -81,22 +81,22 @@ def live_command(
     import_viser()  # before anything is loaded
     begin = parse_state(state)
     derived = derived_variant(base, leg_scale, torso_mass_scale)
-    source: Source
+    source: LiveSource
     if urdf or mjcf or feet or pairs or keyframe or packages:
         if name is not None or derived is not None:
             raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
-        from pupper_analysis.live.source import Pair
+        from pupper_analysis.live.source import UploadedPair
 
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            source = Pair.of(files_given(urdf, mjcf, feet, pairs, keyframe, packages))
+            source = UploadedPair.of(files_given(urdf, mjcf, feet, pairs, keyframe, packages))
         print_notes(source.robot({}))
     else:
-        from pupper_analysis.pupper.live import Variants
+        from pupper_analysis.pupper.live import LiveVariants
         from pupper_analysis.pupper.variants import variant_spec
 
         if name is not None and derived is not None:
             raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
-        source = Variants(derived if derived is not None else variant_spec(name or "v3"))
+        source = LiveVariants(derived if derived is not None else variant_spec(name or "v3"))
     with shared.show_progress("making the page"):
         page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")

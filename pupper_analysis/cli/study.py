@@ -15,7 +15,7 @@ from pupper_analysis.cli import shared
 if TYPE_CHECKING:
     from pupper_analysis.report.document import Document
     from pupper_analysis.study.running import Progress
-    from pupper_analysis.study.study import Study
+    from pupper_analysis.study.study import DesignStudy
 
 
 @click.command("study", context_settings=shared.CONTEXT, short_help="Measure thousands of designs.")
@@ -125,7 +125,7 @@ def _show(document: Document, style: str, everything: bool) -> None:
 
 
 def _run(
-    study: Study,
+    study: DesignStudy,
     folder: Path,
     executor: Executor | None,
     workers: int | None,

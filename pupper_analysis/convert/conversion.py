@@ -15,7 +15,7 @@ from pupper_analysis.simulation.verify import StandVerification
 
 
 @dataclass(frozen=True)
-class Draft:
+class ConversionDraft:
     """A new model file that is not written yet.
 
     Attributes:

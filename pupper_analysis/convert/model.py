@@ -9,7 +9,7 @@ from pathlib import Path
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.convert.conversion import Conversion, Draft
+from pupper_analysis.convert.conversion import Conversion, ConversionDraft
 from pupper_analysis.convert.from_urdf import check_joints
 from pupper_analysis.convert.last_check import keyframe_run
 from pupper_analysis.convert.repair import Repair
@@ -170,7 +170,7 @@ def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
     return verify_stand(robot, solve_stand_on_soft_ground(robot))
 
 
-def _write(output: Path, draft: Draft, *, force: bool) -> list[Path]:
+def _write(output: Path, draft: ConversionDraft, *, force: bool) -> list[Path]:
     """Writes the meshes and the file that names them, together.
 
     Raises:

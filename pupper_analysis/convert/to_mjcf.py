@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.convert import equip
-from pupper_analysis.convert.conversion import Draft
+from pupper_analysis.convert.conversion import ConversionDraft
 from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
@@ -81,7 +81,7 @@ class MjcfOptions:
     copy_meshes: bool = False
 
 
-def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
+def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
     """Makes the MJCF of a URDF.
 
     Args:
@@ -101,7 +101,7 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
         return replace(held, notes=(*held.notes, told))
 
 
-def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
+def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
     """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
     if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
         raise ModelError(urdf.path, diagnose("no-joint-moves"))
@@ -142,7 +142,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Draft:
     mjcf.remove_empty_sections()
     put_defaults(mjcf.root)
     header = f"Converted from {urdf.path.name} by pupper-analysis."
-    return Draft(
+    return ConversionDraft(
         text=to_text(mjcf.root, header),
         meshes=meshes.made,
         notes=tuple(notes),

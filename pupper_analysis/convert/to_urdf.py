@@ -13,9 +13,9 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, rotation_from_quaternion
-from pupper_analysis.convert.conversion import Draft
+from pupper_analysis.convert.conversion import ConversionDraft
 from pupper_analysis.convert.unsaid import others, surroundings
-from pupper_analysis.convert.urdf_shapes import Shapes, put_placement
+from pupper_analysis.convert.urdf_shapes import UrdfShapes, put_placement
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.attributes import PASSIVE
@@ -53,7 +53,7 @@ class UrdfLinks:
 
     file: MjcfFile
     model: mujoco.MjModel
-    shapes: Shapes
+    shapes: UrdfShapes
     left: list[Diagnostic] = field(default_factory=list)
     links: dict[int, tuple[str, pin.SE3]] = field(default_factory=dict)
 
@@ -220,7 +220,7 @@ class UrdfLinks:
         return free_name(wanted, self._joint_names)
 
 
-def urdf_draft(file: MjcfFile, output: Path) -> Draft:
+def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     """Makes the URDF of an MJCF.
 
     Args:
@@ -236,7 +236,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     model = compile_spec(spec, file.path) if joined else file.compile()
     base = _base(file, model)
     root = etree.Element("robot", {"name": _robot_name(file)})
-    shapes = Shapes(file, model, output.resolve().parent)
+    shapes = UrdfShapes(file, model, output.resolve().parent)
     links = UrdfLinks(file, model, shapes)
     links.add(root, base)
     links.add_sites(root)
@@ -249,7 +249,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> Draft:
     if floating:
         notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
-    return Draft(to_text(root, header), {}, tuple(notes), tuple(left))
+    return ConversionDraft(to_text(root, header), {}, tuple(notes), tuple(left))
 
 
 def _robot_name(file: MjcfFile) -> str:

@@ -23,7 +23,7 @@ _SHOWN = 3
 """Geom groups below this are shown by MuJoCo's viewer by default."""
 
 
-class Shapes:
+class UrdfShapes:
     """Makes the shapes of links.
 
     Attributes:

@@ -14,7 +14,7 @@ from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.controls import slider_values
 from pupper_analysis.live.door import without_folders
-from pupper_analysis.live.model import Answer, Sag
+from pupper_analysis.live.model import Answer, PredictedSag
 from pupper_analysis.live.sliders import CONTROLS
 from pupper_analysis.live.state import State
 from pupper_analysis.report import document as doc
@@ -33,7 +33,9 @@ NOWHERE = doc.Name("")
 """The title of what is told of no robot."""
 
 
-def stance_document(answer: Answer, sag: Sag | None, judged: Verdict | None) -> doc.Document:
+def stance_document(
+    answer: Answer, sag: PredictedSag | None, judged: Verdict | None
+) -> doc.Document:
     """Returns what a stance takes.
 
     Args:
@@ -85,7 +87,7 @@ def _title(answer: Answer) -> doc.Name:
     return NOWHERE if robot is None else doc.Name(f"{robot.name}, {robot.total_mass:.3f} kg")
 
 
-def _sag(sag: Sag | None) -> Iterable[doc.Block]:
+def _sag(sag: PredictedSag | None) -> Iterable[doc.Block]:
     title = text("predicted-sag-without-feed-forward")
     if sag is None:
         yield doc.Lines((text("being-worked-out"),), "warn", title)

@@ -7,8 +7,8 @@ import io
 from typing import Any
 from urllib.parse import quote
 
-from pupper_analysis.live.model import Answer, Sag
-from pupper_analysis.live.source import Source, quote_words
+from pupper_analysis.live.model import Answer, PredictedSag
+from pupper_analysis.live.source import LiveSource, quote_words
 from pupper_analysis.live.state import SHOWN, State, format_number, in_si
 from pupper_analysis.results import to_json
 from pupper_analysis.stance.fields import Field
@@ -38,7 +38,7 @@ print("verified" if report.passed else report.failures)
 """
 
 
-def write_python(source: Source, state: State) -> str:
+def write_python(source: LiveSource, state: State) -> str:
     """Returns a script that makes the same stand."""
     robot = source.python(state.scales())
     if state.payload:
@@ -69,12 +69,12 @@ def _python(field: Field, value: Any) -> str:
     return repr(in_si(field, value))
 
 
-def write_command(source: Source, state: State) -> str:
+def write_command(source: LiveSource, state: State) -> str:
     """Returns the command that solves and simulates the same stand."""
     return quote_words([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
 
 
-def live_command(source: Source, state: State, language: str = "en") -> str:
+def live_command(source: LiveSource, state: State, language: str = "en") -> str:
     """Returns the command that opens a page with the same state."""
     words = [PROGRAM, "live", *source.arguments({})]
     words += [] if language == "en" else ["--language", language]
@@ -104,7 +104,7 @@ def _typed(field: Field, value: Any) -> str:
     return value if isinstance(value, str) else repr(in_si(field, value))
 
 
-def write_json(source: Source, answer: Answer, sag: Sag | None) -> str:
+def write_json(source: LiveSource, answer: Answer, sag: PredictedSag | None) -> str:
     """Returns all that is known of a stance."""
     content: dict[str, Any] = {
         "robot": source.python(answer.state.scales()),

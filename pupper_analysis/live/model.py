@@ -18,7 +18,7 @@ from pupper_analysis.errors import (
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.live.source import Source
+from pupper_analysis.live.source import LiveSource
 from pupper_analysis.live.state import State
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
@@ -67,7 +67,7 @@ class Answer:
 
 
 @dataclass(frozen=True, eq=False)
-class Sag:
+class PredictedSag:
     """What servos without feed-forward make of a stand.
 
     Attributes:
@@ -86,7 +86,7 @@ class Model:
         source: Which robot.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: LiveSource) -> None:
         self.source = source
         self._robots: OrderedDict[object, Robot] = OrderedDict()
         self._lock = threading.Lock()
@@ -149,18 +149,18 @@ def explain_refusal(answer: Answer) -> StanceUnreachableError | None:
     return None
 
 
-def predict_sag(answer: Answer) -> Sag:
+def predict_sag(answer: Answer) -> PredictedSag:
     """Predicts where the stand settles without feed-forward."""
     assert answer.robot is not None
     assert answer.stand is not None
     try:
-        return Sag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), None)
+        return PredictedSag(steady_state(answer.robot, answer.stand, kp=answer.state.kp), None)
     except NoEquilibriumError as error:
-        return Sag(None, error.diagnostic)
+        return PredictedSag(None, error.diagnostic)
     except StaticsInfeasibleError:
-        return Sag(None, diagnose("cannot-be-held"))
+        return PredictedSag(None, diagnose("cannot-be-held"))
     except PupperAnalysisError as error:
-        return Sag(None, error.diagnostic)
+        return PredictedSag(None, error.diagnostic)
 
 
 def expect_verdict(answer: Answer, *, closely: bool) -> Verdict | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class PlayedMotion:
     """What was simulated.
 
     Attributes:

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 from pupper_analysis.live import export, render
 from pupper_analysis.live.controls import Controls
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Model, Sag
+from pupper_analysis.live.model import Answer, Model, PredictedSag
 from pupper_analysis.live.state import State
 from pupper_analysis.live.viser_parts import clear_but_tabs, named_tabs
 from pupper_analysis.report.document import Document
@@ -49,7 +49,7 @@ class Acts(Protocol):
     def speak(self, language: Language) -> None:
         """Goes on in another language."""
 
-    def export(self) -> tuple[Answer | None, Sag | None]:
+    def export(self) -> tuple[Answer | None, PredictedSag | None]:
         """Returns what is shown, whole."""
 
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.live.colour import colour_of
 from pupper_analysis.live.model import Answer
-from pupper_analysis.live.shapes import Colour, Part, parts_of
+from pupper_analysis.live.shapes import Colour, ShapePart, parts_of
 from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.scene import Contact, Standing, describe_scene
+from pupper_analysis.report.scene import Contact, StandingScene, describe_scene
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
@@ -59,7 +59,7 @@ class Figure:
         scene: Any,
         name: str,
         robot: Robot,
-        parts: list[Part],
+        parts: list[ShapePart],
         colour: Colour | None = None,
         opacity: float | None = None,
     ) -> None:
@@ -113,7 +113,7 @@ class Scene:
     def __init__(self, scene: Any) -> None:
         self._scene = scene
         self._robot: Robot | None = None
-        self._parts: list[Part] = []
+        self._parts: list[ShapePart] = []
         self._figures: dict[str, Figure] = {}
         self._nodes: dict[str, Any] = {}
         self._joints: dict[str, Any] = {}
@@ -236,7 +236,7 @@ class Scene:
         grid.wxyz = to_quaternion(turn)
         grid.position = -1e-3 * turn[:, 2]  # beneath what lies on it
 
-    def _steps(self, seen: Standing) -> None:
+    def _steps(self, seen: StandingScene) -> None:
         """Draws the steps under the feet that stand on some: as high as each, or as deep."""
         for name in [name for name in self._nodes if name.startswith("steps/")]:
             self._nodes[name].visible = False
@@ -250,7 +250,7 @@ class Scene:
             box.dimensions, box.color = tuple(2 * half), PIT if pit else STONE
             box.wxyz, box.position = seen.turn, step.centre - rise * out
 
-    def _support(self, seen: Standing, *, held: bool) -> None:
+    def _support(self, seen: StandingScene, *, held: bool) -> None:
         points = seen.polygon + np.array([0.0, 0.0, 0.005 * self._size])
         padded = np.concatenate([points, np.tile(points[-1], (_CORNERS, 1))])[:_CORNERS]
         fan = [(0, n, n + 1) for n in range(1, _CORNERS - 1)]
@@ -268,7 +268,7 @@ class Scene:
         area.vertices = padded
         area.color = INSIDE if held else OUTSIDE
 
-    def _com(self, seen: Standing) -> None:
+    def _com(self, seen: StandingScene) -> None:
         colour = INSIDE if seen.inside else OUTSIDE
         for name, place, size in (("com", seen.com, 0.075), ("beneath", seen.below, 0.05)):
             ball = self._node(name, "add_icosphere", size * self._size, colour, cast_shadow=False)
@@ -290,7 +290,7 @@ class Scene:
         turn = rotation_from_quaternion(stand.qpos[3:7])
         ball.position = stand.qpos[:3] + turn @ np.array(answer.state.payload_point())
 
-    def _torques(self, seen: Standing) -> None:
+    def _torques(self, seen: StandingScene) -> None:
         """Colours the joints; names the one whose motor works hardest, or all."""
         hardest = max(seen.joints, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
         for one in seen.joints:
@@ -305,7 +305,7 @@ class Scene:
                 label.text = joint_text(one.name, one.torque, one.share)
                 label.position = one.place + np.array([0.0, 0.0, 0.2 * self._size])
 
-    def _forces(self, seen: Standing) -> None:
+    def _forces(self, seen: StandingScene) -> None:
         if not seen.contacts:
             if "forces" in self._nodes:
                 self._nodes["forces"].visible = False

@@ -14,7 +14,7 @@ from pupper_analysis.live.door import Door
 from pupper_analysis.live.language import NAMES, Language
 from pupper_analysis.live.model import Model
 from pupper_analysis.live.session import Session
-from pupper_analysis.live.source import Source
+from pupper_analysis.live.source import LiveSource
 from pupper_analysis.live.state import State, parse_state
 
 LOOPBACK = "127.0.0.1"
@@ -52,7 +52,7 @@ class Page:
 
     def __init__(
         self,
-        source: Source,
+        source: LiveSource,
         state: State | None = None,
         *,
         language: str = "en",

@@ -28,8 +28,8 @@ from pupper_analysis.live.documents import (
     unforeseen_document,
 )
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Model, Sag
-from pupper_analysis.live.motion import Motion
+from pupper_analysis.live.model import Answer, Model, PredictedSag
+from pupper_analysis.live.motion import PlayedMotion
 from pupper_analysis.live.panels import Panels
 from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State, halfway_state, parse_state
@@ -78,12 +78,12 @@ class Session:
         self._closed, self._held = threading.Event(), threading.Event()
         self._lock = threading.RLock()
         self._answer: Answer | None = None
-        self._sag: Sag | None = None
+        self._sag: PredictedSag | None = None
         self._verdict: Verdict | None = None
         self._refusal: Any = None
         self._pending = True
         self._job: Callable[[Answer], None] | None = None
-        self._motion: Motion | None = None
+        self._motion: PlayedMotion | None = None
         self._result: Document | None = None
         self._since, self._told = 0.0, -math.inf
         self._scene = Scene(client.scene)
@@ -195,7 +195,7 @@ class Session:
             if self._answer is not None and self._motion is not None:
                 self._draw_motion(self._answer, self._motion, seconds)
 
-    def export(self) -> tuple[Answer | None, Sag | None]:
+    def export(self) -> tuple[Answer | None, PredictedSag | None]:
         """Returns what is shown, whole."""
         with self._lock:
             return self._answer, self._sag
@@ -340,15 +340,15 @@ class Session:
 
         self._if_shown(answer, judged)
         told = simulation_document(stance, feedforward=feedforward)
-        self._show_motion(answer, told, Motion(shown.motion_time, shown.motion))
+        self._show_motion(answer, told, PlayedMotion(shown.motion_time, shown.motion))
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
         trial = answers.pushed(answer, impulse, direction, feedforward=self._panels.feedforward)
         told = push_document(trial)
-        self._show_motion(answer, told, Motion(trial.motion_time, trial.motion))
+        self._show_motion(answer, told, PlayedMotion(trial.motion_time, trial.motion))
 
-    def _show_motion(self, answer: Answer, told: Document, motion: Motion) -> None:
+    def _show_motion(self, answer: Answer, told: Document, motion: PlayedMotion) -> None:
         """Tells what came of a simulation, and plays it."""
 
         def show() -> None:
@@ -379,7 +379,7 @@ class Session:
             if not self._if_shown(answer, show) or self._closed.wait(_FRAME):
                 return
 
-    def _draw_motion(self, answer: Answer, motion: Motion, at: float) -> None:
+    def _draw_motion(self, answer: Answer, motion: PlayedMotion, at: float) -> None:
         """Shows what was simulated at a time (s)."""
         assert answer.robot is not None
         assert answer.task is not None

@@ -21,7 +21,7 @@ MOST_FACES = 40_000
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class ShapePart:
     """All of a body's shapes that have one colour.
 
     Attributes:
@@ -37,7 +37,7 @@ class Part:
     colour: Colour
 
 
-def parts_of(model: mujoco.MjModel) -> list[Part]:
+def parts_of(model: mujoco.MjModel) -> list[ShapePart]:
     """Returns a robot's shapes, those of one body and colour together."""
     shapes, meshes = shapes_of(model, MOST_FACES)
     found: dict[tuple[int, Colour], list[tuple[Array, Integers]]] = {}
@@ -50,7 +50,7 @@ def parts_of(model: mujoco.MjModel) -> list[Part]:
         red, green, blue = (round(255 * float(value)) for value in shape.colour[:3])
         placed = vertices @ turn.T + shape.position, faces
         found.setdefault((shape.body, (red, green, blue)), []).append(placed)
-    return [Part(body, *_joined(parts), colour) for (body, colour), parts in found.items()]
+    return [ShapePart(body, *_joined(parts), colour) for (body, colour), parts in found.items()]
 
 
 def _joined(shapes: list[tuple[Array, Integers]]) -> tuple[Array, Integers]:

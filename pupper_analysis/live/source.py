@@ -14,7 +14,7 @@ from pupper_analysis.prepare.load import load_robot
 from pupper_analysis.robot.robot import Robot
 
 
-class Source(Protocol):
+class LiveSource(Protocol):
     """Makes robots, and says how others make them.
 
     Attributes:
@@ -40,7 +40,7 @@ class Source(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class UploadedPair:
     """The robot of a URDF and an MJCF.
 
     Attributes:
@@ -52,7 +52,7 @@ class Pair:
     loaded: Robot
 
     @staticmethod
-    def of(options: Mapping[str, Any]) -> Pair:
+    def of(options: Mapping[str, Any]) -> UploadedPair:
         """Loads it.
 
         Args:
@@ -67,7 +67,7 @@ class Pair:
         robot = load_robot(**given)
         if not robot.floating or not robot.feet:
             raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
-        return Pair(given, robot)
+        return UploadedPair(given, robot)
 
     @property
     def scales(self) -> Mapping[str, float]:

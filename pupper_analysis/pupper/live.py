@@ -10,7 +10,7 @@ from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
 from pupper_analysis.robot.robot import Robot
 
 
-class Variants(Scaled):
+class LiveVariants(Scaled):
     """The robots that scales make of a variant."""
 
     def robot(self, scales: Mapping[str, float]) -> Robot:

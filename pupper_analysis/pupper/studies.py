@@ -36,7 +36,7 @@ class Variants(Scaled):
         return {"base": self.spec.base, **self.scales}
 
 
-class Study(study.Study):
+class Study(study.DesignStudy):
     """Designs of a robot that are measured alike.
 
     Its ``robot`` may also be a variant's name, a ``VariantSpec``, or {``base``, ``leg_scale``,

@@ -8,12 +8,12 @@ from dataclasses import replace
 
 from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Difference, about_kind
-from pupper_analysis.checks.patterns import Cause
+from pupper_analysis.checks.patterns import PatternCause
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.report.formats import Annotation, CheckedItem
 
 
-def by_cause(comparison: Comparison) -> tuple[tuple[Cause, ...], list[list[Difference]]]:
+def by_cause(comparison: Comparison) -> tuple[tuple[PatternCause, ...], list[list[Difference]]]:
     """Returns the causes, and in groups the differences that none explains."""
     explained = {number for cause in comparison.causes for number in cause.differences}
     rest = [
@@ -25,7 +25,7 @@ def by_cause(comparison: Comparison) -> tuple[tuple[Cause, ...], list[list[Diffe
 
 
 def first_to_mend(
-    comparison: Comparison, causes: Sequence[Cause], groups: Sequence[Sequence[Difference]]
+    comparison: Comparison, causes: Sequence[PatternCause], groups: Sequence[Sequence[Difference]]
 ) -> Diagnostic:
     """Returns what is to be mended first."""
     if causes and causes[0].leads:

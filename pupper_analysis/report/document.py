@@ -155,7 +155,7 @@ class Lines:
 
 
 @dataclass(frozen=True)
-class Place:
+class FilePlace:
     """A line of a file.
 
     Attributes:
@@ -183,7 +183,7 @@ class Sides:
 
     kind: ClassVar[str] = "sides"
     title: Words
-    columns: tuple[Place, ...]
+    columns: tuple[FilePlace, ...]
     notes: tuple[Words, ...] = ()
     tag: Words | None = None
     detail: bool = False

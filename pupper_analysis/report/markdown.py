@@ -15,10 +15,10 @@ from pupper_analysis.report.document import (
     Cell,
     Column,
     Document,
+    FilePlace,
     Lines,
     Listing,
     Number,
-    Place,
     Report,
     Sides,
     Table,
@@ -147,7 +147,7 @@ def _sides(block: Sides) -> list[str]:
     return ["\n".join(lines)]
 
 
-def _place(place: Place) -> str:
+def _place(place: FilePlace) -> str:
     quoted = _code(in_english(place.line).replace("\n", " "))
     return f"{_escape(place.path) or _escaped(place.place)}: {quoted}"
 

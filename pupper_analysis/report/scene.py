@@ -40,7 +40,7 @@ _FEWEST = 100  # triangles of a mesh, however many the robot has
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class SceneShape:
     """A geom that is shown.
 
     Attributes:
@@ -137,7 +137,7 @@ class Step:
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class StandingScene:
     """What acts on a robot that stands, and what it stands on. In the world.
 
     Attributes:
@@ -176,7 +176,9 @@ class Standing:
         return found
 
 
-def describe_scene(robot: Robot, stand: Stand, statics: GravityCompensation | None) -> Standing:
+def describe_scene(
+    robot: Robot, stand: Stand, statics: GravityCompensation | None
+) -> StandingScene:
     """Returns what is seen of a robot that stands, but for its shapes.
 
     Args:
@@ -189,7 +191,7 @@ def describe_scene(robot: Robot, stand: Stand, statics: GravityCompensation | No
     ground = stand.task.ground
     points = _touched(robot, stand)
     steps = ground.steps(stand.foot_targets)
-    return Standing(
+    return StandingScene(
         ground=ground,
         points=points,
         polygon=polygon_corners(points),
@@ -259,7 +261,7 @@ def _joints(
     return found
 
 
-def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[Shape], dict[int, Mesh]]:
+def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[SceneShape], dict[int, Mesh]]:
     """Returns the robot's shapes, and the meshes that they have.
 
     Args:
@@ -271,7 +273,7 @@ def shapes_of(model: mujoco.MjModel, most_faces: int) -> tuple[list[Shape], dict
     for geom in seen:
         kind, material = KINDS[int(model.geom_type[geom])], int(model.geom_matid[geom])
         shapes.append(
-            Shape(
+            SceneShape(
                 kind=kind,
                 body=int(model.geom_bodyid[geom]),
                 size=model.geom_size[geom],

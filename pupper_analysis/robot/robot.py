@@ -25,7 +25,7 @@ from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.efforts import efforts_of
-from pupper_analysis.robot.shapes import Shape, shapes_of
+from pupper_analysis.robot.shapes import ContactShape, shapes_of
 from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ class Robot:
         return closure_of(self.mj_model, self.mj_convention, self.joint_names)
 
     @cached_property
-    def shapes(self) -> tuple[Shape, ...]:
+    def shapes(self) -> tuple[ContactShape, ...]:
         """The shapes with which MuJoCo has it touch, feet included."""
         return shapes_of(self)
 

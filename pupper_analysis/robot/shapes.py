@@ -33,7 +33,7 @@ _KINDS = (*_CONVEX, _G.mjGEOM_BOX, _G.mjGEOM_MESH)
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ContactShape:
     """A geom that touches things, in the frame of the link that carries it.
 
     Attributes:
@@ -80,7 +80,7 @@ class Shape:
         return coal.Convex(corners, triangles)
 
 
-def shapes_of(robot: Robot) -> tuple[Shape, ...]:
+def shapes_of(robot: Robot) -> tuple[ContactShape, ...]:
     """Returns the shapes of a robot's moving bodies that touch anything, in MuJoCo's order.
 
     Where a body is in its link's frame is found at zero angles, at which both models are one
@@ -123,7 +123,7 @@ def shapes_of(robot: Robot) -> tuple[Shape, ...]:
             else (np.zeros((0, 3)), np.zeros((0, 3), np.int64))
         )
         found.append(
-            Shape(
+            ContactShape(
                 geom=geom,
                 body=body,
                 link=link,

@@ -28,11 +28,11 @@ from pupper_analysis.robot_model.model import (
     RobotModel,
 )
 from pupper_analysis.robot_model.pose import Array, Pose
-from pupper_analysis.robot_model.usd_joints import Drive, Edge, edge_of
+from pupper_analysis.robot_model.usd_joints import Edge, UsdDrive, edge_of
 from pupper_analysis.robot_model.usd_mass import Weighed, weigh_body
 from pupper_analysis.robot_model.usd_shapes import (
     Placed,
-    Units,
+    StageUnits,
     own_prims,
     shapes_of,
     shortest_decimals,
@@ -62,7 +62,7 @@ class UsdModel(RobotModel):
     """
 
     file: UsdFile
-    units: Units
+    units: StageUnits
     edges: Mapping[str, Edge]
     weights: Mapping[str, Weighed]
     loops: tuple[Edge, ...]
@@ -76,7 +76,7 @@ class UsdModel(RobotModel):
         """Returns what a joint's number is: several schemas have several names for it."""
         return attribute.kind, None
 
-    def drive(self, joint: str) -> Drive | None:
+    def drive(self, joint: str) -> UsdDrive | None:
         """Returns the motor of a joint; None if it has none."""
         return self.edges[joint].drive if joint in self.edges else None
 
@@ -146,7 +146,9 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     )
 
 
-def _edges(file: UsdFile, places: Mapping[str, Placed], units: Units, cache: Any) -> Iterator[Edge]:
+def _edges(
+    file: UsdFile, places: Mapping[str, Placed], units: StageUnits, cache: Any
+) -> Iterator[Edge]:
     """Yields the joints that are switched on, with what they join."""
     names = {path: name for name, path in file.bodies.items()}
     paths = {path: name for name, path in file.joints.items()}
@@ -314,7 +316,9 @@ def _free(body: str, pose: Pose) -> Joint:
     return Joint(f"({body})", FREE, "world", body, pose.position, none, none, {}, *infinite)
 
 
-def _frames(file: UsdFile, body: Any, place: Placed, units: Units, cache: Any) -> Iterator[Frame]:
+def _frames(
+    file: UsdFile, body: Any, place: Placed, units: StageUnits, cache: Any
+) -> Iterator[Frame]:
     """Yields what only marks a place on a body: transforms without anything in them, and guides."""
     from pxr import UsdGeom, UsdPhysics
 
@@ -346,7 +350,7 @@ def _apart(edge: Edge, places: Mapping[str, Placed]) -> tuple[float, float]:
     return float(np.linalg.norm(offset)), float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _gravity(file: UsdFile, units: Units) -> Array | None:
+def _gravity(file: UsdFile, units: StageUnits) -> Array | None:
     """Returns the gravity of the first scene that states one, z up; None where none does."""
     from pxr import Usd, UsdPhysics
 
@@ -366,7 +370,7 @@ def _gravity(file: UsdFile, units: Units) -> Array | None:
     return None
 
 
-def _idle(file: UsdFile, prims: Mapping[str, Any], units: Units) -> dict[str, float]:
+def _idle(file: UsdFile, prims: Mapping[str, Any], units: StageUnits) -> dict[str, float]:
     """Returns the masses on prims that are neither bodies nor touch anything (kg)."""
     from pxr import UsdPhysics
 

@@ -15,7 +15,13 @@ import numpy as np
 
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE
 from pupper_analysis.robot_model.pose import Pose
-from pupper_analysis.robot_model.usd_shapes import AXES, Units, axis_of, shortest_decimals, value_of
+from pupper_analysis.robot_model.usd_shapes import (
+    AXES,
+    StageUnits,
+    axis_of,
+    shortest_decimals,
+    value_of,
+)
 
 DEGREE: Final = math.pi / 180
 
@@ -78,7 +84,7 @@ the least, as each of them limits."""
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class UsdDrive:
     """A motor of a joint.
 
     Attributes:
@@ -126,7 +132,7 @@ class Edge:
     upper: float
     numbers: Mapping[str, float] = field(default_factory=dict)
     stated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    drive: Drive | None = None
+    drive: UsdDrive | None = None
     outside: bool = False
     mimic: tuple[str, float, float] | None = None
 
@@ -136,7 +142,7 @@ def edge_of(
     prim: Any,
     bodies: tuple[str, str],
     frames: tuple[Pose, Pose],
-    units: Units,
+    units: StageUnits,
     paths: Mapping[str, str],
     motors: Sequence[Any] = (),
 ) -> Edge:
@@ -231,7 +237,7 @@ def _stated(
     statements: tuple[Statement, ...],
     word: str,
     turns: bool,
-    units: Units,
+    units: StageUnits,
 ) -> dict[str, float]:
     """Returns all that states a number, in SI units."""
     found = {}
@@ -278,7 +284,7 @@ def _effort(motor: Any, unit: float) -> float | None:
     return None if limit is None else limit * first("mjc:gear") * unit
 
 
-def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:
+def _drive(prim: Any, word: str, turns: bool, units: StageUnits) -> UsdDrive | None:
     """Returns a joint's drive of UsdPhysics; None if it has none."""
     if f"PhysicsDriveAPI:{word}" not in prim.GetAppliedSchemas():
         return None
@@ -293,7 +299,7 @@ def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:
     authored = prim.GetAttribute(f"drive:{word}:physics:targetPosition").IsAuthored()
     target = of("targetPosition") if authored else None
     stiffness = of("stiffness") or 0.0
-    return Drive(
+    return UsdDrive(
         stiffness=stiffness * unit,
         damping=(of("damping") or 0.0) * unit,
         target=None if target is None else target * (DEGREE if turns else units.length),
@@ -303,7 +309,7 @@ def _drive(prim: Any, word: str, turns: bool, units: Units) -> Drive | None:
 
 
 def _mimic(
-    prim: Any, turns: bool, units: Units, paths: Mapping[str, str]
+    prim: Any, turns: bool, units: StageUnits, paths: Mapping[str, str]
 ) -> tuple[str, float, float] | None:
     """Returns the joint that one follows, as Newton's or PhysX's schema states it."""
     unit = DEGREE if turns else units.length

@@ -19,7 +19,7 @@ from pupper_analysis.robot_model.pose import Array
 from pupper_analysis.robot_model.usd_shapes import (
     Placed,
     Solid,
-    Units,
+    StageUnits,
     UsdShape,
     rotation_of,
     shortest_decimals,
@@ -74,7 +74,7 @@ class Weighed:
     com_made: bool = False
 
 
-def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Units) -> Weighed:
+def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: StageUnits) -> Weighed:
     """Returns what a body weighs.
 
     Args:
@@ -132,7 +132,7 @@ def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Unit
 
 
 def _summed(
-    body: Any, shapes: Sequence[UsdShape], units: Units
+    body: Any, shapes: Sequence[UsdShape], units: StageUnits
 ) -> tuple[float, Array, Array, float] | None:
     """Returns mass, com and inertia of a body's shapes, and how much of it is of no stated density.
 
@@ -160,7 +160,7 @@ def _summed(
     return whole, middle, about, water
 
 
-def _of_shape(shape: UsdShape, solid: Solid, mass: float, units: Units) -> tuple[Array, Array]:
+def _of_shape(shape: UsdShape, solid: Solid, mass: float, units: StageUnits) -> tuple[Array, Array]:
     """Returns the com of a shape and its inertia about it, in the body's axes."""
     inertia = solid.inertia * (mass / solid.volume)
     com = shape.pose.point(solid.com)
@@ -218,7 +218,7 @@ def _of_material(prim: Any) -> float:
     return _positive(material.GetPrim(), "physics:density") if material else 0.0
 
 
-def _newton(body: Any, units: Units) -> Array | None:
+def _newton(body: Any, units: StageUnits) -> Array | None:
     """Returns what `newton:inertia` states: xx, yy, zz, xy, xz, yz in the body's axes."""
     value = value_of(body, "newton:inertia", "list")
     if value is None or len(value) != 6:

@@ -30,7 +30,7 @@ _TO_Z: Final = {
 
 
 @dataclass(frozen=True)
-class Units:
+class StageUnits:
     """What a stage's numbers are in.
 
     Attributes:
@@ -59,12 +59,12 @@ class Units:
         return self.mass / self.length**3
 
 
-def units_of(stage: Any) -> Units:
+def units_of(stage: Any) -> StageUnits:
     """Returns a stage's units; a robot's stage says that they are metres, or it is in cm."""
     from pxr import UsdGeom, UsdPhysics
 
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    return Units(
+    return StageUnits(
         float(UsdGeom.GetStageMetersPerUnit(stage)),
         float(UsdPhysics.GetStageKilogramsPerUnit(stage)),
         turn if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y else np.eye(3),
@@ -179,7 +179,7 @@ def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
         raise refusal(Place(file.path, None, str(prim.GetPath())), told) from error
 
 
-def split_transform(file: UsdFile, prim: Any, matrix: Any, units: Units) -> Placed:
+def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) -> Placed:
     """Splits the transform of a prim into a pose and a scale.
 
     Raises:
@@ -231,7 +231,9 @@ class UsdShape(Shape):
         return _mesh_solid(self) if self.kind == "mesh" else _solid(self.kind, self.size)
 
 
-def shapes_of(file: UsdFile, body: Any, place: Placed, units: Units, cache: Any) -> list[UsdShape]:
+def shapes_of(
+    file: UsdFile, body: Any, place: Placed, units: StageUnits, cache: Any
+) -> list[UsdShape]:
     """Returns the shapes below a body's prim, but not below another body's."""
     from pxr import UsdGeom, UsdPhysics
 

@@ -16,9 +16,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.shapes import Shape, excluded_pairs
+from pupper_analysis.robot.shapes import ContactShape, excluded_pairs
 from pupper_analysis.stance.parts import Direction, Part, to_part
-from pupper_analysis.stance.solids import Pair, Solids, measure_distance, to_transform
+from pupper_analysis.stance.solids import SolidPair, Solids, measure_distance, to_transform
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -38,7 +38,7 @@ class Clearance(Result):
     links: tuple[str, ...]
 
 
-class Shapes:
+class ClearanceShapes:
     """The shapes with which MuJoCo has a robot touch: of meshes the convex hulls.
 
     Attributes:
@@ -49,7 +49,7 @@ class Shapes:
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
-        self.shapes: tuple[Shape, ...] = robot.shapes
+        self.shapes: tuple[ContactShape, ...] = robot.shapes
         self._parts = [*self._not_feet()]
 
     def at(self, qpos: ArrayLike) -> Kinematics:
@@ -233,7 +233,7 @@ class Shapes:
                 row += sign * (near.normal @ moved)
         return rates
 
-    def _nearest_pairs(self, qpos: Array, most: int) -> list[Pair]:
+    def _nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         return self._solids.nearest_pairs(qpos, self._pairs, most)
 
     def _above(
@@ -284,7 +284,7 @@ class Shapes:
                 sunk = None
             yield index, to_part(shape), sunk
 
-    def _reaches_into(self, shape: Shape, foot: str) -> bool:
+    def _reaches_into(self, shape: ContactShape, foot: str) -> bool:
         """Whether a shape on the link of a foot reaches into the foot's sphere."""
         self.kinematics.move(self.robot.structure.state(self.robot.neutral()))
         turn, place = self.kinematics.link(shape.link)

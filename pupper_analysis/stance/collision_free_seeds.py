@@ -21,7 +21,7 @@ from pupper_analysis.stance.branches import (
     find_branches,
     follow_branches,
 )
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import margin_of_place
 
@@ -50,7 +50,7 @@ class _Start:
     off: float
 
 
-def collision_free_seeds(shapes: Shapes, goal: Goal, qpos: Array) -> Iterator[Array]:
+def collision_free_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
     """Yields configurations (nq,) where to begin, those that are least in the way first.
 
     Args:
@@ -72,7 +72,7 @@ def _grid(across: int) -> Array:
 
 
 def _starts(
-    shapes: Shapes,
+    shapes: ClearanceShapes,
     goal: Goal,
     qpos: Array,
     found: Mapping[Limb, tuple[Branch, ...]],
@@ -92,7 +92,7 @@ def _starts(
 
 
 def _high(
-    shapes: Shapes, goal: Goal, qpos: Array, limb: Limb, found: tuple[Branch, ...]
+    shapes: ClearanceShapes, goal: Goal, qpos: Array, limb: Limb, found: tuple[Branch, ...]
 ) -> dict[Branch, float]:
     """Returns how high branches of a limb are, those that almost clear the ground or the highest.
 
@@ -111,7 +111,7 @@ def _high(
 
 
 def _bent(
-    shapes: Shapes, goal: Goal, qpos: Array, high: dict[Limb, dict[Branch, float]]
+    shapes: ClearanceShapes, goal: Goal, qpos: Array, high: dict[Limb, dict[Branch, float]]
 ) -> Iterator[_Start]:
     """Yields the choices of one branch per limb."""
     robot = shapes.robot

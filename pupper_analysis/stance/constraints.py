@@ -19,7 +19,7 @@ from pupper_analysis.arrays import angle_between
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.kinematics import Kinematics
-from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.footholds import choose_pins
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import margin_of_place, polygon_sides
@@ -56,7 +56,7 @@ class Constraint:
     _reads: ClassVar[frozenset[str]] = frozenset()
 
     # A stand is measured in 50 us: nothing is made here that only a search or a refusal asks for.
-    def __init__(self, shapes: Shapes, goal: Goal) -> None:
+    def __init__(self, shapes: ClearanceShapes, goal: Goal) -> None:
         self._shapes, self._begun = shapes, goal
 
     @property
@@ -151,7 +151,7 @@ class Loops(Constraint):
 
     name, equal = "loops", True
 
-    def __init__(self, shapes: Shapes, goal: Goal, closure: Closure) -> None:
+    def __init__(self, shapes: ClearanceShapes, goal: Goal, closure: Closure) -> None:
         super().__init__(shapes, goal)
         self._closure = closure
 
@@ -172,7 +172,7 @@ class Loops(Constraint):
         return self._closure.open_by(at.qpos, goal.give)
 
 
-class Place(Constraint):
+class PlaceConstraint(Constraint):
     """The com, or the base with an offset, is over its place."""
 
     name, equal = "com-place", True
@@ -193,7 +193,7 @@ class Place(Constraint):
         return math.dist(here, goal.place.tolist())
 
 
-class BasePlace(Place):
+class BasePlace(PlaceConstraint):
     """The base is aside by the task's offset."""
 
     name = "base-place"
@@ -315,7 +315,7 @@ class SelfClearance(Constraint):
         return self._shapes.between_links(at.qpos)
 
 
-def constraints_of(shapes: Shapes, goal: Goal) -> Iterator[Constraint]:
+def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:
     """Yields what a stand of a goal must fulfil, also where its numbers become others."""
     closure = shapes.robot.closure
     yield BaseHeight(shapes, goal)
@@ -326,7 +326,7 @@ def constraints_of(shapes: Shapes, goal: Goal) -> Iterator[Constraint]:
     if goal.by_base:
         yield BasePlace(shapes, goal)
     elif goal.task.com != "inside":
-        yield Place(shapes, goal)
+        yield PlaceConstraint(shapes, goal)
     if not goal.by_base or goal.task.com_margin > 0.0:
         yield SupportMargin(shapes, goal)
     yield JointLimits(shapes, goal)

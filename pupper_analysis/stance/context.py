@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.lent import lent
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.wrappers import Wrapper
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Context:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self.robot, self.shapes, self.engine = robot, Shapes(robot), Wrapper(robot)
+        self.robot, self.shapes, self.engine = robot, ClearanceShapes(robot), Wrapper(robot)
         self.tasks: dict[bool, Tasks] = {}
         self.begun: Begun | None = None
 

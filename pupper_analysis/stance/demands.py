@@ -40,7 +40,7 @@ _DOUBTFUL = 50.0
 _MOST_DIGITS = 12
 
 
-class Number(NamedTuple):
+class DemandValue(NamedTuple):
     """Which number of a task: a field's, a foot's where it has some, of a point that of an axis."""
 
     field: str
@@ -70,7 +70,7 @@ class Numbers:
 
     def __init__(self, robot: Robot, task: StandTask, demands: Sequence[str]) -> None:
         self._task = task
-        self.keys: list[Number] = []
+        self.keys: list[DemandValue] = []
         self.demands: list[str] = []
         rows = []
         for demand in demands:
@@ -78,7 +78,7 @@ class Numbers:
                 for foot, value in _values(task, field):
                     nominal = _nominal(robot, task, field, foot)
                     for axis, one, usual in _parts(value, nominal):
-                        self.keys.append(Number(field.name, foot, axis))
+                        self.keys.append(DemandValue(field.name, foot, axis))
                         self.demands.append(demand)
                         rows.append((one, float(usual), *_range(robot, field, one)))
         self.values, self.nominal, self.low, self.high = np.array(rows).reshape(-1, 4).T

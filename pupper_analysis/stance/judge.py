@@ -17,7 +17,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.clearance import Clearance, Shapes
+from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.constraints import (
     TASK_TOLERANCE,
     TOUCHING,
@@ -189,7 +189,7 @@ class Stand(Result):
         return self.qpos[robot.nq - robot.nu :]
 
 
-def evaluate_stand(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
+def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:
     """Returns the stand at a configuration, with its errors and clearances.
 
     Args:
@@ -237,7 +237,7 @@ def evaluate_stand(shapes: Shapes, goal: Goal, qpos: ArrayLike, iterations: int)
     )
 
 
-def is_base_in_ground(shapes: Shapes, goal: Goal) -> bool:
+def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
     """Tells whether a part of the base is too low in every stand: a proof, which costs no search.
 
     Its turn and height are given; and above ground without slope that is all that counts, as steps

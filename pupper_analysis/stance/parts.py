@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.kinematics import Place
-from pupper_analysis.robot.shapes import Shape
+from pupper_analysis.robot.shapes import ContactShape
 
 Array = NDArray[np.float64]
 Direction = tuple[float, float, float]
@@ -85,7 +85,7 @@ class Part:
         return lowest
 
 
-def to_part(shape: Shape) -> Part:
+def to_part(shape: ContactShape) -> Part:
     """Returns a shape as a sum."""
     bars: tuple[int, ...] = ()
     radii: tuple[int, ...] = ()

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, Constraint, constraints_of
 from pupper_analysis.stance.demands import Numbers
 from pupper_analysis.stance.problem import Goal, make_goal
@@ -138,7 +138,7 @@ class Programme:
 
     def __init__(
         self,
-        shapes: Shapes,
+        shapes: ClearanceShapes,
         goal: Goal,
         demands: Sequence[str] = (),
         *,

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-class Pair(NamedTuple):
+class SolidPair(NamedTuple):
     """Two shapes, by their numbers, and how near they are."""
 
     one: int
@@ -66,7 +66,7 @@ class Solids:
         pin.updateGeometryPlacements(self._model, self.data, self._geometry, self._placed, q)
         return self._placed.oMg
 
-    def nearest_pairs(self, qpos: Array, pairs: IntArray, most: int) -> list[Pair]:
+    def nearest_pairs(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
         """Returns the nearest of some pairs of shapes (n, 2), in order.
 
         Balls round the shapes tell that most pairs are too far apart to be looked at.
@@ -78,13 +78,13 @@ class Solids:
         radii = np.array([one.aabb_radius for one in solids])
         one, other = pairs.T
         apart = np.linalg.norm(centres[one] - centres[other], axis=1) - radii[one] - radii[other]
-        found: list[Pair] = []
+        found: list[SolidPair] = []
         for index in np.argsort(apart, kind="stable"):
             if len(found) >= most and apart[index] > found[most - 1].distance:
                 break
             a, b = pairs[index].tolist()
             near = measure_distance(solids[a], to_transform(at[a]), solids[b], to_transform(at[b]))
-            bisect.insort(found, Pair(a, b, near), key=lambda pair: pair.distance)
+            bisect.insort(found, SolidPair(a, b, near), key=lambda pair: pair.distance)
         return found[:most]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pupper_analysis.results import Result
 from pupper_analysis.study.store import Store, design_keys
-from pupper_analysis.study.study import Study
+from pupper_analysis.study.study import DesignStudy
 from pupper_analysis.study.worker import Chunk, measure_designs
 
 TIMED = 5
@@ -41,7 +41,7 @@ class Estimate(Result):
         return (self.designs - self.there) * self.seconds_each / workers
 
 
-def estimate_study(study: Study, folder: Path) -> Estimate:
+def estimate_study(study: DesignStudy, folder: Path) -> Estimate:
     """Times some designs of a study's first block, in this process; nothing is written."""
     # Without some of its measures it is another study, of which nothing is there.
     begun = (folder / "shards").is_dir() and not study.left_out

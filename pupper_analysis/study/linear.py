@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.support_polygon import interpolate_drop
@@ -167,7 +167,7 @@ def _inertial(
 
 
 @dataclass(frozen=True)
-class Sag:
+class LinearSag:
     """What changes at rest: of the height, and of the parts lost in servos and ground (m)."""
 
     base_height: float
@@ -178,7 +178,7 @@ class Sag:
 
 def sag_derivatives(
     maker: Maker, numbers: Mapping[str, float], wanted: Sequence[str]
-) -> dict[str, Sag]:
+) -> dict[str, LinearSag]:
     """Derives where a robot comes to rest on its servos by its numbers.
 
     With F(z; p) = 0 the equations of the equilibrium, dz/dp = -(dF/dz)^-1 dF/dp. dF/dz is the
@@ -199,7 +199,7 @@ def sag_derivatives(
     robot.check_tree("a linear share")
     rest = steady_state(robot, stand)
     forces = _grounded(stand, rest.contact_forces, rest.stance_feet)
-    system = Equilibrium(robot, stand, None, "pinned")
+    system = SagEquilibrium(robot, stand, None, "pinned")
     derivative = system.derivative(rest.qpos, forces)
     found = {}
     for name in wanted:
@@ -207,7 +207,7 @@ def sag_derivatives(
 
         sides = [maker.design({**numbers, name: numbers[name] + way}) for way in (step, -step)]
         more, less = (
-            Equilibrium(side.robot, side.stand, None, "pinned").residual(rest.qpos, forces)
+            SagEquilibrium(side.robot, side.stand, None, "pinned").residual(rest.qpos, forces)
             for side in sides
         )
         moved = -np.array(np.linalg.solve(derivative, (more - less) / (2 * step)), float)
@@ -226,7 +226,7 @@ def _grounded(stand: Stand, forces: Mapping[str, Array], touching: Sequence[str]
     return np.array([forces[foot] for foot in stand.stance_feet])
 
 
-def _sag(config: Configuration, stand: Stand, moved: Array, shift: Array) -> Sag:
+def _sag(config: Configuration, stand: Stand, moved: Array, shift: Array) -> LinearSag:
     """Returns what changes of the heights at rest.
 
     Args:
@@ -245,4 +245,4 @@ def _sag(config: Configuration, stand: Stand, moved: Array, shift: Array) -> Sag
     )  # a plane
     contact = interpolate_drop(place, targets, sunk) + tilted
     loss = -float(moved[2])
-    return Sag(-loss, loss, loss - contact, contact)
+    return LinearSag(-loss, loss, loss - contact, contact)

@@ -21,7 +21,7 @@ from pupper_analysis.study.measures import MEASURES
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.sensitivity import AT_REST, LinearShares, SobolIndices, linear_shares
 from pupper_analysis.study.store import Store, require_library
-from pupper_analysis.study.study import Study
+from pupper_analysis.study.study import DesignStudy
 from pupper_analysis.study.tolerance import Certainty, Tolerance, certainty
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class StudyOutcome(Result):
 
 
 def study_outcome(
-    study: Study,
+    study: DesignStudy,
     folder: str | Path,
     *,
     minimise: Sequence[str] = (),
@@ -139,7 +139,7 @@ def study_outcome(
         ConfigurationError: If a column is not there, or no design is.
         StudyError: If the folder is no study's, or damaged.
     """
-    check_type("study", study, Study)
+    check_type("study", study, DesignStudy)
     check_type("minimise", minimise, Sequence[str])
     check_type("maximise", maximise, Sequence[str])
     check_type("sobol", sobol, Mapping[str, SobolIndices] | None)
@@ -172,7 +172,7 @@ def study_outcome(
 
 
 def check_objectives(
-    study: Study, minimise: Sequence[str], maximise: Sequence[str]
+    study: DesignStudy, minimise: Sequence[str], maximise: Sequence[str]
 ) -> dict[str, str]:
     """Returns {column: ``min`` or ``max``} of a front; none if none are asked for.
 
@@ -224,7 +224,7 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) ->
 
 
 def _measured(
-    table: pd.DataFrame, name: str, spread: Sequence[str], study: Study
+    table: pd.DataFrame, name: str, spread: Sequence[str], study: DesignStudy
 ) -> MeasureSummary:
     column = table[name].dropna()
     own = {one.name: one for one in study.measures}
@@ -265,7 +265,7 @@ def _better(measures: Sequence[str]) -> dict[str, str]:
     return dict(list(known.items())[:2]) if len(known) > 1 else {}
 
 
-def _linear(study: Study, measures: Sequence[str]) -> tuple[LinearShares, ...]:
+def _linear(study: DesignStudy, measures: Sequence[str]) -> tuple[LinearShares, ...]:
     """Returns what derivatives tell of the measures that have some; nothing where none do."""
     derived = [n for n in measures if n in AT_REST or n.startswith("torque.")][:SHARES]
     if not derived or not any(one.levels is None for one in study.variables.values()):
@@ -276,7 +276,7 @@ def _linear(study: Study, measures: Sequence[str]) -> tuple[LinearShares, ...]:
         return ()
 
 
-def _certainty(study: Study, table: pd.DataFrame) -> Certainty | None:
+def _certainty(study: DesignStudy, table: pd.DataFrame) -> Certainty | None:
     """Returns how sure the stand is, where designs are samples of distributions."""
     if study.sampling.samples is None or "stands" not in table:
         return None

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.study.study import Study
+from pupper_analysis.study.study import DesignStudy
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,10 +23,10 @@ EFFECT = 1e-6
 
 
 def screen_variables(
-    study: Study,
+    study: DesignStudy,
     points: Array,
     columns: Sequence[str],
-    run: Callable[[Study], pd.DataFrame],
+    run: Callable[[DesignStudy], pd.DataFrame],
 ) -> dict[str, tuple[str, ...]]:
     """Returns which of a study's variables change which columns of its table.
 

@@ -23,7 +23,7 @@ from pupper_analysis.study.variables import LogUniform, Normal, Variable
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pupper_analysis.study.study import Study
+    from pupper_analysis.study.study import DesignStudy
 
 Bounds = tuple[float | None, float | None]
 
@@ -48,7 +48,7 @@ class SearchOptimum(Result):
 
 
 def optimise_study(
-    study: Study,
+    study: DesignStudy,
     folder: str | Path,
     *,
     minimise: Sequence[str] = (),
@@ -115,7 +115,7 @@ def optimise_study(
     return SearchOptimum(pareto_front(kept, objectives), tried, len(kept))
 
 
-def _check(study: Study, columns: Sequence[str], bounds: Mapping[str, Any]) -> None:
+def _check(study: DesignStudy, columns: Sequence[str], bounds: Mapping[str, Any]) -> None:
     measured = [one.name for one in study.measures]
     for name in columns:
         if name.partition(".")[0] not in measured and name not in study.variables:

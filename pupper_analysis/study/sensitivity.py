@@ -19,7 +19,7 @@ from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.sampling import at_shares
 from pupper_analysis.study.store import require_library
-from pupper_analysis.study.study import Study
+from pupper_analysis.study.study import DesignStudy
 from pupper_analysis.study.variables import Normal, Variable
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ class LinearShares(Result):
 
 
 def sobol_indices(
-    study: Study,
+    study: DesignStudy,
     folder: str | Path,
     measures: Sequence[str],
     *,
@@ -97,7 +97,7 @@ def sobol_indices(
             an argument makes no sense.
         StudyError: As ``Study.run``.
     """
-    check_type("study", study, Study)
+    check_type("study", study, DesignStudy)
     check_type("measures", measures, Sequence[str])
     check_type("samples", samples, int)
     if samples < 2 or samples & (samples - 1):
@@ -144,7 +144,7 @@ def sobol_indices(
     return found
 
 
-def linear_shares(study: Study, measures: Sequence[str]) -> dict[str, LinearShares]:
+def linear_shares(study: DesignStudy, measures: Sequence[str]) -> dict[str, LinearShares]:
     """Predicts the same from derivatives at the variables' means: no samples.
 
     Independent variables of deviations s_i make a deviation of sqrt(sum (dy/dx_i s_i)^2).
@@ -161,7 +161,7 @@ def linear_shares(study: Study, measures: Sequence[str]) -> dict[str, LinearShar
         ConfigurationError: If a measure or a variable has no derivative, or the stand is not on
             level ground with the com over its centre.
     """
-    check_type("study", study, Study)
+    check_type("study", study, DesignStudy)
     check_type("measures", measures, Sequence[str])
     means = {name: mean_of(one) for name, one in study.variables.items()}
     spread = {name: deviation_of(one) for name, one in study.variables.items()}

@@ -53,7 +53,7 @@ KEYS = ("robot", "vary", "samples", "seed", "measure", "stand", "payload_point",
 """What a study's file may say."""
 
 
-class Study:
+class DesignStudy:
     """Designs of a robot that are measured alike.
 
     Attributes:
@@ -186,13 +186,13 @@ class Study:
     def __len__(self) -> int:
         return len(self.sampling) if self._points is None else len(self._points)
 
-    def at(self, points: Array) -> Study:
+    def at(self, points: Array) -> DesignStudy:
         """Returns the same study with other designs: points (n, variables)."""
         other = copy.copy(self)
         other._points = points
         return other
 
-    def varying(self, variables: Mapping[str, Variable]) -> Study:
+    def varying(self, variables: Mapping[str, Variable]) -> DesignStudy:
         """Returns the same study with other values of its variables."""
         other = copy.copy(self)
         other.variables = dict(variables)
@@ -242,7 +242,7 @@ class Study:
         return given
 
     @classmethod
-    def of(cls, given: Mapping[str, Any]) -> Study:
+    def of(cls, given: Mapping[str, Any]) -> DesignStudy:
         """Makes a study of plain data, as a TOML file has it.
 
         Raises:
@@ -263,7 +263,7 @@ class Study:
         )
 
     @classmethod
-    def read(cls, path: str | Path, *, own_measures: bool = True) -> Study:
+    def read(cls, path: str | Path, *, own_measures: bool = True) -> DesignStudy:
         """Reads a study from a TOML file; paths and modules in it are looked for beside it.
 
         Args:

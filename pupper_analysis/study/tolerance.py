@@ -20,7 +20,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.sampling import at_shares
 from pupper_analysis.study.screening import screen_variables
-from pupper_analysis.study.study import Study
+from pupper_analysis.study.study import DesignStudy
 from pupper_analysis.study.variables import LogUniform, Normal, Uniform, Variable
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def certainty(table: pd.DataFrame) -> Certainty:
     )
 
 
-def narrow_study(study: Study, scale: float) -> Study:
+def narrow_study(study: DesignStudy, scale: float) -> DesignStudy:
     """Returns a study whose distributions are narrower, or wider, about their means.
 
     Args:
@@ -188,7 +188,7 @@ class Tolerance(Result):
 
 
 def tightest_tolerance(
-    study: Study,
+    study: DesignStudy,
     folder: str | Path,
     *,
     wanted: float = 0.99,
@@ -232,7 +232,7 @@ def tightest_tolerance(
             even the smallest spreads do not do.
         StudyError: As ``Study.run``.
     """
-    check_type("study", study, Study)
+    check_type("study", study, DesignStudy)
     goal, least = check_finite("wanted", wanted), check_finite("resolution", resolution)
     check_type("criteria", criteria, Mapping[str, Any] | None)
     most = check_finite("widest", widest)
@@ -248,7 +248,7 @@ def tightest_tolerance(
         raise ConfigurationError("samples", few)
     tried: dict[float, Chance] = {}
 
-    def measured(one: Study) -> pd.DataFrame:
+    def measured(one: DesignStudy) -> pd.DataFrame:
         return one.run(folder, executor=executor, workers=workers, progress=progress)
 
     def sure(scale: float) -> bool:
@@ -282,7 +282,7 @@ _FROM = 3
 
 
 def _points(
-    study: Study,
+    study: DesignStudy,
     table: pd.DataFrame,
     criteria: Mapping[str, tuple[float | None, float | None]] | None,
 ) -> Array:
@@ -294,7 +294,9 @@ def _points(
     return some
 
 
-def _split(study: Study, entering: set[str]) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+def _split(
+    study: DesignStudy, entering: set[str]
+) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
     """Returns the spreads of the variables that enter, and the others that vary.
 
     What was given for each of several has one entry if all of these enter, or none.

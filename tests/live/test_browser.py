@@ -23,7 +23,7 @@ import pupper_analysis as pa
 from pupper_analysis.live.export import write_link
 from pupper_analysis.live.server import Page
 from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from tests.report.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import README, commands
 from tests.support.repository import ROOT
@@ -54,7 +54,7 @@ def threads() -> list[str]:
 
 @pytest.fixture(scope="module")
 def served() -> Iterator[Page]:
-    page = Page(Variants(pa.VARIANTS["v3"]))
+    page = Page(LiveVariants(pa.VARIANTS["v3"]))
     yield page
     page.close()
     wait_for(lambda: not threads(), "threads are left")

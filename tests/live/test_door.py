@@ -19,7 +19,7 @@ from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.live.door import COOKIE, MOST_BYTES, Door, problem_of, without_folders
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.server import Page
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from tests.support.stubs import problem
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
@@ -118,7 +118,7 @@ def test_a_page_tells_no_folders_of_the_server(told: str, shown: str) -> None:
 
 @pytest.fixture(scope="module")
 def page() -> Iterator[Page]:
-    one = Page(Variants(pa.VARIANTS["v3"]))
+    one = Page(LiveVariants(pa.VARIANTS["v3"]))
     yield one
     one.close()
 
@@ -139,7 +139,7 @@ def test_a_server_answers_by_its_own_names_alone(page: Page) -> None:
 
 
 def test_a_page_that_others_can_reach_asks_for_its_token() -> None:
-    page = Page(Variants(pa.VARIANTS["v3"]), host="0.0.0.0")
+    page = Page(LiveVariants(pa.VARIANTS["v3"]), host="0.0.0.0")
     try:
         (token,) = parse_qs(urlsplit(page.address).query)["token"]
         bare = page.address.partition("?")[0]

@@ -41,9 +41,9 @@ from pupper_analysis.live.model import (
 from pupper_analysis.live.render import render_brief, render_panel
 from pupper_analysis.live.shapes import mesh_of_primitive, parts_of
 from pupper_analysis.live.sliders import fine_step, ranges_of, round_up
-from pupper_analysis.live.source import Pair
+from pupper_analysis.live.source import UploadedPair
 from pupper_analysis.live.state import State, parse_length, parse_state
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
@@ -76,7 +76,7 @@ ENGLISH = Language("en")
 
 
 def model_of(name: str = "v3") -> Model:
-    return Model(Variants(pa.VARIANTS[name]))
+    return Model(LiveVariants(pa.VARIANTS[name]))
 
 
 def test_a_state_is_what_it_says() -> None:
@@ -267,15 +267,17 @@ def run_python(script: str, folder: Path) -> str:
     return done.stdout
 
 
-def own_pair(folder: Path) -> Pair:
+def own_pair(folder: Path) -> UploadedPair:
     urdf, mjcf = pa.pupper.write_variant("v3-heavy", folder)
     feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
             {"FR": "front_r", "FL": "front_l", "RR": "back_r", "RL": "back_l"}.items()}  # fmt: skip
-    return Pair.of({"urdf": urdf, "mjcf": mjcf, "feet": feet, "joints": {}, "keyframe": None})
+    return UploadedPair.of(
+        {"urdf": urdf, "mjcf": mjcf, "feet": feet, "joints": {}, "keyframe": None}
+    )
 
 
-SOURCES: dict[str, Callable[[Path], Variants | Pair]] = {
-    "variant": lambda _: Variants(pa.VARIANTS["v3"]),
+SOURCES: dict[str, Callable[[Path], LiveVariants | UploadedPair]] = {
+    "variant": lambda _: LiveVariants(pa.VARIANTS["v3"]),
     "own": own_pair,
 }
 
@@ -311,7 +313,7 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
 
 
 def test_the_usual_state_is_exported_in_few_words() -> None:
-    source = Variants(pa.VARIANTS["v3-heavy"])
+    source = LiveVariants(pa.VARIANTS["v3-heavy"])
     assert export.write_command(source, State()) == "pupper-analysis stand v3-heavy"
     assert export.live_command(source, State()) == "pupper-analysis live v3-heavy"
     assert "load_variant('v3-heavy')" in export.write_python(source, State())
@@ -327,7 +329,7 @@ def test_the_usual_state_is_exported_in_few_words() -> None:
 
 def test_links_and_commands_lead_back() -> None:
     assert export.write_link("127.0.0.1:80", State()) == "http://127.0.0.1:80/"
-    words = shlex.split(export.live_command(Variants(pa.VARIANTS["v3"]), RICH))
+    words = shlex.split(export.live_command(LiveVariants(pa.VARIANTS["v3"]), RICH))
     assert parse_state(words[words.index("--state") + 1]) == RICH
     assert "&" not in export.write_link("127.0.0.1:80", RICH)
     assert "#" not in export.write_link("127.0.0.1:80", RICH.having(swing={"a#b": 3.0}))

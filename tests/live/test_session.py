@@ -19,7 +19,7 @@ from pupper_analysis.live.model import Model
 from pupper_analysis.live.motion import interpolate_motion
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
@@ -54,7 +54,7 @@ class Open:
 
     def __init__(self, server: Any, state: State | None = None) -> None:
         self.browser = Browser(server)
-        self.model = Model(Variants(pa.VARIANTS["v3"]))
+        self.model = Model(LiveVariants(pa.VARIANTS["v3"]))
         self.session = Session(self.browser, self.model, state or State(), "here:1")
         self.controls = self.session._panels.controls
 

@@ -18,7 +18,7 @@ from pupper_analysis.live.scene import Scene
 from pupper_analysis.live.state import State
 from pupper_analysis.prepare.servo_tuning import SAG, held_gains
 from pupper_analysis.pupper.derive_mjcf import derive_mjcf
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from pupper_analysis.report.documents import sources
 from pupper_analysis.report.documents.estimate import duration_text
 from pupper_analysis.report.html import plots
@@ -91,7 +91,7 @@ class Drawn:
 
 
 def test_a_payload_is_drawn_where_it_is_on_a_base_that_is_turned() -> None:
-    found = Model(Variants(pa.VARIANTS["v3"])).answer(
+    found = Model(LiveVariants(pa.VARIANTS["v3"])).answer(
         State(roll=12, pitch=-8, payload=0.3, payload_at=(60, 40, 90))
     )
     assert found.stand is not None

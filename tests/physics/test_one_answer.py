@@ -15,7 +15,7 @@ from pupper_analysis.analysis.robot import analyze_variant
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.live.model import Model, predict_sag, simulate_stance
 from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
 
@@ -41,7 +41,7 @@ def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -
     one = told(tmp_path, "stand", "v3", "--roll", f"{ROLL}deg")
     asked = ("analyze", "v3", "--roll", str(TASK.roll), "--no-figures")
     other = told(tmp_path, *asked)["variants"]["v3"]
-    live = Model(Variants(pa.VARIANTS["v3"])).answer(State(roll=ROLL))
+    live = Model(LiveVariants(pa.VARIANTS["v3"])).answer(State(roll=ROLL))
     played, settled = simulate_stance(live), predict_sag(live).settled
     assert live.stand is not None
     assert live.statics is not None

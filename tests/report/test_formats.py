@@ -17,10 +17,10 @@ from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.report.document import (
     Column,
     Document,
+    FilePlace,
     Lines,
     Listing,
     Name,
-    Place,
     Sides,
     Table,
     tell,
@@ -184,7 +184,7 @@ def test_what_would_act_is_shown() -> None:
 def test_the_console_shows_what_would_act(terminal: bool) -> None:
     out = SafeConsole(file=io.StringIO(), force_terminal=terminal, width=400, emoji=False)
     out.print(f"robot {HOSTILE.replace(chr(10), '')}")
-    name, place = Name(HOSTILE), Place(Name(HOSTILE), Name(HOSTILE), HOSTILE)
+    name, place = Name(HOSTILE), FilePlace(Name(HOSTILE), Name(HOSTILE), HOSTILE)
     blocks = (
         Table(name, (Column(name, HOSTILE),), ((name,),), (name,)),
         Lines((name,), title=name),

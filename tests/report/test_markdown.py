@@ -13,11 +13,11 @@ from pupper_analysis import cli
 from pupper_analysis.report.document import (
     Column,
     Document,
+    FilePlace,
     Lines,
     Listing,
     Name,
     Number,
-    Place,
     Report,
     Sides,
     Table,
@@ -40,7 +40,7 @@ TABLE = Table(
     (text("push-directions"),),
 )
 MASS, SANK = (tell(problem(one)) for one in ("mass 1 kg", "it sank"))
-PLACES = (Place(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
+PLACES = (FilePlace(Name("a.urdf:5"), Name('<mass value="1"/>'), "models/a.urdf:5"),)
 DOCUMENT = Document(
     text("stance"),
     Name("v3"),
@@ -144,7 +144,7 @@ EVIL = (
 
 @pytest.mark.parametrize("name", EVIL)
 def test_no_name_acts(name: str) -> None:
-    said, place = tell(problem(name)), Place(Name(name), Name(name), name)
+    said, place = tell(problem(name)), FilePlace(Name(name), Name(name), name)
     blocks = (
         Table(said, (Column(said, "N"),), ((said,),), (said,)),
         Sides(said, (place,), (said,), said),

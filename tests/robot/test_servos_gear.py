@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import servos
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from tests.support.engines import changed, mujoco_at
 from tests.support.variants import load, stand_of
 
@@ -83,6 +83,6 @@ def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
         mujoco.mj_forward(drive.model, data)
         joints = np.array([drive.model.joint(name).dofadr[0] for name in robot.joint_names])
         np.testing.assert_allclose(data.qfrc_actuator[joints], sign * 0.9 * np.abs(GEARS))
-        system = Equilibrium(robot, stand, 50.0, "pinned")
+        system = SagEquilibrium(robot, stand, 50.0, "pinned")
         away = np.r_[stand.qpos[:7], system.target - sign * 1.0]
         np.testing.assert_allclose(system.torques(away), sign * 0.9 * np.abs(GEARS), rtol=1e-12)

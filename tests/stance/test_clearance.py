@@ -13,7 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.judge import is_base_in_ground
 from pupper_analysis.stance.problem import make_goal
 from tests.support.engines import mujoco_at
@@ -70,7 +70,7 @@ def lowest(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_height_above_level_ground(name: str) -> None:
-    robot, shapes = load(name), Shapes(load(name))
+    robot, shapes = load(name), ClearanceShapes(load(name))
     for seed in range(20):
         qpos, _ = random_state(robot, seed)
         found = shapes.above_ground(qpos, pa.Ground(), {}, {})
@@ -80,7 +80,7 @@ def test_height_above_level_ground(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_height_above_slope_and_steps(name: str) -> None:
-    robot, shapes = load(name), Shapes(load(name))
+    robot, shapes = load(name), ClearanceShapes(load(name))
     ground = pa.Ground(0.2, 0.8, {"FL": 0.03, "RR": 0.05})
     feet = pa.Configuration(robot, robot.home).foot_positions()
     there, seen = on_ground(robot, ground, feet), 0
@@ -101,7 +101,7 @@ def test_height_above_slope_and_steps(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_height_above_a_slope(name: str) -> None:
     """In closed form both, at places of two models: the URDF's links, the MJCF's geoms."""
-    robot, shapes = load(name), Shapes(load(name))
+    robot, shapes = load(name), ClearanceShapes(load(name))
     ground = pa.Ground(0.3, -2.1)
     there = on_ground(robot, ground, {})
     for seed in range(20):
@@ -113,7 +113,7 @@ def test_height_above_a_slope(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_distance_between_links(name: str) -> None:
-    robot, shapes = load(name), Shapes(load(name))
+    robot, shapes = load(name), ClearanceShapes(load(name))
     model, seen = robot.mj_model, 0
     home = mujoco_at(robot, robot.home)
 
@@ -146,7 +146,7 @@ def test_distance_between_links(name: str) -> None:
 
 def test_a_calf_may_be_as_deep_as_its_foot() -> None:
     """The skeleton's calf ends in its foot, 7 mm above the ground; a sunk foot takes it along."""
-    robot, shapes = load("original"), Shapes(load("original"))
+    robot, shapes = load("original"), ClearanceShapes(load("original"))
     stand = pa.solve_stand(robot)
     places, deep = stand.foot_targets, dict.fromkeys(robot.feet, 0.009)
     qpos = stand.qpos.copy()
@@ -202,7 +202,7 @@ def test_a_base_in_the_ground_needs_no_search(name: str) -> None:
         data = mujoco_at(robot, qpos)
         up, zero = np.array([0.0, 0.0, 1.0]), np.zeros(3)
         height = min(lowest(model, data, geom, up, zero) for geom in shapes_of(robot, base))
-        found = is_base_in_ground(Shapes(robot), make_goal(robot, task, {}))
+        found = is_base_in_ground(ClearanceShapes(robot), make_goal(robot, task, {}))
         assert found == (height < task.ground_clearance)
         seen.add(found)
         if found:
@@ -210,7 +210,7 @@ def test_a_base_in_the_ground_needs_no_search(name: str) -> None:
                 pa.solve_stand(robot, task, explain=False)
     assert seen == {True, False}
     slope = make_goal(robot, pa.StandTask(height=0.01, ground=pa.Ground(0.1), com="inside"), {})
-    assert not is_base_in_ground(Shapes(robot), slope)
+    assert not is_base_in_ground(ClearanceShapes(robot), slope)
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
@@ -277,7 +277,7 @@ def test_links_that_would_touch_are_kept_apart() -> None:
 def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> None:
     """By central differences; near steps coal's distances are found by iteration, less exact."""
     robot = load(name)
-    shapes, random = Shapes(robot), np.random.default_rng(0)
+    shapes, random = ClearanceShapes(robot), np.random.default_rng(0)
     places = pa.Configuration(robot, robot.neutral()).foot_positions()
     for _ in range(3):
         qpos = robot.home.copy()

@@ -13,7 +13,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import Pair, quadruped
 
@@ -93,7 +93,7 @@ def drawn(robot: pa.Robot, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("ground", [pa.Ground(), pa.Ground(0.4, 1.1)])
 def test_heights_are_those_of_mujocos_hulls(robot: pa.Robot, ground: pa.Ground) -> None:
-    shapes, there = Shapes(robot), on_ground(robot, ground, {})
+    shapes, there = ClearanceShapes(robot), on_ground(robot, ground, {})
     kinds = {shape.kind for shape in robot.shapes}
     assert {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_ELLIPSOID} <= kinds
     for seed in range(20):
@@ -105,7 +105,7 @@ def test_heights_are_those_of_mujocos_hulls(robot: pa.Robot, ground: pa.Ground) 
 
 def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
     """What is nearest is a step or the plane; of shapes in each other the depths differ."""
-    shapes = Shapes(robot)
+    shapes = ClearanceShapes(robot)
     ground = pa.Ground(0.2, 0.8, dict(zip(robot.feet, (0.05, 0.08), strict=False)))
     places = pa.Configuration(robot, robot.home).foot_positions()
     there, seen = on_ground(robot, ground, places), 0
@@ -131,7 +131,7 @@ def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
 
 
 def test_distances_between_links_are_those_of_mujocos_hulls(robot: pa.Robot) -> None:
-    shapes, model = Shapes(robot), robot.mj_model
+    shapes, model = ClearanceShapes(robot), robot.mj_model
     neighbours, seen = neighbouring(robot), 0
     for seed in range(15):
         qpos = drawn(robot, seed)

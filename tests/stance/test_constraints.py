@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import constraints_of
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.programme import Programme
@@ -46,7 +46,7 @@ def moved(robot: pa.Robot, qpos: np.ndarray, velocity: np.ndarray, time: float) 
 @pytest.mark.parametrize("com", ["inside", (0.01, 0.0)])
 def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> None:
     robot, random = load("v3"), np.random.default_rng(3)
-    shapes, goal = Shapes(robot), make_goal(robot, replace(TASK, com=com), {})
+    shapes, goal = ClearanceShapes(robot), make_goal(robot, replace(TASK, com=com), {})
     stand = pa.solve_stand(robot)
     qpos = stand.qpos + 0.0
     qpos[7:] += random.uniform(-0.2, 0.2, 12)
@@ -68,7 +68,7 @@ def test_constraints_change_by_their_rates(com: str | tuple[float, float]) -> No
 def test_the_elastic_problems_derivative_is_that_of_its_residuals() -> None:
     robot = load("v3")
     demands = ["height", "roll", "yaw", "foot_offsets", "swing", "ground", "com_margin"]
-    elastic = Programme(Shapes(robot), make_goal(robot, TASK, {}), demands)
+    elastic = Programme(ClearanceShapes(robot), make_goal(robot, TASK, {}), demands)
     random = np.random.default_rng(1)
     x = elastic._start(pa.solve_stand(robot).qpos, None)
     free = elastic._high > elastic._low  # margins and lifts become no more

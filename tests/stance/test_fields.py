@@ -18,7 +18,7 @@ from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.live import export
 from pupper_analysis.live.sliders import CONTROLS, ranges_of
 from pupper_analysis.live.state import State, halfway_state, parse_state
-from pupper_analysis.pupper.live import Variants
+from pupper_analysis.pupper.live import LiveVariants
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.results import to_json
 from pupper_analysis.stance.fields import FIELDS, Field
@@ -175,7 +175,7 @@ def test_each_has_sliders_with_words_and_a_range(field: Field) -> None:
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
 def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
     state = state_with(field)
-    source = Variants(pa.VARIANTS["v3"])
+    source = LiveVariants(pa.VARIANTS["v3"])
     task = next(
         line for line in export.write_python(source, state).splitlines() if "StandTask" in line
     )

@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.kinematics import Kinematics
-from pupper_analysis.stance.clearance import Shapes
+from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
@@ -49,10 +49,12 @@ def test_copies_of_pinocchios_memory_are_not_taken_for_it() -> None:
     """Who has Pinocchio hand out copies gets what is true now, not what was."""
     robot = load("v3")
     goals = [make_goal(robot, pa.StandTask(height=z), {}) for z in (0.11, 0.12, 0.13)]
-    expected = [evaluate_stand(Shapes(robot), goal, stand_of("v3").qpos, 0) for goal in goals]
+    expected = [
+        evaluate_stand(ClearanceShapes(robot), goal, stand_of("v3").qpos, 0) for goal in goals
+    ]
     pin.sharedMemory(False)
     try:
-        shapes = Shapes(robot)
+        shapes = ClearanceShapes(robot)
         found = [evaluate_stand(shapes, goal, stand_of("v3").qpos, 0) for goal in goals]
         moved = stand_of("v3").qpos.copy()
         moved[2] += 0.01
@@ -73,7 +75,7 @@ def test_nothing_that_is_not_finite_is_judged() -> None:
     spoilt = stand_of("v3").qpos.copy()
     spoilt[9] = np.nan  # one leg's: the other feet are in place
     with pytest.raises(pa.ConfigurationError, match="element 9 is nan"):
-        evaluate_stand(Shapes(robot), make_goal(robot, None, {}), spoilt, 0)
+        evaluate_stand(ClearanceShapes(robot), make_goal(robot, None, {}), spoilt, 0)
 
 
 def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:

@@ -28,7 +28,7 @@ from pupper_analysis.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Cause(Result):
+class PatternCause(Result):
     """One slip that explains several differences.
 
     Attributes:
@@ -62,7 +62,7 @@ def find_causes(
     second: MultibodyTree,
     differences: Sequence[Difference],
     tolerances: Tolerances,
-) -> tuple[Cause, ...]:
+) -> tuple[PatternCause, ...]:
     """Finds slips that explain several differences each.
 
     Args:
@@ -80,7 +80,7 @@ def find_causes(
     mjcf = mjcf_links(robot, raw, second) if bodies else {}
     raw = replace(raw, gravity=first.gravity)
     case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf)
-    found: list[Cause] = []
+    found: list[PatternCause] = []
     taken: set[int] = set()
     for look in _LOOKS:
         for each in look(replace(case, taken={keys[n] for n in taken})):
@@ -89,7 +89,7 @@ def find_causes(
             )
             if len(numbers) > 1:
                 taken |= set(numbers)
-                found.append(Cause(each.kind, each.diagnostic, numbers))
+                found.append(PatternCause(each.kind, each.diagnostic, numbers))
                 case = each.undone or case
     return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
 

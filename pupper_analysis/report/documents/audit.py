@@ -85,7 +85,7 @@ def _alike(audit: Audit, group: Sequence[Finding], advice: tuple[doc.Words, ...]
         severity=word(str(first.severity)),
         rule=first.rule,
     ).marked(MARKS[first.severity])
-    return doc.Sides(said, (doc.Place(doc.Name(place), quote, path),), advice, tag)
+    return doc.Sides(said, (doc.FilePlace(doc.Name(place), quote, path),), advice, tag)
 
 
 def rule_words(rule: str, what: str) -> doc.Text:

@@ -132,7 +132,7 @@ def _sides(
         line = quote_line(place, *paths)
         shown = doc.Name(line) if line else doc.Name(f"{shorten(value)} {difference.unit}")
         named = doc.Name(_short(place)) if place else text("not-in-the-file")
-        columns.append(doc.Place(named, shown, place or ""))
+        columns.append(doc.FilePlace(named, shown, place or ""))
     made_of = map(doc.tell, difference.made_of)
     return doc.Sides(title, tuple(columns), (*notes, *made_of, _effects(difference)))
 

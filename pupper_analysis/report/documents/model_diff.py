@@ -64,10 +64,10 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
         yield doc.Lines((left,), "bad")
 
 
-def _place(file: str, place: str, value: object, unit: str) -> doc.Place:
+def _place(file: str, place: str, value: object, unit: str) -> doc.FilePlace:
     line = quote_line(place, file) or f"{shorten(value)} {unit}".rstrip()
     named = doc.Name(Path(place).name) if place else text("not-in-the-file")
-    return doc.Place(named, doc.Name("-" if value is None else line), place)
+    return doc.FilePlace(named, doc.Name("-" if value is None else line), place)
 
 
 def _effects(change: ModelChange) -> doc.Text:

@@ -77,7 +77,7 @@ def _group(group: list[Remark]) -> doc.Sides:
     ).marked(MARKS[first.severity])
     places = [first.place or first.file, *([first.other_place] if first.other_place else [])]
     columns = tuple(
-        doc.Place(
+        doc.FilePlace(
             doc.Name(from_the_root(place) or place),
             doc.Name(quote_line(place, first.file)),
             from_the_root(place) or place,

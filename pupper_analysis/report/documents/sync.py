@@ -77,7 +77,9 @@ def _choices(sync: Sync) -> Iterable[doc.Block]:
     for difference in sync.differences:
         places = (difference.urdf_place, difference.mjcf_place)
         columns = tuple(
-            doc.Place(doc.Name(place), doc.Name(line_at(place)), place) for place in places if place
+            doc.FilePlace(doc.Name(place), doc.Name(line_at(place)), place)
+            for place in places
+            if place
         )
         yield doc.Sides(doc.tell(difference.diagnostic), columns)
     first, kind = difference_label(sync.differences[0]), sync.differences[0].kind

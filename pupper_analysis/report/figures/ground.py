@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.report.figures.skeleton import BOX_FACES
 
 if TYPE_CHECKING:
-    from pupper_analysis.report.scene import Standing
+    from pupper_analysis.report.scene import StandingScene
     from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -33,14 +33,14 @@ def ground_corners(stand: Stand) -> Array:
     return np.array([[x, y, ground.height((x, y))] for x, y in around])
 
 
-def step_corners(seen: Standing) -> list[Array]:
+def step_corners(seen: StandingScene) -> list[Array]:
     """Returns the corners (8, 3) of each step's box (m), in the order of ``BOX_FACES``."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     turn = seen.ground.rotation()
     return [step.centre + (signs * step.half) @ turn.T for step in seen.steps]
 
 
-def draw_ground(axes: Any, stand: Stand, seen: Standing) -> None:
+def draw_ground(axes: Any, stand: Stand, seen: StandingScene) -> None:
     """Draws the plane, where it is no level one, and the steps on it (mm)."""
     if seen.ground.slope:
         corners = [1e3 * ground_corners(stand)]

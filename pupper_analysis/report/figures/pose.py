@@ -28,7 +28,7 @@ from pupper_analysis.report.figures.skeleton import (
     hull_corners,
     nearest_edge_point,
 )
-from pupper_analysis.report.scene import Standing, describe_scene
+from pupper_analysis.report.scene import StandingScene, describe_scene
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     style.save_figure(figure, path)
 
 
-def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: Standing) -> None:
+def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: StandingScene) -> None:
     # mpl_toolkits has no type information.
     axes: Any = figure.add_axes((-0.03, 0.165, 0.74, 0.76), projection="3d", computed_zorder=False)
     axes.view_init(elev=_ELEVATION, azim=_AZIMUTH)
@@ -145,7 +145,7 @@ def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: Standing
     _draw_forces(axes, lines, seen)
 
 
-def _draw_forces(axes: Any, lines: Skeleton, seen: Standing) -> None:
+def _draw_forces(axes: Any, lines: Skeleton, seen: StandingScene) -> None:
     """Draws the contact forces as arrows that end at the feet, after the axes (mm) are fitted."""
     forces = {one.foot: one.force for one in seen.contacts}
     tips = {one.foot: one.point for one in seen.contacts}
@@ -216,7 +216,7 @@ def _named(foot: str) -> str:
     return foot if len(foot) <= _LONGEST else f"{foot[: _LONGEST - 1]}…"
 
 
-def _small(seen: Standing) -> float:
+def _small(seen: StandingScene) -> float:
     """Returns the size of a foot's mark: smaller where feet have several contact points."""
     return 1.0 if len(seen.contacts) == len(seen.points) else 0.45
 
@@ -243,7 +243,7 @@ def _fit(axes: Any, shown: Array) -> None:
 
 
 def _draw_from_above(
-    figure: Figure, lines: Skeleton, stand: Stand, seen: Standing, statics: GravityCompensation
+    figure: Figure, lines: Skeleton, stand: Stand, seen: StandingScene, statics: GravityCompensation
 ) -> None:
     axes = figure.add_axes((0.735, 0.17, 0.255, 0.66))
     style.title_panel(axes, "from above")
@@ -294,7 +294,7 @@ def _draw_from_above(
     axes.set_ylabel("x, forward (mm)", size=style.FONT)
 
 
-def _draw_margin(axes: Axes, seen: Standing, margin: float | None) -> None:
+def _draw_margin(axes: Axes, seen: StandingScene, margin: float | None) -> None:
     """Draws the com from above (mm), and its margin (m) to the edge of the support polygon."""
     com = 1e3 * seen.com[:2]
     axes.plot(com[1], com[0], **_PROJECTION, zorder=5)

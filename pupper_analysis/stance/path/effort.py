@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.errors import StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.geometry import Place, minimum_jerk
+from pupper_analysis.stance.path.geometry import PathPlace, minimum_jerk
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, ForceBounds
 from pupper_analysis.statics.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.statics.support_polygon import com_margin
@@ -56,7 +56,7 @@ class Effort:
 
 def path_effort(
     robot: Robot,
-    place: Place,
+    place: PathPlace,
     rate: float,
     acceleration: float,
     *,
@@ -136,7 +136,7 @@ def path_effort(
     )
 
 
-def load_to_pass(robot: Robot, place: Place, foot: str) -> float:
+def load_to_pass(robot: Robot, place: PathPlace, foot: str) -> float:
     """Returns what a foot may carry at most (N), so that its load is gone where it lifts.
 
     The weight times the share of the way that is left: where the com comes over the other feet at
@@ -150,7 +150,7 @@ def load_to_pass(robot: Robot, place: Place, foot: str) -> float:
     return weight * min(left) if left else math.inf
 
 
-def _fading(place: Place) -> list[tuple[tuple[str, ...], float, float]]:
+def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
     """Returns feet that are left carrying beside the leg, how near that is, and the margin there.
 
     Near is from 0 to 1; the margin is that of the com in the stance between the legs (m).

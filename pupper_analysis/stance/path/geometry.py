@@ -32,7 +32,7 @@ _MAX_ITERATIONS = 50
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class PathPlace:
     """A sample of a path's geometry.
 
     Attributes:
@@ -77,7 +77,7 @@ class Geometry:
 
     stances: tuple[Stand, ...]
     legs: list[Leg]
-    places: list[Place]
+    places: list[PathPlace]
     per_leg: int
 
     def where(self, index: int, moment: float | None = None) -> Diagnostic:
@@ -124,7 +124,7 @@ def path_geometry(
         StaticsInfeasibleError: If the com leaves the feet; says where.
     """
     legs, solved = legs_of(robot, stances)
-    places: list[Place] = []
+    places: list[PathPlace] = []
     ik_seed = np.array(solved[0].joint_positions(robot))
     roll = _Roll(robot, solved[0])
     for index in range(per_leg * len(legs) + 1):
@@ -153,7 +153,7 @@ def path_geometry(
             raise ConfigurationError("stances", told)
         ik_seed = stand.joint_positions(robot)
         tangent, curvature = _derivatives(robot, leg, share, stand.qpos, rolling=rolling)
-        places.append(Place(leg, number, progress, share, stand, tangent, curvature))
+        places.append(PathPlace(leg, number, progress, share, stand, tangent, curvature))
     return Geometry(solved, legs, places, per_leg)
 
 
@@ -262,7 +262,7 @@ def _derivatives(
     return tangent, curvature
 
 
-def clearance(place: Place, foot: str) -> float:
+def clearance(place: PathPlace, foot: str) -> float:
     """Returns a foot's height above the ground (m); zero where it is on it."""
     low = place.stand.task.swing.get(foot, 0.0)
     return 0.0 if low <= TOUCHING else low

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.geometry import Place
+from pupper_analysis.stance.path.geometry import PathPlace
 from pupper_analysis.stance.path.path_limits import PathLimits
 from pupper_analysis.stance.path.time_optimum import Demands
 from pupper_analysis.statics.contacts import make_contacts
@@ -35,7 +35,7 @@ class LegMotion:
         rates: (K, 2) the first two derivatives of the path's share by the parameter.
     """
 
-    def __init__(self, limits: PathLimits, places: Sequence[Place], rates: Array) -> None:
+    def __init__(self, limits: PathLimits, places: Sequence[PathPlace], rates: Array) -> None:
         robot: Robot = limits.robot
         self.limits, self.places, self.feet = limits, places, places[-1].leg.stance_feet
         self._directions = [

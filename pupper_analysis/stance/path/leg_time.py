@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Result
-from pupper_analysis.stance.path.geometry import Geometry, Place, minimum_jerk
+from pupper_analysis.stance.path.geometry import Geometry, PathPlace, minimum_jerk
 from pupper_analysis.stance.path.leg_motion import LegMotion
 from pupper_analysis.stance.path.path_limits import PathLimit, PathLimits
 from pupper_analysis.stance.path.time_optimum import (
@@ -228,7 +228,7 @@ class LegTime:
         price, limit, which, share = max(hard or found, key=lambda row: row[0])
         return BindingLimit(limit, which, self._number + 1, share, price)
 
-    def _quickest(self, place: Place) -> str:
+    def _quickest(self, place: PathPlace) -> str:
         robot = self._limits.robot
         shares = np.abs(place.tangent[robot.nv - robot.nu :]) / self._limits.velocities
         return robot.joint_names[int(shares.argmax())]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import Effort, load_to_pass, path_effort
-from pupper_analysis.stance.path.geometry import Place
+from pupper_analysis.stance.path.geometry import PathPlace
 from pupper_analysis.statics.cone_program import ForceBounds
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class PathLimits:
         other._rest = self._rest
         return other
 
-    def at_rest(self, place: Place) -> Effort:
+    def at_rest(self, place: PathPlace) -> Effort:
         """Returns what a sample takes at rest, its friction and the loads of feet apart."""
         key = (place.number, place.progress)
         if key not in self._rest:
@@ -70,7 +70,7 @@ class PathLimits:
             self._rest[key] = path_effort(self.robot, place, 0.0, 0.0, bounds=free)
         return self._rest[key]
 
-    def check_rest(self, place: Place) -> None:
+    def check_rest(self, place: PathPlace) -> None:
         """Checks that a sample can be held at rest.
 
         Raises:
@@ -81,7 +81,7 @@ class PathLimits:
         if sliding or (np.abs(rest.torques) > bounds.torques).any():
             path_effort(self.robot, place, 0.0, 0.0, friction=self.friction, bounds=bounds)
 
-    def bounds(self, place: Place, feet: Sequence[str]) -> ForceBounds:
+    def bounds(self, place: PathPlace, feet: Sequence[str]) -> ForceBounds:
         """Returns the bounds on forces and torques at a sample, in the feet's order.
 
         Each foot keeps a share of its load at rest.

@@ -22,7 +22,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import path_effort
 from pupper_analysis.stance.path.geometry import (
     Geometry,
-    Place,
+    PathPlace,
     clearance,
     minimum_jerk,
     path_geometry,
@@ -249,7 +249,7 @@ def timed_path(
     timing: Timing,
     *,
     friction: Mapping[str, float] | None = None,
-    bounds_of: Callable[[Place], ForceBounds] | None = None,
+    bounds_of: Callable[[PathPlace], ForceBounds] | None = None,
     beyond: bool = False,
 ) -> StancePath:
     """Returns the path of a geometry at a speed; see ``stance_path``.

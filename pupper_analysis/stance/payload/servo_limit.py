@@ -24,7 +24,7 @@ from pupper_analysis.robot.servos import command_ranges, lead, own_servos, servo
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.payload.nudge import find_saturating_motors
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
@@ -297,7 +297,7 @@ def _way(
     """Begins the way from a stand, which full feed-forward holds, to another command (nu,)."""
     check_request(robot, stand, "pinned", 0.0)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    return HomotopyPath(Equilibrium(robot, stand, kp, "pinned"), target)
+    return HomotopyPath(SagEquilibrium(robot, stand, kp, "pinned"), target)
 
 
 def _crept(way: HomotopyPath) -> tuple[Array, SteadyState]:

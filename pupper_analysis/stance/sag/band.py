@@ -13,7 +13,7 @@ from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
@@ -99,7 +99,7 @@ def steady_state_band(
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
 
     def begin(lift: float) -> HomotopyPath | None:
-        way = HomotopyPath(Equilibrium(robot, stand, kp, "pinned"))
+        way = HomotopyPath(SagEquilibrium(robot, stand, kp, "pinned"))
         way.rub(lift)
         with contextlib.suppress(NoEquilibriumError):
             way.follow(0.0 if feedforward else 1.0)

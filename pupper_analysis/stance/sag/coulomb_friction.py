@@ -10,10 +10,10 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.sag.solution import Solution
 
 if TYPE_CHECKING:
-    from pupper_analysis.stance.sag.equilibrium import Equilibrium
+    from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 
 
-def apply_coulomb_friction(system: Equilibrium, solution: Solution, share: float) -> bool:
+def apply_coulomb_friction(system: SagEquilibrium, solution: Solution, share: float) -> bool:
     """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
     derivative = system.derivative(solution.qpos, system.stacked(solution))
     height = np.zeros(len(derivative))

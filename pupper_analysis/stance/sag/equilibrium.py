@@ -43,7 +43,7 @@ _NOWHERE = np.zeros(2)  # m: where a foot sticks that has not crept
 _MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
 
-class Equilibrium:
+class SagEquilibrium:
     """The equations of the equilibrium, for a servo ``target`` (nu,) and the feet that touch.
 
         g(q) - S^T (tau + t) - sum (J_i^T f_i + W_i^T m_i) = 0,  depth_i(q) = depth of f_i

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.robot.servos import lead
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.stiffness import stiffness_at
 from pupper_analysis.stance.stand import stand_statics
@@ -54,7 +54,7 @@ class HomotopyPath:
     """
 
     def __init__(
-        self, system: Equilibrium, end: Array | None = None, *, exact: bool = True
+        self, system: SagEquilibrium, end: Array | None = None, *, exact: bool = True
     ) -> None:
         self.system, stand = system, system.stand
         self._looked_at: tuple[Solution, Array, float] | None = None

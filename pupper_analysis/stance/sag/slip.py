@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.solution import Solution
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ SMALL_SLIP = 0.01
 has come to: some 3 mm of a biped of 0.3 m. MuJoCo's pivoted by 0.1 to 0.4 mm."""
 
 
-def find_sliding_feet(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
+def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
     """Returns the pinned feet that slide: what presses of them slips, and it is no small way.
 
     A foot of one point slides where that point slips. A sole may pivot by a fraction of a
@@ -39,7 +39,7 @@ def find_sliding_feet(system: Equilibrium, solution: Solution) -> tuple[str, ...
     return tuple(found)
 
 
-def turning_stiffness(system: Equilibrium, solution: Solution) -> list[tuple[int, Array]]:
+def turning_stiffness(system: SagEquilibrium, solution: Solution) -> list[tuple[int, Array]]:
     """Returns number and stiffness (2, 2) of feet that slip against a slip to the side (N/m).
 
     Friction is against the slip s: f_t = -mu f_n s / |s|. Moved across, s turns, and with it
@@ -60,21 +60,21 @@ def turning_stiffness(system: Equilibrium, solution: Solution) -> list[tuple[int
     return found
 
 
-def find_slipping_feet(system: Equilibrium, solution: Solution) -> tuple[str, ...]:
+def find_slipping_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, ...]:
     """Returns the pinned feet that slip."""
     forces, names = system.stacked(solution), tuple(system.anchors)
     places = system.slips(solution.qpos, forces)
     return tuple(names[row] for row, *_ in system.slipping_rows(forces, places))
 
 
-def measure_slips(system: Equilibrium, solution: Solution) -> Array:
+def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
     """Returns how far the pinned feet that touch have slipped (n, 2), soles as one body (m)."""
     begun = np.array([system.crept.get(foot, np.zeros(2)) for foot in system.anchors])
     places = system.touch(solution.qpos).places[:, :2]
     return system.as_one(places - begun.reshape(-1, 2))
 
 
-def find_idle_points(system: Equilibrium, depths: Array) -> set[str]:
+def find_idle_points(system: SagEquilibrium, depths: Array) -> set[str]:
     """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
     soles = {point for points in system.robot.soles.values() if len(points) > 1 for point in points}
     return {

@@ -19,7 +19,7 @@ from pupper_analysis.robot.lent import lent
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import CREEP_STEPS, HomotopyPath
 from pupper_analysis.stance.sag.slip import find_sliding_feet
 from pupper_analysis.stance.sag.solution import Solution
@@ -155,7 +155,7 @@ def steady_state(
     """
     check_request(robot, stand, feet, seconds)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    way = HomotopyPath(Equilibrium(robot, stand, kp, feet), exact=feedforward)
+    way = HomotopyPath(SagEquilibrium(robot, stand, kp, feet), exact=feedforward)
     pose = follow_to_end(way, feedforward=feedforward, seconds=seconds)
     if pose.failures or math.isinf(lasts := let_creep(way, pose)):
         return pose
@@ -347,7 +347,9 @@ def _data_of(robot: Robot) -> mujoco.MjData:
     return mujoco.MjData(robot.mj_model)
 
 
-def _failures(system: Equilibrium, solution: Solution, stiffness: float) -> tuple[Diagnostic, ...]:
+def _failures(
+    system: SagEquilibrium, solution: Solution, stiffness: float
+) -> tuple[Diagnostic, ...]:
     robot, stand = system.robot, system.stand
     failures = []
     if not stiffness > 0:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.slip import find_idle_points, find_slipping_feet, turning_stiffness
 from pupper_analysis.stance.sag.solution import Solution
 
@@ -45,7 +45,7 @@ class Compliance:
         return float(values.min())
 
 
-def stiffness_at(system: Equilibrium, solution: Solution, derivative: Array) -> float:
+def stiffness_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> float:
     """Returns the least eigenvalue of the Hessian where the feet allow it to move.
 
     Args: as ``compliance_at``.
@@ -53,7 +53,7 @@ def stiffness_at(system: Equilibrium, solution: Solution, derivative: Array) -> 
     return compliance_at(system, solution, derivative).stiffness()
 
 
-def compliance_at(system: Equilibrium, solution: Solution, derivative: Array) -> Compliance:
+def compliance_at(system: SagEquilibrium, solution: Solution, derivative: Array) -> Compliance:
     """Returns what holds an equilibrium where the feet allow it to move.
 
     Args:

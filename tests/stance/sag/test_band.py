@@ -5,7 +5,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.stance.sag.band import SteadyStateBand, steady_state_band
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from tests.support.repository import benchmark
 from tests.support.variants import V3_NAMES, load, stand_of
@@ -41,7 +41,7 @@ def test_friction_of_any_kind_stays_inside(name: str) -> None:
     assert band.width == pytest.approx(high - low)
     reached = []
     for _ in range(12):
-        way = HomotopyPath(Equilibrium(robot, stand, None, "pinned"))
+        way = HomotopyPath(SagEquilibrium(robot, stand, None, "pinned"))
         way.follow(1.0)
         system = way.system
         for _ in range(4):  # the moments' limits depend on the forces, and these on the moments

@@ -11,7 +11,7 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.stance.sag.equilibrium import Equilibrium
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.solution import integrate_step
 from tests.support.variants import NAMES, load, stand_of
 
@@ -40,7 +40,7 @@ def test_derivative_is_that_of_the_residual(
     if slope:
         task = pa.StandTask(ground=pa.Ground(slope=slope, uphill=0.4), yaw=0.1)
         stand = pa.solve_stand(robot, task)
-    system = Equilibrium(robot, stand, None, feet)
+    system = SagEquilibrium(robot, stand, None, feet)
     forces = rng.normal(size=(len(system.anchors), 3)) + np.array([0.0, 0.0, 8.0])
     system.moments = {foot: 0.1 * rng.normal(size=3) for foot in system.anchors}
     qpos = integrate_step(stand.qpos, 2e-4 * rng.normal(size=robot.nv))  # the feet stick

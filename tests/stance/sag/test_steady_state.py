@@ -14,7 +14,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import servos
 from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag import steady_state as settle
-from pupper_analysis.stance.sag.equilibrium import Equilibrium, Feet
+from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.slip import find_slipping_feet
 from pupper_analysis.stance.sag.solution import Solution, integrate_step, is_cycling
@@ -362,7 +362,7 @@ def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa
 
 def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
     robot, stand = load("original"), lifted("original", "FL", 0.002)
-    way = HomotopyPath(Equilibrium(robot, stand, 12.0, "pinned"))
+    way = HomotopyPath(SagEquilibrium(robot, stand, 12.0, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
     assert find_slipping_feet(system, solution) == ("FL",)
@@ -383,7 +383,7 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
 @pytest.mark.parametrize(("name", "foot", "kp"), [("original", "FL", 12.0), ("v3", "RR", 4.0)])
 def test_derivative_of_the_equations(name: str, foot: str, kp: float) -> None:
     """Against differences, with feet that stick, slip, and creep."""
-    way = HomotopyPath(Equilibrium(load(name), lifted(name, foot, 0.002), kp, "pinned"))
+    way = HomotopyPath(SagEquilibrium(load(name), lifted(name, foot, 0.002), kp, "pinned"))
     way.follow(1.0)
     system, solution = way.system, way.solution
     forces = np.array(list(solution.forces.values()))
@@ -511,20 +511,20 @@ def test_minimum_stiffness_of_sliding_feet() -> None:
 def searches(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Solution | None, int]]:
     """What every search of Newton's finds from now on, and how many steps it takes."""
     looked, ended = [0], []
-    derivative, newton = Equilibrium.derivative, Equilibrium._newton
+    derivative, newton = SagEquilibrium.derivative, SagEquilibrium._newton
 
-    def counted(self: Equilibrium, *args: np.ndarray) -> np.ndarray:
+    def counted(self: SagEquilibrium, *args: np.ndarray) -> np.ndarray:
         looked[0] += 1
         return derivative(self, *args)
 
-    def watched(self: Equilibrium, guess: Solution, *left: float) -> Solution | None:
+    def watched(self: SagEquilibrium, guess: Solution, *left: float) -> Solution | None:
         begun = looked[0]
         found = newton(self, guess, *left)
         ended.append((found, looked[0] - begun))
         return found
 
-    monkeypatch.setattr(Equilibrium, "derivative", counted)
-    monkeypatch.setattr(Equilibrium, "_newton", watched)
+    monkeypatch.setattr(SagEquilibrium, "derivative", counted)
+    monkeypatch.setattr(SagEquilibrium, "_newton", watched)
     return ended
 
 
