@@ -325,10 +325,10 @@ def test_an_error_with_a_name_in_lines_is_one_line(capsys: pytest.CaptureFixture
 def test_a_signal_that_a_library_swallows_is_raised_again() -> None:
     code = """
         import os, signal, time
-        from pupper_analysis.cli.process import Ended, endings
+        from pupper_analysis.cli.process import Ended, ending_signals
 
         swallowed = 0
-        with endings() as ending:
+        with ending_signals() as ending:
             try:
                 os.kill(os.getpid(), signal.SIGINT)
             except BaseException:

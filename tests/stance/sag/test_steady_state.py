@@ -542,7 +542,7 @@ def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -
 def test_a_search_that_finds_something_does_not_go_round(
     monkeypatch: pytest.MonkeyPatch, torso: float
 ) -> None:
-    monkeypatch.setattr(equilibrium, "goes_round", lambda _: False)
+    monkeypatch.setattr(equilibrium, "is_cycling", lambda _: False)
     ended = searches(monkeypatch)
     for leg in (0.8, 1.1, 1.4):
         robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=leg, torso_mass_scale=torso))
