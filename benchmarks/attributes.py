@@ -34,7 +34,7 @@ import mujoco
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
@@ -267,7 +267,7 @@ def _add_actuator(root: etree._Element, kind: str, words: str) -> etree._Element
     return section[-1]
 
 
-@quiet()
+@silence_mujoco()
 def taken(root: etree._Element) -> str:
     """Returns MuJoCo's refusal, "" if it takes it."""
     try:
@@ -343,7 +343,7 @@ def plain_rich(folder: str, path: str) -> tuple[str, tuple[float, ...]]:
     return text, moved(text)
 
 
-@quiet()
+@silence_mujoco()
 def moved(text: str) -> tuple[float, ...]:
     """Returns the state of 0.1 s from the keyframe; none if MuJoCo gives up."""
     model = mujoco.MjModel.from_xml_string(text)

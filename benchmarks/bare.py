@@ -18,7 +18,7 @@ from measure import Accuracy, Job, Rival
 from peers import stand_peers
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
 from pupper_analysis.stance.context import Context
 
@@ -249,7 +249,7 @@ def _statics_of_many(robot: pa.Robot) -> Job:
 
 
 def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     torques = pa.gravity_compensation(pa.Configuration(robot, stand.qpos)).joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     control = drive.command(robot, stand.joint_positions(robot))
@@ -272,7 +272,7 @@ def _steady_state(robot: pa.Robot, stand: pa.Stand) -> Job:
 
 
 def _gain_sweep(robot: pa.Robot, stand: pa.Stand) -> Job:
-    drives = [servos(robot, kp, kd, "implicitfast") for kp in KP for kd in KD]
+    drives = [model_with_servos(robot, kp, kd, "implicitfast") for kp in KP for kd in KD]
     models = [drive.model for drive in drives]
     torques = pa.stance.stand_statics(robot, stand).joint_torques
     starts = np.array([place_on_ground(robot, drive, stand, torques) for drive in drives])

@@ -17,7 +17,7 @@ from rich.table import Table
 from stances import random_task
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.stance.stand import stand_statics
 
@@ -52,7 +52,7 @@ def simulate(
     options: dict[str, float],
 ) -> Run:
     torques = stand_statics(robot, stand, distribution=distribution).joint_torques
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     for name, value in options.items():
         setattr(drive.model.opt, name, value)
     positions = stand.joint_positions(robot)

@@ -24,7 +24,7 @@ from tables import write_csv
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.report.verdict import in_words
 from pupper_analysis.simulation.verdict import VerdictCode
 
@@ -275,7 +275,7 @@ def bare_loss(robot: pa.Robot, stand: pa.Stand, path: Path) -> float | None:
 
     By MuJoCo alone: state and commands by the names in the file.
     """
-    with quiet():
+    with silence_mujoco():
         try:
             model = mujoco.MjModel.from_xml_path(str(path))
         except ValueError:

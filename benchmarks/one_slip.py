@@ -28,7 +28,7 @@ from lxml import etree
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
@@ -153,12 +153,12 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
     return result
 
 
-@quiet()
+@silence_mujoco()
 def _keyless(path: Path) -> bool:
     return not mujoco.MjModel.from_xml_path(str(path)).nkey
 
 
-@quiet()
+@silence_mujoco()
 def _groundless(path: Path) -> bool:
     """Whether the world has nothing that a robot could stand on."""
     model = mujoco.MjModel.from_xml_path(str(path))
@@ -176,11 +176,11 @@ def judge_groundless(pair: Pair, result: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def _plain(path: Path) -> mujoco.MjModel:
-    with quiet():
+    with silence_mujoco():
         return mujoco.MjModel.from_xml_path(str(path))
 
 
-@quiet()
+@silence_mujoco()
 def _mjcf_differs(path: Path, plain: Path) -> str:
     """Says which of the numbers that a URDF has, too, is another than it was; "" if none."""
     new, old = mujoco.MjModel.from_xml_path(str(path)), _plain(plain)
@@ -222,7 +222,7 @@ def judge_urdf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
     taken = new is not None
     if not taken:
         try:
-            with quiet():
+            with silence_mujoco():
                 mujoco.MjModel.from_xml_path(str(pair.urdf))
             taken = True
         except (ValueError, RuntimeError) as error:

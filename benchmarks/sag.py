@@ -17,7 +17,7 @@ from rich.table import Table
 import pupper_analysis as pa
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import full_state, place_on_ground
 from pupper_analysis.stance.sag.band import steady_state_band
@@ -46,7 +46,7 @@ def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Rob
     change(model)
     ground = contact.ground_geom(model)
     contacts = {
-        foot: contact.combine(model, geom, ground) for geom, foot in robot.foot_geoms.items()
+        foot: contact.combine_geoms(model, geom, ground) for geom, foot in robot.foot_geoms.items()
     }
     return replace(robot, mj_model=model, contacts=contacts)
 
@@ -192,7 +192,7 @@ def led(robot: pa.Robot, stand: pa.Stand, shares: tuple[float, ...], seconds: fl
         seconds: s.
     """
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = servos(robot, integrator="implicitfast")
+    drive = model_with_servos(robot, integrator="implicitfast")
     torques = stand_statics(
         robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
     ).joint_torques
@@ -208,7 +208,7 @@ def led(robot: pa.Robot, stand: pa.Stand, shares: tuple[float, ...], seconds: fl
 def left(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float = 6.0) -> float:
     """The base's height (m) at the end of a simulation that begins at rest in qpos."""
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = servos(robot, integrator="implicitfast")
+    drive = model_with_servos(robot, integrator="implicitfast")
     data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, qpos)
     mujoco.mj_forward(drive.model, data)

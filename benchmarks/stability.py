@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.stability import LASTING, Mode, Stability, step_stability
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.nudge import LEFT, NUDGE, response
-from pupper_analysis.simulation.rollout import STATE, full_state, place_on_ground, run
+from pupper_analysis.simulation.nudge import LEFT, NUDGE, measure_response
+from pupper_analysis.simulation.rollout import STATE, full_state, place_on_ground, simulate
 
 Array = NDArray[np.float64]
 
@@ -96,12 +96,12 @@ def variants(count: int, seed: int = 0) -> Iterator[Case]:
             stand = pa.stance.solve_stand_on_soft_ground(loaded, task)
         except pa.PupperAnalysisError:
             continue
-        own = servos(loaded)
+        own = model_with_servos(loaded)
         kp = own.kp * float(np.exp(random.uniform(np.log(0.2), np.log(30))))
         kd = own.kd * float(np.exp(random.uniform(np.log(0.3), np.log(30))))
         ground = on_ground(loaded, stand.task.ground, stand.foot_targets)
         torques = pa.stance.stand_statics(ground, stand).joint_torques
-        drive = servos(ground, kp, kd)
+        drive = model_with_servos(ground, kp, kd)
         ctrl = drive.command(ground, stand.joint_positions(ground), torques)
         what = f"{name} kp {kp[0]:.3g} kd {kd[0]:.3g} {mass:.2g} kg {'3 legs' if swing else ''}"
         yield Case(what, drive.model, place_on_ground(ground, drive, stand, torques), ctrl)
@@ -145,7 +145,9 @@ def seen(
     Nudges after one that takes it ``enough`` away (rad) are not tried.
     """
     model, steps = case.model, round(duration / case.model.opt.timestep)
-    settled = run(model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1)))[-1]
+    settled = simulate(model, case.start, np.tile(case.ctrl, (round(1 / model.opt.timestep), 1)))[
+        -1
+    ]
     if abs(settled[0] - case.start[0] - 1.0) > 0.01 or not np.isfinite(settled).all():
         return Seen(np.inf, goes_on=True)
     found = Seen(0.0, goes_on=False)
@@ -153,9 +155,9 @@ def seen(
         start = settled.copy()
         rates = slice(1 + model.nq, 1 + model.nq + model.nv)
         start[rates] += speed * np.random.default_rng(seed).uniform(-1, 1, model.nv)
-        states = run(model, start, np.tile(case.ctrl, (steps, 1)))
+        states = simulate(model, start, np.tile(case.ctrl, (steps, 1)))
         whole = np.isfinite(states).all() and (np.diff(states[:, 0]) > 0).all()
-        nudge = response(model, settled, states)
+        nudge = measure_response(model, settled, states)
         way = nudge.moved if speed > NUDGE else nudge.farthest
         found.way = max(found.way, way if whole else np.inf)
         found.goes_on |= not nudge.decayed

@@ -27,7 +27,7 @@ import pupper_analysis as pa
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.robot.build import build_robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, steady_state
 from pupper_analysis.stance.stand import stand_statics
@@ -468,7 +468,7 @@ def sag(robot: pa.Robot, stand: pa.Stand) -> Sag:
 def height_after(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float) -> float:
     """The base's mean height in the last second of a simulation without feed-forward (m)."""
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     model, data = drive.model, mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, qpos)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))

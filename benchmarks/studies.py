@@ -40,7 +40,7 @@ import pupper_analysis as pa
 from pupper_analysis.simulation import rollout, verify
 from pupper_analysis.study import running
 from pupper_analysis.study import study as whole
-from pupper_analysis.study.dask import cluster
+from pupper_analysis.study.dask import open_cluster
 from pupper_analysis.study.design import Maker
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
@@ -193,13 +193,13 @@ def batched(count: int) -> None:
     study = pa.Study("v3", vary, ["simulated_height"], samples=count)
     maker = Maker(study.source, study.task, study.point)
     jobs: list[tuple[mujoco.MjModel, np.ndarray, np.ndarray]] = []
-    run = rollout.run
+    run = rollout.simulate
 
     def kept(model: mujoco.MjModel, start: np.ndarray, ctrl: np.ndarray) -> np.ndarray:
         jobs.append((model, start, ctrl))
         return run(model, start, ctrl)
 
-    verify.run = kept  # type: ignore[attr-defined]
+    verify.simulate = kept  # type: ignore[attr-defined]
     begun = time.process_time()
     for _, block in study.designs():
         for numbers in block:
@@ -269,7 +269,7 @@ def efficiency() -> None:
         return (last[0] - first[0]) / (last[1] - first[1])
 
     one, two = rate(workers=1), rate(workers=2)
-    with cluster(None, 2) as (executor, _):
+    with open_cluster(None, 2) as (executor, _):
         dask = rate(executor=executor)
     print(f"1 process {one:.2f}/s, 2 processes {two:.2f}/s, Dask with 2 {dask:.2f}/s")
     print(f"2 against 1: {two / (2 * one):.3f}; Dask against processes: {dask / two:.3f}")
@@ -417,7 +417,7 @@ def kill_scheduler(folder: Path, chance: random.Random) -> str:
 
         begun = time.monotonic()
         try:
-            with cluster(address, None) as (executor, _):
+            with open_cluster(address, None) as (executor, _):
                 to_kill().execute(folder, executor=executor, workers=2, progress=watch)
         except pa.StudyError as error:
             return f"after {time.monotonic() - begun:.0f} s: {str(error)[:90]}"

@@ -21,7 +21,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.stance.clearance import ClearanceShapes
 from tests.support.tiny import Files
@@ -326,7 +326,7 @@ def test_silence_ends_with_the_last_who_wanted_it() -> None:
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(heard)
     try:
-        first, second = quiet(), quiet()
+        first, second = silence_mujoco(), silence_mujoco()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)

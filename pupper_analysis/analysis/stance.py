@@ -20,7 +20,7 @@ from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge
+from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge_stance
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
@@ -160,7 +160,7 @@ def verdict_of(
         alone: The simulation without; None if there is none.
         servos: Those that were simulated.
     """
-    return judge(
+    return judge_stance(
         fed,
         alone,
         servos,

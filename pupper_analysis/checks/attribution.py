@@ -13,7 +13,7 @@ from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_a
 from pupper_analysis.checks.changes import apply_changes, changes_between
 from pupper_analysis.checks.convention_changes import convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, RelativeError
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without_effects
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.size import Entries, affordable_states, is_large
@@ -87,8 +87,8 @@ def explain_differences(
     behaviour = Behaviour(robot, states, entries)
     urdf = behaviour(first)
     mujoco_sees = MujocoBehaviour(robot, reference, states, alignment.moved, entries)
-    mjcf = mujoco_sees(without(reference.model, coupled))
-    bare = without(reference.model, [*found, *coupled])
+    mjcf = mujoco_sees(without_effects(reference.model, coupled))
+    bare = without_effects(reference.model, [*found, *coupled])
     stripped = mujoco_sees(bare)
     judge = RelativeError(urdf, mjcf)
     differences = []

@@ -14,12 +14,12 @@ from pupper_analysis.checks.differences import Difference, Effect, Stated
 from pupper_analysis.checks.words import (
     FORMATS,
     ModelNames,
+    describe_ratio,
     in_degrees,
-    mirrored,
-    pair,
+    name_mirrored,
+    number_pair,
     quaternion_order,
-    ratio,
-    vectors,
+    vector_pair,
 )
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.matching.tolerances import Tolerances
@@ -61,19 +61,19 @@ def changes_between(
     for name, joint in one.joints.items():
         yield from _joint_changes(name, joint, two.joints[name], tolerances, sides)
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
-        both = {**vectors(one.gravity, two.gravity, "m/s^2"), **sides.named}
+        both = {**vector_pair(one.gravity, two.gravity, "m/s^2"), **sides.named}
         told = diagnose("gravity-differs" if sides.alike else "gravity-stated", **both)
         yield _whole("gravity", "option", "gravity", one, two, "m/s^2", told)
     greater = max(one.base_damping, two.base_damping)
     free = ("body", one.base)
     if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
-        both = {**pair(one.base_damping, two.base_damping, "N s/m"), **sides.named}
+        both = {**number_pair(one.base_damping, two.base_damping, "N s/m"), **sides.named}
         told = diagnose("free-joint-damping-differs", subject=free, **both)
         yield _whole("damping", one.base, "base_damping", one, two, "N s/m", told)
     # A URDF is given the MJCF's: see `armature.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
         unit = "kg and kg m^2"
-        both = {**pair(one.base_armature, two.base_armature, unit), **sides.named}
+        both = {**number_pair(one.base_armature, two.base_armature, unit), **sides.named}
         told = diagnose("free-joint-armature-differs", subject=free, **both)
         yield _whole("armature", one.base, "base_armature", one, two, unit, told)
     for name, (owner, position) in one.frames.items():
@@ -84,7 +84,7 @@ def changes_between(
             both = {**links, **sides.named}
             told = diagnose("frame-on-other-body", subject=("frame", name), **both)
         elif apart > tolerances.position:
-            both = {**vectors(position, other, "m"), **sides.named}
+            both = {**vector_pair(position, other, "m"), **sides.named}
             distance = Quantity(apart, "m")
             told = diagnose("frame-apart", subject=("frame", name), distance=distance, **both)
         else:
@@ -112,8 +112,10 @@ def body_changes(
     body = ("link", one.link or two.link or name)
     greater = max(abs(one.mass), abs(two.mass))
     if abs(two.mass - one.mass) > tolerances.mass * greater:
-        both = {**pair(one.mass, two.mass, "kg"), **sides.named}
-        told = diagnose("mass-differs", subject=body, guess=ratio(one.mass, two.mass), **both)
+        both = {**number_pair(one.mass, two.mass, "kg"), **sides.named}
+        told = diagnose(
+            "mass-differs", subject=body, guess=describe_ratio(one.mass, two.mass), **both
+        )
         yield Change(
             "mass", name, one.mass, two.mass, "kg", told, _take_body(name, "mass"), felt=True
         )
@@ -123,8 +125,8 @@ def body_changes(
             "com-differs",
             subject=body,
             distance=Quantity(apart, "m"),
-            guess=mirrored(one.com, two.com, tolerances.com),
-            **vectors(one.com, two.com, "m"),
+            guess=name_mirrored(one.com, two.com, tolerances.com),
+            **vector_pair(one.com, two.com, "m"),
             **sides.named,
         )
         yield Change("com", name, one.com, two.com, "m", told, _take_body(name, "com"), felt=True)
@@ -135,9 +137,11 @@ def body_changes(
         for label, place in INERTIA_ENTRIES.items():
             a, b = float(one.inertia[place]), float(two.inertia[place])
             if differs[place]:
-                both = {**pair(a, b, "kg m^2"), **sides.named}
+                both = {**number_pair(a, b, "kg m^2"), **sides.named}
                 entries.append(
-                    diagnose("inertia-entry-differs", entry=label, guess=ratio(a, b), **both)
+                    diagnose(
+                        "inertia-entry-differs", entry=label, guess=describe_ratio(a, b), **both
+                    )
                 )
         told = diagnose("inertia-differs", subject=body, entries=entries, guess=_turned(one, two))
         yield Change(
@@ -208,8 +212,8 @@ def _placements(
             "joint-position-differs",
             subject=("joint", name),
             distance=Quantity(apart, "m"),
-            guess=mirrored(one.position, two.position, tolerances.position),
-            **vectors(one.position, two.position, "m"),
+            guess=name_mirrored(one.position, two.position, tolerances.position),
+            **vector_pair(one.position, two.position, "m"),
             **sides.named,
         )
         yield Change(
@@ -257,7 +261,7 @@ def _axes(
             "axis-reversed" if reversed_axis else "axis-turned",
             subject=("joint", name),
             angle=Quantity(between, "rad"),
-            **vectors(one.axis, two.axis),
+            **vector_pair(one.axis, two.axis),
             **sides.named,
         )
         yield Change(
@@ -294,7 +298,7 @@ def _joint_numbers(
             subject=("joint", name),
             what=Term(kind),
             guess=guess,
-            **pair(a, b, unit),
+            **number_pair(a, b, unit),
             **sides.named,
         )
         take = _take_joint(name, field)

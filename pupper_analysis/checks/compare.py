@@ -24,7 +24,7 @@ from pupper_analysis.matching.conventions import Conventions
 from pupper_analysis.matching.match import Match, match_models
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import kinematic_trees
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.usd_file import is_usd
@@ -97,7 +97,7 @@ class Comparison(Tabular):
 
 
 @check_arguments
-@quiet()
+@silence_mujoco()
 def compare_models(
     urdf: str | Path,
     mjcf: str | Path,

@@ -27,7 +27,7 @@ from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
 from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
 from pupper_analysis.checks.backends.quantities import Evaluation, QuantityValues
 from pupper_analysis.checks.backends.yourdfpy import yourdfpy_evaluation
-from pupper_analysis.checks.mjcf_only.effect import as_it_is, without
+from pupper_analysis.checks.mjcf_only.effect import as_it_is, without_effects
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.size import affordable_states, is_large, size_notes, some_of
@@ -37,7 +37,7 @@ from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.matching.mimics import Mimics, urdf_mimics
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.models.xml import parse_text
@@ -141,7 +141,7 @@ class CrossCheck(Result):
 
 
 @check_arguments
-@quiet()
+@silence_mujoco()
 def cross_check(
     robot: Robot,
     *,
@@ -185,8 +185,8 @@ def cross_check(
     evaluations, left_out = _evaluations(
         robot,
         states,
-        without(robot.mj_model, found),
-        without(robot.mj_model, coupled),
+        without_effects(robot.mj_model, found),
+        without_effects(robot.mj_model, coupled),
         moved or {},
     )
     first = URDF_READ if is_large(robot) else URDF_PINOCCHIO

@@ -113,10 +113,10 @@ def _placed(body: TreeBody, pose: pin.SE3) -> TreeBody:
 
 def fold_bodies(*bodies: TreeBody) -> TreeBody:
     """Returns one body that is made of some, all in the same frame."""
-    return from_moments(sum((moments(body) for body in bodies), start=np.zeros(10)))
+    return from_moments(sum((body_moments(body) for body in bodies), start=np.zeros(10)))
 
 
-def moments(body: TreeBody) -> Array:
+def body_moments(body: TreeBody) -> Array:
     """Returns a body's mass, first and second moments about its frame's origin (10,).
 
     They add up when bodies are put together: the mass (kg), the first moments (kg m), and the six

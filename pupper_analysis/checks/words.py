@@ -58,17 +58,17 @@ def with_names_of_models(told: Diagnostic, names: Mapping[str, Term]) -> Diagnos
     return replace(told, values=FrozenDict(values)) if names else told
 
 
-def pair(one: float, two: float, unit: str) -> dict[str, Any]:
+def number_pair(one: float, two: float, unit: str) -> dict[str, Any]:
     """Returns the first's number and the second's, as values of a diagnostic."""
     return {"one": describe_bound(one, unit), "two": describe_bound(two, unit)}
 
 
-def vectors(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:
+def vector_pair(one: Array, two: Array, unit: str = "1") -> dict[str, Any]:
     """Returns the first's vector and the second's, as values of a diagnostic."""
     return {"one": Vector.rounded(one, unit), "two": Vector.rounded(two, unit)}
 
 
-def ratio(urdf: float, mjcf: float) -> Diagnostic | None:
+def describe_ratio(urdf: float, mjcf: float) -> Diagnostic | None:
     """Returns the difference, or the mistake where the ratio is telling."""
     if urdf == 0 or mjcf == 0:
         return None
@@ -94,7 +94,7 @@ def in_degrees(urdf: float, mjcf: float) -> Diagnostic | None:
     return None
 
 
-def mirrored(urdf: Array, mjcf: Array, tolerance: float) -> Diagnostic | None:
+def name_mirrored(urdf: Array, mjcf: Array, tolerance: float) -> Diagnostic | None:
     """Names the coordinate that has the other sign, if that is the whole difference."""
     for index, name in enumerate("xyz"):
         flipped = urdf.copy()

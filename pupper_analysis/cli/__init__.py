@@ -96,7 +96,7 @@ def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int
         _say(f"unforeseen: {what}. This is a bug: please report it to the maintainers{hint}")
         return INTERNAL
     finally:
-        standard_input.forget()
+        standard_input.forget_input()
     return BAD_INPUT
 
 

@@ -49,7 +49,7 @@ def load(
     \b
     Exit status: 0 it was loaded, 2 it cannot be, or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.models.mjcf import quiet
+    from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.urdf_file import read_urdf
     from pupper_analysis.prepare.load import explain_loading, feet_frames
@@ -59,7 +59,7 @@ def load(
 
     shared.check_outputs(json_path)
     given = files_given(urdf, mjcf, feet, pairs, keyframe, packages)
-    with shared.show_progress("preparing the robot: feet, start pose, servos"), quiet():
+    with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
         request = Request(
             feet=feet_frames(given["feet"]) if given["feet"] else None,
             fixed_base=fixed_base,

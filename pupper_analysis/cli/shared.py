@@ -95,7 +95,7 @@ class ModelFile(click.Path):
         if str(value) == "-":
             from pupper_analysis.models import standard_input, xml
 
-            return standard_input.hold(xml.MAX_BYTES + 1)
+            return standard_input.hold_input(xml.MAX_BYTES + 1)
         return Path(str(super().convert(value, param, ctx)))
 
 

@@ -264,7 +264,7 @@ def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None
     from fnmatch import fnmatchcase
 
     from pupper_analysis.errors import UnknownNameError
-    from pupper_analysis.robot.servos import servos
+    from pupper_analysis.robot.servos import model_with_servos
 
     values = [
         shared.parse_number_assignment(option, text if "=" in text else f"*={text}")
@@ -281,6 +281,10 @@ def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None
             unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
             raise unknown.at(f"--{option}")
         if gains is None:
-            gains = [value] * robot.nu if all(chosen) else list(getattr(servos(robot), option))
+            gains = (
+                [value] * robot.nu
+                if all(chosen)
+                else list(getattr(model_with_servos(robot), option))
+            )
         gains = [value if this else gain for this, gain in zip(chosen, gains, strict=True)]
     return gains

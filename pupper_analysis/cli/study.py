@@ -144,9 +144,9 @@ def _executor(dask: bool, scheduler: str | None, workers: int | None) -> Iterato
     if not dask and scheduler is None:
         yield None
         return
-    from pupper_analysis.study.dask import cluster
+    from pupper_analysis.study.dask import open_cluster
 
-    with cluster(scheduler, workers) as (executor, dashboard):
+    with open_cluster(scheduler, workers) as (executor, dashboard):
         if dashboard:
             click.echo(f"dashboard: {dashboard}", err=True)
         yield executor

@@ -12,7 +12,7 @@ from pupper_analysis.convert.from_urdf import UrdfBodies
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.model_tree import MjcfEdits
-from pupper_analysis.models.xml_text import words
+from pupper_analysis.models.xml_text import write_numbers
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -115,7 +115,7 @@ def lift_base(mjcf: MjcfXml, bodies: UrdfBodies, model: mujoco.MjModel) -> None:
     if home is not None:
         heights.append(float(home[2]))
     if heights and max(heights) > 0:
-        height = words([0.0, 0.0, float(f"{max(heights):.{_KEY_DIGITS}f}")])
+        height = write_numbers([0.0, 0.0, float(f"{max(heights):.{_KEY_DIGITS}f}")])
         mjcf.body(bodies.root).element.set("pos", height)
 
 

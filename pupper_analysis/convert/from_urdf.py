@@ -19,7 +19,13 @@ from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.unlimited import states_no_limits
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
-from pupper_analysis.models.xml_text import element, free_name, halved, is_zero, words
+from pupper_analysis.models.xml_text import (
+    add_element,
+    free_name,
+    is_zero,
+    write_halves,
+    write_numbers,
+)
 
 WORLD = "world"
 """A root link of this name is the world itself, as in MuJoCo's own importer."""
@@ -109,9 +115,9 @@ class UrdfBodies:
                 self.notes.append(diagnose("inertial-of-world-left", subject=("link", WORLD)))
             self._fill(worldbody, links[self.root])
             return
-        body = element(worldbody, "body", name=self.root)
+        body = add_element(worldbody, "body", name=self.root)
         if free:
-            element(body, "freejoint", name=free_name("root", set(self._tree.joints)))
+            add_element(body, "freejoint", name=free_name("root", set(self._tree.joints)))
         self._fill(body, links[self.root])
 
     def _fill(self, body: etree._Element, link: UrdfLink) -> None:
@@ -124,7 +130,7 @@ class UrdfBodies:
                 self._add_shape(body, link.name, kind, shape, geometry)
         for joint in self._tree.below.get(link.name, ()):
             xyz, rpy = _origin(joint.element)
-            inner = element(body, "body", name=joint.child, pos=xyz, euler=rpy)
+            inner = add_element(body, "body", name=joint.child, pos=xyz, euler=rpy)
             self._add_joint(inner, joint)
             self._fill(inner, self._tree.links[joint.child])
 
@@ -147,7 +153,7 @@ class UrdfBodies:
                     diagnose("empty-range-left", subject=moved, lower=low, upper=high)
                 )
                 bounds = None
-        element(
+        add_element(
             body,
             "joint",
             name=name,
@@ -155,7 +161,7 @@ class UrdfBodies:
             axis="1 0 0" if axis is None else axis.get("xyz"),
             range=bounds,
             **{one.mjcf[0]: _stated(dynamics, one.urdf[1]) for one in PASSIVE if one.urdf},
-            armature=words(self.armature[name]) if name in self.armature else None,
+            armature=write_numbers(self.armature[name]) if name in self.armature else None,
         )
         effort = _stated(limit, "effort")
         if effort is not None and float(effort) < 0:
@@ -212,7 +218,7 @@ class UrdfBodies:
         name = None
         if kind == "collision":
             name = free_name(str(shape.get("name") or f"{link}_collision"), self._geoms)
-        element(
+        add_element(
             body,
             "geom",
             name=name,
@@ -241,9 +247,9 @@ class UrdfBodies:
         if tag == "sphere":
             return {"type": "sphere", "size": _POINT if point else str(geometry.get("radius"))}
         if tag == "box":
-            return {"type": "box", "size": halved(str(geometry.get("size")))}
+            return {"type": "box", "size": write_halves(str(geometry.get("size")))}
         if tag in ("cylinder", "capsule"):
-            half = halved(str(geometry.get("length")))
+            half = write_halves(str(geometry.get("length")))
             return {"type": tag, "size": f"{geometry.get('radius')} {half}"}
         self.notes.append(diagnose("shape-left", tag=tag))
         return None
@@ -292,9 +298,9 @@ def _add_inertial(body: etree._Element, inertial: etree._Element) -> None:
         tensor = inertia_tensor(map(float, texts))
         turn = pin.rpy.rpyToMatrix(np.array(rpy.split(), dtype=float))
         turned = turn @ tensor @ turn.T
-        texts = words(inertia_entries(turned)).split()
+        texts = write_numbers(inertia_entries(turned)).split()
     diagonal = all(is_zero(text) for text in texts[3:])
-    element(
+    add_element(
         body,
         "inertial",
         pos=xyz or _ZERO,

@@ -18,10 +18,10 @@ from pupper_analysis.convert.mesh_files import (
 )
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.flat import flat_mesh
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml_text import element, free_name
+from pupper_analysis.models.xml_text import add_element, free_name
 
 
 class Meshes:
@@ -132,7 +132,7 @@ class Meshes:
                     Path(file).write_bytes(self.made[place])
             scaled = [float(word) for word in scale.split()] != [1.0, 1.0, 1.0]
             own = Path(file).stem == name
-            element(
+            add_element(
                 asset,
                 "mesh",
                 name=None if own else name,
@@ -223,7 +223,7 @@ def _compile(content: bytes | None, path: Path, scale: str, *, touches: bool, sh
     geom = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="mesh")
     geom.contype = geom.conaffinity = int(touches)
     try:
-        with quiet():
+        with silence_mujoco():
             spec.compile()
     except RuntimeError as error:
         raise ValueError(str(error)) from error

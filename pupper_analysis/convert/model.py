@@ -19,7 +19,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.files import check_writable
 from pupper_analysis.models.loading import read_model
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.load import Feet, robot_of
@@ -30,7 +30,7 @@ from pupper_analysis.together import Writing, write_together
 
 
 @check_arguments
-@quiet()
+@silence_mujoco()
 def convert_model(
     source: str | Path,
     output: str | Path,

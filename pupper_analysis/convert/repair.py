@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_xml import MjcfXml, XmlBody
-from pupper_analysis.models.places import refusal
+from pupper_analysis.models.places import refuse_file
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
@@ -214,12 +214,12 @@ def _repaired(body: XmlBody) -> Repair:
 def _refusal(urdf: UrdfFile, name: str, inertia: pin.Inertia) -> ModelError:
     mass, moments = Quantity(inertia.mass, "kg"), _moments(inertia)
     problem = diagnose("inertia-refused", subject=("link", name), mass=mass, moments=moments)
-    return refusal(urdf.place("link", name, "inertial/inertia"), problem)
+    return refuse_file(urdf.place("link", name, "inertial/inertia"), problem)
 
 
 def _weightless(urdf: UrdfFile, body: XmlBody) -> ModelError:
     problem = diagnose("link-without-mass", subject=("link", body.name), joint=body.mover)
-    return refusal(urdf.place("link", body.name), problem)
+    return refuse_file(urdf.place("link", body.name), problem)
 
 
 def _moments(inertia: pin.Inertia) -> tuple[float, float, float]:

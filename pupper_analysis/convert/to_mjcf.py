@@ -26,9 +26,9 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_layout import put_defaults, to_text
-from pupper_analysis.models.xml_text import element, words
+from pupper_analysis.models.xml_text import add_element, write_numbers
 from pupper_analysis.prepare.load import Feet, robot_of
-from pupper_analysis.prepare.notes import span
+from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.servo_tuning import held_gains, stand_gains
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
@@ -123,7 +123,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
         notes.append(diagnose("shapes-carried", links=carried))
     asset = mjcf.section("asset")
     for name, rgba in bodies.materials.items():
-        element(asset, "material", name=name, rgba=rgba)
+        add_element(asset, "material", name=name, rgba=rgba)
     if free:
         mjcf.add_floor()
         notes += [diagnose("floor-and-free-joint-added"), diagnose("contacts-made-to-hold")]
@@ -165,7 +165,7 @@ def _unsaid(urdf: UrdfFile) -> list[Diagnostic]:
         if not joint.is_fixed and float(limit.get("velocity")) != 0
     ]
     if speeds:
-        limits = span(speeds, "rad/s")
+        limits = describe_span(speeds, "rad/s")
         some.append(diagnose("velocity-limits-left", count=len(speeds), limits=limits))
     textured = len(list(urdf.root.iter("texture")))
     if textured:
@@ -232,7 +232,7 @@ def _put_stand(
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
         kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
     equip.lift_base(mjcf, bodies, robot.mj_model)
-    mjcf.set_options(timestep=words(robot.mj_model.opt.timestep))
+    mjcf.set_options(timestep=write_numbers(robot.mj_model.opt.timestep))
     mjcf.use_implicit_damping()
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
     equip.add_servos(mjcf, bodies, dict(zip(robot.joint_names, gains, strict=True)))
@@ -296,7 +296,9 @@ def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
 
 
 def _servos(kp: Array, kd: Array) -> Diagnostic:
-    return diagnose("servos-made", kp=span(kp, "N m/rad"), kd=span(kd, "N m s/rad"))
+    return diagnose(
+        "servos-made", kp=describe_span(kp, "N m/rad"), kd=describe_span(kd, "N m s/rad")
+    )
 
 
 def _loaded(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, rotation_from_quaternion
 from pupper_analysis.convert.conversion import ConversionDraft
-from pupper_analysis.convert.unsaid import others, surroundings
+from pupper_analysis.convert.unsaid import tell_other_elements, tell_surroundings
 from pupper_analysis.convert.urdf_shapes import UrdfShapes, put_placement
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
@@ -28,7 +28,7 @@ from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml_layout import to_text
-from pupper_analysis.models.xml_text import element, free_name, words
+from pupper_analysis.models.xml_text import add_element, free_name, write_numbers
 
 Array = NDArray[np.float64]
 
@@ -143,21 +143,21 @@ class UrdfLinks:
         kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
         name = self._joint_name(model.joint(joint).name or f"{child}_joint")
         node = _joint(root, name, kind, parent, child, placed)
-        element(node, "axis", xyz=words(model.jnt_axis[joint]))
+        add_element(node, "axis", xyz=write_numbers(model.jnt_axis[joint]))
         effort = effort_limit(model, joint)
-        limit = element(
+        limit = add_element(
             node,
             "limit",
-            effort=words(effort if math.isfinite(effort) else 0.0),
-            velocity=words(_UNKNOWN_VELOCITY),
+            effort=write_numbers(effort if math.isfinite(effort) else 0.0),
+            velocity=write_numbers(_UNKNOWN_VELOCITY),
         )
         if limited:
             low, high = model.jnt_range[joint].tolist()
-            limit.set("lower", words(low))
-            limit.set("upper", words(high))
+            limit.set("lower", write_numbers(low))
+            limit.set("upper", write_numbers(high))
         elif kind == "prismatic":
-            limit.set("lower", words(-ENDLESS_SLIDE))
-            limit.set("upper", words(ENDLESS_SLIDE))
+            limit.set("lower", write_numbers(-ENDLESS_SLIDE))
+            limit.set("upper", write_numbers(ENDLESS_SLIDE))
             most = Quantity(ENDLESS_SLIDE, "m")
             self.left.append(diagnose("slide-without-limits", subject=("joint", name), limit=most))
         dof = int(model.jnt_dofadr[joint])
@@ -167,8 +167,8 @@ class UrdfLinks:
             if one.urdf and one.mujoco
         }
         if any(passive.values()):
-            stated = {word: words(value) for word, value in passive.items()}
-            element(node, "dynamics", **stated)
+            stated = {word: write_numbers(value) for word, value in passive.items()}
+            add_element(node, "dynamics", **stated)
         if not math.isfinite(effort):
             self.unlimited += 1
 
@@ -176,18 +176,20 @@ class UrdfLinks:
         """Adds a body's link, with the body's frame inside the link's."""
         model = self.model
         self.links[body] = name, inside
-        link = element(root, "link", name=name)
+        link = add_element(root, "link", name=name)
         mass = float(model.body_mass[body])
         if mass > 0:
             turn = rotation_from_quaternion(model.body_iquat[body])
             tensor = turn @ np.diag(model.body_inertia[body]) @ turn.T
             own = pin.Inertia(mass, np.array(model.body_ipos[body]), tensor)
             moved = inside.act(own)
-            inertial = element(link, "inertial")
-            element(inertial, "origin", xyz=words(moved.lever))
-            element(inertial, "mass", value=words(mass))
-            entries = words(inertia_entries(np.array(moved.inertia)))
-            element(inertial, "inertia", **dict(zip(INERTIA_ENTRIES, entries.split(), strict=True)))
+            inertial = add_element(link, "inertial")
+            add_element(inertial, "origin", xyz=write_numbers(moved.lever))
+            add_element(inertial, "mass", value=write_numbers(mass))
+            entries = write_numbers(inertia_entries(np.array(moved.inertia)))
+            add_element(
+                inertial, "inertia", **dict(zip(INERTIA_ENTRIES, entries.split(), strict=True))
+            )
         else:
             _weightless(link)
         self.shapes.add(link, body, inside)
@@ -240,8 +242,8 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     links = UrdfLinks(file, model, shapes)
     links.add(root, base)
     links.add_sites(root)
-    left = [*links.left, *shapes.left, *_couplings(root, model), *others(model)]
-    left += surroundings(model, set(links.links))
+    left = [*links.left, *shapes.left, *_couplings(root, model), *tell_other_elements(model)]
+    left += tell_surroundings(model, set(links.links))
     if links.unlimited:
         left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
     _add_transmissions(root, model)
@@ -283,22 +285,22 @@ def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
 
 def _frame(root: etree._Element, name: str) -> None:
     """Adds a link that is a frame alone."""
-    _weightless(element(root, "link", name=name))
+    _weightless(add_element(root, "link", name=name))
 
 
 def _weightless(link: etree._Element) -> None:
     """States a mass of 0: PyBullet gives 1 kg to a link that states none."""
-    inertial = element(link, "inertial")
-    element(inertial, "mass", value="0")
-    element(inertial, "inertia", **dict.fromkeys(INERTIA_ENTRIES, "0"))
+    inertial = add_element(link, "inertial")
+    add_element(inertial, "mass", value="0")
+    add_element(inertial, "inertia", **dict.fromkeys(INERTIA_ENTRIES, "0"))
 
 
 def _joint(
     root: etree._Element, name: str, kind: str, parent: str, child: str, placed: pin.SE3
 ) -> etree._Element:
-    node = element(root, "joint", name=name, type=kind)
-    element(node, "parent", link=parent)
-    element(node, "child", link=child)
+    node = add_element(root, "joint", name=name, type=kind)
+    add_element(node, "parent", link=parent)
+    add_element(node, "child", link=child)
     put_placement(node, placed)
     return node
 
@@ -323,12 +325,12 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
             ):
                 rest = model.qpos0[model.jnt_qposadr[[one, two]]]
                 offset = float(rest[0] + line[0] - line[1] * rest[1])
-                element(
+                add_element(
                     joints[follower].element,
                     "mimic",
                     joint=leader,
-                    multiplier=words(line[1]),
-                    offset=words(offset),
+                    multiplier=write_numbers(line[1]),
+                    offset=write_numbers(offset),
                 )
                 continue
         left.append(diagnose("equality-not-in-urdf", number=index + 1, kind=Term(name)))
@@ -345,10 +347,12 @@ def _add_transmissions(root: etree._Element, model: mujoco.MjModel) -> None:
         if joint not in known:
             continue
         name = str(model.actuator(actuator).name) or f"{joint}_motor"
-        node = element(root, "transmission", name=f"{name}_transmission")
-        element(node, "type").text = "transmission_interface/SimpleTransmission"
-        element(
-            element(node, "joint", name=joint), "hardwareInterface"
+        node = add_element(root, "transmission", name=f"{name}_transmission")
+        add_element(node, "type").text = "transmission_interface/SimpleTransmission"
+        add_element(
+            add_element(node, "joint", name=joint), "hardwareInterface"
         ).text = "hardware_interface/EffortJointInterface"
         gear = float(actuator_gear(model, actuator)[0])
-        element(element(node, "actuator", name=name), "mechanicalReduction").text = words(gear)
+        add_element(
+            add_element(node, "actuator", name=name), "mechanicalReduction"
+        ).text = write_numbers(gear)

@@ -8,19 +8,19 @@ import numpy as np
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.transmission import is_at_one_joint
-from pupper_analysis.prepare.notes import span
+from pupper_analysis.prepare.notes import describe_span
 
 _GRAVITY = (0.0, 0.0, -9.81)
 """That of Pinocchio, and whoever else loads a URDF (m/s^2)."""
 
 
-def others(model: mujoco.MjModel) -> list[Diagnostic]:
+def tell_other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
     """Tells what else a URDF cannot say."""
     moving = model.jnt_type != JointKind.FREE
     dofs = model.jnt_dofadr[moving]
     some: list[Diagnostic] = []
     if model.dof_armature[dofs].any():
-        values = span(model.dof_armature[dofs], "kg m^2")
+        values = describe_span(model.dof_armature[dofs], "kg m^2")
         some.append(diagnose("armature-not-in-urdf", armature=values))
     fixed = np.setdiff1d(np.arange(model.nv), dofs)
     for values, what, unit in (
@@ -55,7 +55,7 @@ def others(model: mujoco.MjModel) -> list[Diagnostic]:
     return some
 
 
-def surroundings(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic]:
+def tell_surroundings(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic]:
     """Tells what is around the robot, and on it, that no URDF has.
 
     Args:

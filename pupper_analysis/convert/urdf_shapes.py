@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.xml_text import ANGLE_DIGITS, element, free_name, is_zero, words
+from pupper_analysis.models.xml_text import (
+    ANGLE_DIGITS,
+    add_element,
+    free_name,
+    is_zero,
+    write_numbers,
+)
 
 Array = NDArray[np.float64]
 Geometry = tuple[str, dict[str, str], pin.SE3]
@@ -70,9 +76,9 @@ class UrdfShapes:
             seen = int(model.geom_group[geom]) < _SHOWN or not touches
             for tag, attributes, placed in self._geometries(geom):
                 for kind in (("visual",) if seen else ()) + (("collision",) if touches else ()):
-                    shape = element(link, kind)
+                    shape = add_element(link, kind)
                     put_placement(shape, inside * placed)
-                    element(element(shape, "geometry"), tag, **attributes)
+                    add_element(add_element(shape, "geometry"), tag, **attributes)
                     if kind == "visual":
                         self._paint(shape, geom)
 
@@ -85,10 +91,10 @@ class UrdfShapes:
             rotation_from_quaternion(model.geom_quat[geom]), np.array(model.geom_pos[geom])
         )
         if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-            return [("sphere", {"radius": words(size[0])}, placed)]
+            return [("sphere", {"radius": write_numbers(size[0])}, placed)]
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            return [("box", {"size": words(2 * size)}, placed)]
-        round_ = {"radius": words(size[0]), "length": words(2 * size[1])}
+            return [("box", {"size": write_numbers(2 * size)}, placed)]
+        round_ = {"radius": write_numbers(size[0]), "length": write_numbers(2 * size[1])}
         if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
             return [("cylinder", round_, placed)]
         if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:  # a URDF has none: their sum is the same
@@ -96,7 +102,7 @@ class UrdfShapes:
                 placed * pin.SE3(np.eye(3), np.array([0.0, 0.0, side * size[1]]))
                 for side in (-1.0, 1.0)
             ]
-            balls = [("sphere", {"radius": words(size[0])}, end) for end in ends]
+            balls = [("sphere", {"radius": write_numbers(size[0])}, end) for end in ends]
             return [("cylinder", round_, placed), *balls]
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             return self._mesh(geom, placed)
@@ -120,7 +126,7 @@ class UrdfShapes:
         scale = np.array(model.mesh_scale[mesh])
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
-            attributes["scale"] = words(scale)
+            attributes["scale"] = write_numbers(scale)
         # Before it scaled them, MuJoCo moved the file's numbers: v' = S R^T (v - p).
         moved = self._moved[name]
         turned = not np.allclose(moved.rotation, np.eye(3))
@@ -141,18 +147,18 @@ class UrdfShapes:
         if not known:
             wanted = str(model.mat(material).name) if material >= 0 else "color"
             self._materials[key] = free_name(wanted or "color", self._names)
-        node = element(shape, "material", name=self._materials[key])
+        node = add_element(shape, "material", name=self._materials[key])
         if not known:
-            element(node, "color", rgba=words(key))
+            add_element(node, "color", rgba=write_numbers(key))
 
 
 def put_placement(node: etree._Element, placed: pin.SE3) -> None:
     """Writes a placement as an <origin>, without what is zero."""
-    xyz = words(placed.translation, scale=1.0)  # m
+    xyz = write_numbers(placed.translation, scale=1.0)  # m
     angles = pin.rpy.matrixToRpy(np.array(placed.rotation))
-    rpy = words(angles, scale=1.0, digits=ANGLE_DIGITS)  # rad
+    rpy = write_numbers(angles, scale=1.0, digits=ANGLE_DIGITS)  # rad
     if not (is_zero(xyz) and is_zero(rpy)):
-        element(node, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
+        add_element(node, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
 
 def _path_of(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:

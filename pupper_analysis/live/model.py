@@ -25,7 +25,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push_trial import PushTrial, simulate_push
 from pupper_analysis.simulation.stability import stand_stability
-from pupper_analysis.simulation.verdict import Verdict, expect
+from pupper_analysis.simulation.verdict import Verdict, predict_verdict
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -178,7 +178,7 @@ def expect_verdict(answer: Answer, *, closely: bool) -> Verdict | None:
         # Without servos there is nothing to look at: simulations say so.
         with contextlib.suppress(PupperAnalysisError):
             stability = stand_stability(robot, stand, kp=state.kp, kd=state.kd)
-    return expect(answer.statics, servos_used(robot, state.kp, state.kd), stability)
+    return predict_verdict(answer.statics, servos_used(robot, state.kp, state.kd), stability)
 
 
 def simulate_stance(answer: Answer) -> Stance:
@@ -195,7 +195,7 @@ def simulate_stance(answer: Answer) -> Stance:
     return study_stance(answer.robot, answer.task, kp=answer.state.kp, kd=answer.state.kd)
 
 
-def pushed(answer: Answer, impulse: float, direction: float, *, feedforward: bool) -> PushTrial:
+def push_stand(answer: Answer, impulse: float, direction: float, *, feedforward: bool) -> PushTrial:
     """Pushes the stand.
 
     Args:

@@ -344,7 +344,7 @@ class Session:
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
-        trial = answers.pushed(answer, impulse, direction, feedforward=self._panels.feedforward)
+        trial = answers.push_stand(answer, impulse, direction, feedforward=self._panels.feedforward)
         told = push_document(trial)
         self._show_motion(answer, told, PlayedMotion(trial.motion_time, trial.motion))
 

@@ -55,7 +55,7 @@ def align_frames(
         only: The joints whose frames are moved; by default all.
     """
     # Finer than what is tolerated, lest a difference is shared out until no part of it counts.
-    tolerances = finer(tolerances)
+    tolerances = tighten_tolerances(tolerances)
     names = list(first.joints if only is None else only)
     nearest = _aligned(second, first, tolerances, fixed, names, as_the_first=False)
     if only is not None or not digits_in_all(first, nearest.values, tolerances):
@@ -151,14 +151,14 @@ def _better(
     return Alignment(result, moved)
 
 
-def finer(tolerances: Tolerances) -> Tolerances:
+def tighten_tolerances(tolerances: Tolerances) -> Tolerances:
     """Returns tolerances of a hundredth."""
     return Tolerances(
         **{kind.name: 0.01 * getattr(tolerances, kind.name) for kind in fields(tolerances)}
     )
 
 
-def digits(size: float, tolerance: float) -> float:
+def count_digits(size: float, tolerance: float) -> float:
     """Says how many binary digits a deviation has, above what is tolerated."""
     return math.log2(1.0 + size / tolerance) if size > tolerance else 0.0
 
@@ -186,13 +186,13 @@ def digits_in_all(
 def _of_joint(one: MultibodyTree, two: MultibodyTree, name: str, tolerances: Tolerances) -> float:
     """Says how many digits tell the differences of a joint, its body and its frames."""
     total = _of_place(one.joints[name], two.joints[name], tolerances)
-    total += digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
+    total += count_digits(_angle(one.joints[name].axis, two.joints[name].axis), tolerances.axis)
     total += digits_of_body(one.bodies[name], two.bodies[name], tolerances)
     for frame in one.carried_by(name):
         owner, other = two.frames[frame]
         if owner == name:
             apart = float(np.linalg.norm(other - one.frames[frame][1]))
-            total += digits(apart, tolerances.position)
+            total += count_digits(apart, tolerances.position)
     return total
 
 
@@ -202,14 +202,14 @@ def digits_of_body(one: TreeBody, two: TreeBody, tolerances: Tolerances) -> floa
         return 0.0
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
     apart = float(np.abs(two.inertia - one.inertia).max()) / size
-    total = digits(float(np.linalg.norm(two.com - one.com)), tolerances.com)
-    return total + digits(apart, tolerances.inertia)
+    total = count_digits(float(np.linalg.norm(two.com - one.com)), tolerances.com)
+    return total + count_digits(apart, tolerances.inertia)
 
 
 def _of_place(one: TreeJoint, two: TreeJoint, tolerances: Tolerances) -> float:
     apart = float(np.linalg.norm(two.position - one.position))
     angle = float(np.linalg.norm(pin.log3(one.rotation.T @ two.rotation)))
-    return digits(apart, tolerances.position) + digits(angle, tolerances.rotation)
+    return count_digits(apart, tolerances.position) + count_digits(angle, tolerances.rotation)
 
 
 def _angle(one: Array, two: Array) -> float:

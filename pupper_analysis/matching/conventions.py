@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Vector, diagnose
 from pupper_analysis.matching.alignment import (
     align_frames,
-    digits,
+    count_digits,
     digits_in_all,
     digits_of,
     digits_of_body,
@@ -169,7 +169,7 @@ def _base(
     for pose in _poses(first, second):
         angle = float(np.linalg.norm(pin.log3(pose.rotation)))
         apart = float(np.linalg.norm(pose.translation))
-        own = digits(apart, tolerances.position) + digits(angle, tolerances.rotation)
+        own = count_digits(apart, tolerances.position) + count_digits(angle, tolerances.rotation)
         if own == 0:
             continue
         body, joints = _digits_at_base(with_base(first, pose), second, tolerances)

@@ -26,8 +26,8 @@ from pupper_analysis.matching.mimics import Mimics, urdf_mimics
 from pupper_analysis.matching.mjcf import (
     bodies_of,
     drop_other_objects,
-    hinges,
     is_fused,
+    list_hinges,
     mjcf_tree,
     name_all,
 )
@@ -178,7 +178,7 @@ def match_models(
     whole = compile_spec(spec.copy(), mjcf.path)  # what is dropped below is still in it
     dropped = drop_other_objects(spec, mjcf.path, root)
     at_bodies = ball_joints(spec)
-    theirs, balls, held = hinges(spec, mjcf.path)
+    theirs, balls, held = list_hinges(spec, mjcf.path)
     tree = mjcf_tree(spec, mjcf.path)
     root, stripped = strip_roots(root, urdf.path, tree)
     mine, others, fixed = moving_joints(root)

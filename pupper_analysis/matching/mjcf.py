@@ -48,7 +48,7 @@ def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
     return notes
 
 
-def hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
+def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Returns the names of the hinges and slides, and of the ball joints, which are taken out.
 
     A URDF has no ball joints: what they carry is compared as it is at rest. The third says so.

@@ -40,7 +40,7 @@ class RemovablePart:
     mass: float
 
 
-def lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
+def tell_lacking(part: RemovablePart, has: str, lacks: str) -> Diagnostic:
     """Tells what one file has and the other lacks."""
     names = [part.root, *part.joints]
     kind = next(
@@ -161,6 +161,6 @@ def take_off(
                 continue
             short = here.bodies[name].mass - there.bodies[name].mass
             for part in best_parts(way, short):
-                said.append(lacking(part, *words))
+                said.append(tell_lacking(part, *words))
                 tree.remove_subtree(part.root)
     return said

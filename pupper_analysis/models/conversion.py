@@ -47,7 +47,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
         ModelError: If it has a ball joint.
     """
     result = pin.Model()
-    result.gravity = pin.Motion(gravity(model), np.zeros(3))
+    result.gravity = pin.Motion(acting_gravity(model), np.zeros(3))
     joint_of = {0: 0}  # the joint that moves each body, and the body's placement in its frame
     placement_of = {0: pin.SE3.Identity()}
     dofs: list[int] = []
@@ -82,7 +82,7 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     return result
 
 
-def gravity(model: mujoco.MjModel) -> Array:
+def acting_gravity(model: mujoco.MjModel) -> Array:
     """Returns the acceleration of gravity (3,) that acts in a model (m/s^2): 0 if switched off."""
     off = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY.value
     return np.zeros(3) if off else np.array(model.opt.gravity)
@@ -198,7 +198,7 @@ def mujoco_from_urdf(
     except (ValueError, RuntimeError) as error:
         message = " ".join(str(error).split())
         raise ModelError(source, diagnose("urdf-not-imported", message=message)) from error
-    spec.option.gravity = gravity(like)
+    spec.option.gravity = acting_gravity(like)
     if floating:
         spec.body(root_link).add_freejoint(name=_ROOT)
     else:

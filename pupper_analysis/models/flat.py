@@ -10,7 +10,7 @@ import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.missing import gives_mass
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 
 _FLAT: Final = re.compile(r"mesh volume is too small: (.*?) \. Try setting inertia to shell")
 
@@ -39,7 +39,7 @@ def compile_with_shells(make: Callable[[], mujoco.MjSpec]) -> tuple[mujoco.MjMod
         spec = make()
         put_shells(spec, shells)
         try:
-            with quiet():
+            with silence_mujoco():
                 return spec.compile(), shells, said
         except ValueError as error:
             name = flat_mesh(error)

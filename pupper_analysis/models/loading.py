@@ -12,7 +12,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
 from pupper_analysis.models.places import refusal_at
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
-from pupper_analysis.models.xml import parse
+from pupper_analysis.models.xml import parse_xml
 
 
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
@@ -29,7 +29,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     """
     check_type("path", path, str | Path)
     path = Path(path)
-    text, root = parse(path)
+    text, root = parse_xml(path)
     if root.tag in ("mujoco", "mujocoinclude"):
         return mjcf_from(path, root)
     if root.tag != "robot":

@@ -11,7 +11,7 @@ import mujoco
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_tree import Node, Tree
 from pupper_analysis.models.packages import existing_file, is_pointer
-from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.places import Place, refuse_file
 
 
 def leave_out_missing(
@@ -39,7 +39,7 @@ def leave_out_missing(
         if geom.meshname in meshes and gives_mass(spec, geom):
             body = geom.parent.name
             place = index[("body", body)].place if ("body", body) in index else Place(tree.path)
-            raise refusal(
+            raise refuse_file(
                 place,
                 diagnose(
                     "mass-of-missing-mesh",
@@ -114,7 +114,9 @@ def _refuse_wrapped(root: Node, names: set[str]) -> None:
             for part in tendon.children:
                 if part.attributes.get("geom") in names:
                     geom = ("geom", part.attributes["geom"])
-                    raise refusal(part.place, diagnose("tendon-wraps-missing-mesh", subject=geom))
+                    raise refuse_file(
+                        part.place, diagnose("tendon-wraps-missing-mesh", subject=geom)
+                    )
 
 
 def _users(spec: mujoco.MjSpec, root: Node, names: set[str]) -> list[Diagnostic]:

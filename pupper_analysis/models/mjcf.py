@@ -29,7 +29,7 @@ TIMESTEPS = 1e-5, 0.1
 10 ms, and in one step of the second a base falls 5 cm."""
 
 
-def load(path: Path) -> mujoco.MjSpec:
+def load_mjcf(path: Path) -> mujoco.MjSpec:
     """Reads an MJCF file, includes and all; the spec is not compiled, but is known to compile.
 
     Raises:
@@ -39,7 +39,7 @@ def load(path: Path) -> mujoco.MjSpec:
     if not path.is_file():
         raise ModelError(path, diagnose("no-such-mjcf"))
     try:
-        with quiet():
+        with silence_mujoco():
             spec, same = (spec_of(path)[0] for _ in range(2))
     except (ValueError, RuntimeError) as error:
         raise ModelError(path, diagnose("mjcf-not-valid", message=one_line(error))) from error
@@ -65,7 +65,7 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
             if not (lenient and is_retired(str(error))):
                 raise
     included: dict[str, bytes] = {}
-    text, passed_over = without_retired(standard_input.content(path))
+    text, passed_over = without_retired(standard_input.read_content(path))
     waiting = [text]
     while waiting:
         for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
@@ -86,7 +86,7 @@ def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:
         ModelError: If MuJoCo refuses it; the message is MuJoCo's.
     """
     try:
-        with quiet():
+        with silence_mujoco():
             model = spec.compile()
     except (ValueError, RuntimeError) as error:
         raise ModelError(source, diagnose("mjcf-not-compiled", message=one_line(error))) from error
@@ -180,7 +180,7 @@ _SILENCE = _Silence()
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def silence_mujoco() -> Iterator[None]:
     """Keeps MuJoCo from writing its warnings to a file MUJOCO_LOG.TXT, and from issuing them."""
     _SILENCE.begin()
     try:

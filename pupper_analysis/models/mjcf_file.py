@@ -17,10 +17,16 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
-from pupper_analysis.models.mjcf import no_number, quiet, spec_of
-from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating_element, walk
-from pupper_analysis.models.places import Place, innermost_element, one_line, refusal, refusal_at
-from pupper_analysis.models.xml import parse
+from pupper_analysis.models.mjcf import no_number, silence_mujoco, spec_of
+from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating_element, walk_elements
+from pupper_analysis.models.places import (
+    Place,
+    innermost_element,
+    one_line,
+    refusal_at,
+    refuse_file,
+)
+from pupper_analysis.models.xml import parse_xml
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +106,7 @@ class MjcfFile:
         In the file, in what it includes, and in the models it attaches.
         """
         for root in self._roots:
-            for node in walk(root):
+            for node in walk_elements(root):
                 if node.tag == tag:
                     yield node.attributes, node.place
 
@@ -132,7 +138,7 @@ class MjcfFile:
         """
         if self.refusal is not None:
             problem, place = self.refusal
-            raise refusal(place, problem)
+            raise refuse_file(place, problem)
         assert self._model is not None
         return self._model
 
@@ -154,7 +160,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
     """
     check_type("mjcf", path, str | Path)
     path = Path(path)
-    _, root = parse(path)
+    _, root = parse_xml(path)
     file = mjcf_from(path, root)
     if file.refusal is not None:
         file.compile()  # raises
@@ -209,11 +215,11 @@ def _spec(
 ) -> tuple[mujoco.MjSpec, list[Diagnostic]]:
     """Returns what MuJoCo reads, without what needs files that are missing, and what that is."""
     try:
-        with quiet():
+        with silence_mujoco():
             spec, passed_over = spec_of(tree.path, lenient=True)
     except _MUJOCO_ERRORS as error:
         message, place = _mujoco_message(tree, index, error)
-        raise refusal(place, diagnose("mjcf-not-valid", message=message)) from error
+        raise refuse_file(place, diagnose("mjcf-not-valid", message=message)) from error
     return spec, [*passed_over, *leave_out_missing(spec, tree, index), *put_ground(spec)]
 
 
@@ -238,7 +244,7 @@ def _mujoco_message(
     said = set(re.findall(r"'([^']+)'", message))
     name = re.search(r"Element name '([^']+)'", message)
     named = [node.place for (_, known), node in index.items() if name and known == name[1]]
-    nodes = [node for root in (tree.root, *tree.attached) for node in walk(root)]
+    nodes = [node for root in (tree.root, *tree.attached) for node in walk_elements(root)]
     meant = [
         node.place
         for node in nodes

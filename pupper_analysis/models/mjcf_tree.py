@@ -14,8 +14,8 @@ from lxml import etree
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.packages import existing_file
-from pupper_analysis.models.places import Place, line_of, refusal, refusal_at, short
-from pupper_analysis.models.xml import MAX_DEPTH, MAX_ELEMENTS, NUMBER, parse
+from pupper_analysis.models.places import Place, line_of, quote_short, refusal_at, refuse_file
+from pupper_analysis.models.xml import MAX_DEPTH, MAX_ELEMENTS, NUMBER, parse_xml
 
 MAX_INCLUDES: Final = 1000
 """Most includes and attached models of an MJCF."""
@@ -97,11 +97,11 @@ class Tree:
         self._count = 0
         self._includes = includes or itertools.count(1)
         if len(self._within) > MAX_INCLUDE_DEPTH:
-            raise refusal(Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH))
+            raise refuse_file(Place(path), diagnose("attached-too-deep", most=MAX_INCLUDE_DEPTH))
         self.root = self._node(root, path, self._within, 0)
         self.copies = self._copies(self.root)
         if self.copies > self._count + MAX_COPIES:
-            raise refusal(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
+            raise refuse_file(Place(path), diagnose("too-many-copies", most=MAX_COPIES))
 
     def _node(
         self,
@@ -117,7 +117,7 @@ class Tree:
         childclass = attributes.get("childclass", childclass)
         self._count += 1
         if self._count > MAX_ELEMENTS:
-            raise refusal(
+            raise refuse_file(
                 Place(self.path), diagnose("too-many-elements", count=None, most=MAX_ELEMENTS)
             )
         if depth > MAX_DEPTH:
@@ -148,14 +148,14 @@ class Tree:
             raise refusal_at(path, element, diagnose("includes-too-deep", most=MAX_INCLUDE_DEPTH))
         if resolved not in self._parsed:
             self.files[included] = None
-            _, self._parsed[resolved] = parse(included)
+            _, self._parsed[resolved] = parse_xml(included)
         return included, self._parsed[resolved]
 
     def _attach(self, element: etree._Element, path: Path) -> None:
         attached = self._file(element, path)
         if attached.resolve() in self._within:
             raise refusal_at(path, element, diagnose("attaches-itself", file=attached.name))
-        _, root = parse(attached)
+        _, root = parse_xml(attached)
         tree = Tree(attached, root, self._within, self._includes)
         self.files |= tree.files
         self.attached += [tree.root, *tree.attached]
@@ -174,7 +174,7 @@ class Tree:
             found = existing_file(folder / name)
             if found is not None:
                 return found
-        missing = diagnose("included-file-missing", tag=element.tag, file=short(name))
+        missing = diagnose("included-file-missing", tag=element.tag, file=quote_short(name))
         raise refusal_at(path, element, missing)
 
     def _copies(self, node: Node) -> int:
@@ -209,7 +209,7 @@ def _refuse_formats(path: Path, element: etree._Element) -> None:
     """Refuses words that MuJoCo's reader takes for a format of its own messages, and dies of."""
     for attribute, value in element.attrib.items():
         if attribute not in _FREE_TEXT and _FORMAT.search(str(value)):
-            where = {"tag": element.tag, "attribute": attribute, "value": short(str(value))}
+            where = {"tag": element.tag, "attribute": attribute, "value": quote_short(str(value))}
             raise refusal_at(path, element, diagnose("format-in-attribute", **where))
 
 
@@ -222,7 +222,7 @@ def _product(text: str) -> int:
     return int(min(product, 1e18))
 
 
-def walk(root: Node) -> Iterator[Node]:
+def walk_elements(root: Node) -> Iterator[Node]:
     """Yields an element and all below it, in the order of the file."""
     pending = [root]
     while pending:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.arrays import inertia_entries, inertia_tensor
 from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SENSORS, Number
-from pupper_analysis.models.xml_text import element, words
+from pupper_analysis.models.xml_text import add_element, write_numbers
 
 _MOVERS: Final = ("joint", "freejoint")
 
@@ -99,9 +99,9 @@ class XmlBody:
         if inertia is None:
             return
         texts = {
-            "pos": words(inertia.lever),
-            "mass": words(inertia.mass),
-            "fullinertia": words(inertia_entries(np.array(inertia.inertia))),
+            "pos": write_numbers(inertia.lever),
+            "mass": write_numbers(inertia.mass),
+            "fullinertia": write_numbers(inertia_entries(np.array(inertia.inertia))),
         }
         self.element.insert(len(self.joints), etree.Element("inertial", texts))
 
@@ -139,7 +139,7 @@ class XmlBody:
         assert parent is not None
         if inertia is not None:
             parent.add_inertia(placement.act(inertia))
-        _place(element(parent.element, "site", name=self.name), placement)
+        _place(add_element(parent.element, "site", name=self.name), placement)
         at = parent.element.index(self.element)
         for child in list(self.element):
             if child.tag in ("geom", "body", "site"):
@@ -174,13 +174,13 @@ class MjcfXml:
         What has no ``<inertial>`` weighs nothing in it.
         """
         root = etree.Element("mujoco", {"model": name})
-        element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
-        default = element(root, "default")
-        seen = element(default, "default", class_=VISUAL)
-        element(seen, "geom", contype="0", conaffinity="0", group="2")
-        element(element(default, "default", class_=COLLISION), "geom", group="3")
-        element(root, "asset")
-        element(root, "worldbody")
+        add_element(root, "compiler", angle="radian", eulerseq="XYZ", inertiafromgeom="false")
+        default = add_element(root, "default")
+        seen = add_element(default, "default", class_=VISUAL)
+        add_element(seen, "geom", contype="0", conaffinity="0", group="2")
+        add_element(add_element(default, "default", class_=COLLISION), "geom", group="3")
+        add_element(root, "asset")
+        add_element(root, "worldbody")
         return MjcfXml(root)
 
     def copy(self) -> MjcfXml:
@@ -195,7 +195,7 @@ class MjcfXml:
     def section(self, tag: str) -> etree._Element:
         """Returns a section of the file, which is added where there is none."""
         found = self.root.find(tag)
-        return element(self.root, tag) if found is None else found
+        return add_element(self.root, tag) if found is None else found
 
     @property
     def bodies(self) -> list[XmlBody]:
@@ -254,11 +254,13 @@ class MjcfXml:
         """Adds light, a floor and its look, and contacts that hold."""
         self.root.insert(1, etree.Element("option", GRIP))
         asset, world = self.section("asset"), self.section("worldbody")
-        element(
+        add_element(
             asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
             rgb1="0.75 0.77 0.8", rgb2="0.85 0.87 0.9",
         )  # fmt: skip
-        element(asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true")
+        add_element(
+            asset, "material", name=FLOOR, texture=FLOOR, texrepeat="4 4", texuniform="true"
+        )
         light = etree.Element("light", {"pos": "0 0 3", "dir": "0 0 -1", "directional": "true"})
         floor = {"name": FLOOR, "type": "plane", "size": "0 0 0.05", "material": FLOOR}
         world.insert(0, light)
@@ -267,21 +269,21 @@ class MjcfXml:
     def add_imu(self, body: str, site: str) -> None:
         """Adds an IMU at a site of a body, which is added at its origin where there is none."""
         if all(node.get("name") != site for node in self.root.iter("site")):
-            element(self.body(body).element, "site", name=site)
+            add_element(self.body(body).element, "site", name=site)
         sensors = self.section("sensor")
         for kind in IMU_SENSORS:
-            element(sensors, kind, name=kind, site=site)
-        element(sensors, "framequat", name="orientation", objtype="site", objname=site)
+            add_element(sensors, kind, name=kind, site=site)
+        add_element(sensors, "framequat", name="orientation", objtype="site", objname=site)
 
     def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
         """Makes a joint follow another: q = offset + multiplier q of the leader."""
-        element(
+        add_element(
             self.section("equality"),
             "joint",
             joint1=follower,
             joint2=leader,
             polycoef=f"{_text(offset)} {_text(multiplier)} 0 0 0",
-            solref=words([COUPLING_TIME, 1.0]),
+            solref=write_numbers([COUPLING_TIME, 1.0]),
         )
 
     def add_position_servo(
@@ -292,19 +294,19 @@ class MjcfXml:
         limits: tuple[Number, Number] | None = None,
     ) -> None:
         """Adds a position servo at a joint, of its name."""
-        element(
+        add_element(
             self.section("actuator"),
             "position",
             name=joint,
             joint=joint,
-            kp=words(kp),
-            kv=words(kd),
+            kp=write_numbers(kp),
+            kv=write_numbers(kd),
             forcerange=None if limits is None else " ".join(map(_text, limits)),
         )
 
     def exclude_contact(self, one: str, two: str) -> None:
         """Lets two bodies not touch each other."""
-        element(self.section("contact"), "exclude", body1=one, body2=two)
+        add_element(self.section("contact"), "exclude", body1=one, body2=two)
 
     def turn_off_contact(self, geoms: Sequence[str]) -> None:
         """Lets geoms touch nothing."""
@@ -315,14 +317,14 @@ class MjcfXml:
 
     def add_ball(self, name: str, body: str, radius: float, place: ArrayLike) -> None:
         """Adds a sphere that touches and weighs nothing."""
-        element(
+        add_element(
             self.body(body).element,
             "geom",
             name=name,
             class_=COLLISION,
             type="sphere",
-            size=words(radius),
-            pos=words(place),
+            size=write_numbers(radius),
+            pos=write_numbers(place),
         )
 
     @property
@@ -333,9 +335,9 @@ class MjcfXml:
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
         """Adds the keyframe to start from."""
-        key = element(self.section("keyframe"), "key", name=HOME, qpos=words(qpos))
+        key = add_element(self.section("keyframe"), "key", name=HOME, qpos=write_numbers(qpos))
         if len(ctrl):
-            key.set("ctrl", words(ctrl))
+            key.set("ctrl", write_numbers(ctrl))
 
 
 def placement_of(node: etree._Element) -> pin.SE3:
@@ -354,11 +356,11 @@ def _place(node: etree._Element, placement: pin.SE3) -> None:
         node.attrib.pop(name, None)
     position = np.array(placement.translation)
     if position.any():
-        node.set("pos", words(position))
+        node.set("pos", write_numbers(position))
     x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
     if not np.allclose([x, y, z], 0.0, atol=1e-15):
-        node.set("quat", words([w, x, y, z]))
+        node.set("quat", write_numbers([w, x, y, z]))
 
 
 def _text(number: Number) -> str:
-    return number if isinstance(number, str) else words(number)
+    return number if isinstance(number, str) else write_numbers(number)

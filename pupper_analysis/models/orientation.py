@@ -44,7 +44,7 @@ def parse_numbers(text: str | None, default: str) -> Array:
     return np.array([float(word) for word in (default if text is None else text).split()])
 
 
-def origin(element: Element | None) -> pin.SE3:
+def read_origin(element: Element | None) -> pin.SE3:
     """Returns the pose that a URDF's <origin> states."""
     if element is None:
         return pin.SE3.Identity()
@@ -60,7 +60,7 @@ def origin_changes(element: Element | None, pose: pin.SE3, digits: Digits) -> di
     if text is not None:
         changes["xyz"] = text
     rotation = np.array(pose.rotation)
-    if float(np.abs(np.array(origin(element).rotation) - rotation).max()) > 1e-12:
+    if float(np.abs(np.array(read_origin(element).rotation) - rotation).max()) > 1e-12:
         rpy = None if element is None else element.get("rpy")
         near = parse_numbers(rpy, "0 0 0")
         text = digits.words((rpy or "0 0 0").split(), _angles("XYZ", rotation, near), 1.0)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.models.xml import LFS_POINTER, parse
+from pupper_analysis.models.xml import LFS_POINTER, parse_xml
 
 
 def existing_file(path: Path) -> Path | None:
@@ -48,7 +48,7 @@ def _package_name(folder: Path) -> str | None:
     if manifest is None:
         return None
     try:
-        _, root = parse(manifest)
+        _, root = parse_xml(manifest)
     except ModelError:
         return None
     return str(root.findtext("name", "")).strip()

@@ -66,7 +66,7 @@ def innermost_element(element: T, path: str | None, child: Callable[[T, str], T 
     return element
 
 
-def short(value: str) -> str:
+def quote_short(value: str) -> str:
     """Quotes a value; of a long one, its first 37 characters."""
     return repr(value if len(value) <= 40 else value[:37] + "...")
 
@@ -79,10 +79,10 @@ def line_of(element: etree._Element) -> int | None:
 
 def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:
     """Returns the error that tells an element's file and line, and what is wrong with it."""
-    return refusal(Place(path, line_of(element)), problem)
+    return refuse_file(Place(path, line_of(element)), problem)
 
 
-def refusal(place: Place, problem: Diagnostic) -> ModelError:
+def refuse_file(place: Place, problem: Diagnostic) -> ModelError:
     """Returns the error that tells what is wrong with a file, or in a line of it."""
     sources = problem.sources or (place.source,)
     name = source_name(place.file, place.line) + (place.within if place.prim is not None else "")
@@ -96,11 +96,11 @@ def check_regular(path: Path) -> None:
         ModelError: If it is a folder, not there, or neither file nor link to one.
     """
     if path.is_dir():
-        raise refusal(Place(path), diagnose("file-is-folder"))
+        raise refuse_file(Place(path), diagnose("file-is-folder"))
     if not path.exists():
-        raise refusal(Place(path), diagnose("no-such-file"))
+        raise refuse_file(Place(path), diagnose("no-such-file"))
     if not path.is_file():
-        raise refusal(Place(path), diagnose("file-not-regular"))
+        raise refuse_file(Place(path), diagnose("file-not-regular"))
 
 
 def source_name(path: Path, line: int | None = None) -> str:

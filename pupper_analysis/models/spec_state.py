@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 
 _LISTS = (
     *(
@@ -55,7 +55,7 @@ def state_of(spec: mujoco.MjSpec) -> dict[str, Any]:
     """
     assets = {**_files(spec), **spec.assets}
     spec = spec.copy()
-    with quiet():
+    with silence_mujoco():
         model = spec.compile()
         state = {"xml": spec.to_xml(), "folder": spec.modelfiledir, "assets": assets}
     return {**state, "exact": _corrections(spec, model, _read(state))}
@@ -73,7 +73,7 @@ def spec_from(state: dict[str, Any]) -> mujoco.MjSpec:
 
 
 def _read(state: dict[str, Any]) -> mujoco.MjSpec:
-    with quiet():
+    with silence_mujoco():
         spec = mujoco.MjSpec.from_string(state["xml"], assets=state["assets"])
     spec.modelfiledir = state["folder"]
     return spec
@@ -147,7 +147,7 @@ def _corrections(
     Elements are matched by their number in the model, as frames change their order in the spec.
     """
     compiled = rounded.copy()
-    with quiet():
+    with silence_mujoco():
         compiled.compile()
     wanted = {_number(key, part): dict(_numbers(part)) for key, part in _parts(spec)}
     numbers = {key: _number(key, part) for key, part in _parts(compiled)}

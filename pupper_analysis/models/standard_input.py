@@ -19,7 +19,7 @@ _held: list[bytes] = []
 """What was read, while a command works on it: it can be read but once."""
 
 
-def hold(most: int) -> Path:
+def hold_input(most: int) -> Path:
     """Reads standard input, and keeps it under the name that is returned, until it is forgotten.
 
     Args:
@@ -41,7 +41,7 @@ def hold(most: int) -> Path:
     return NAME
 
 
-def forget() -> None:
+def forget_input() -> None:
     """Lets go of what was held."""
     _held.clear()
 
@@ -51,7 +51,7 @@ def is_held(path: Path) -> bool:
     return path == NAME and bool(_held)
 
 
-def content(path: Path) -> bytes:
+def read_content(path: Path) -> bytes:
     """Returns the bytes of a file, or of the model from standard input.
 
     Raises:

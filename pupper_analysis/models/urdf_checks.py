@@ -12,7 +12,7 @@ from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.places import line_of, refusal_at, short
+from pupper_analysis.models.places import line_of, quote_short, refusal_at
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER
 
 MAX_LINKS: Final = 2000
@@ -179,7 +179,7 @@ def check_element(path: Path, element: etree._Element) -> bool:
 def _check_numbers(
     path: Path, part: etree._Element, attribute: str, value: str, count: int, what: tuple[str, str]
 ) -> None:
-    where = {"tag": part.tag, "attribute": attribute, "value": short(value)}
+    where = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
     numbers = value.split()
     if len(numbers) != count:
         problem = diagnose(
@@ -190,11 +190,11 @@ def _check_numbers(
         if "${" in number or "$(" in number:
             raise refusal_at(path, part, diagnose("value-is-xacro", subject=what, **where))
         if not NUMBER.fullmatch(number) or not math.isfinite(float(number)):
-            where |= {"number": short(number)}
+            where |= {"number": quote_short(number)}
             raise refusal_at(path, part, diagnose("number-not-finite", subject=what, **where))
         # A limit may be as large as can be: exporters write that for none.
         if part.tag != "limit" and abs(float(number)) > MAX_NUMBER:
-            where |= {"number": short(number)}
+            where |= {"number": quote_short(number)}
             problem = diagnose("number-too-large", subject=what, **where, most=MAX_NUMBER)
             raise refusal_at(path, part, problem)
 

@@ -15,7 +15,7 @@ from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing_file, folders_of_package
-from pupper_analysis.models.places import Place, innermost_element, line_of, refusal, refusal_at
+from pupper_analysis.models.places import Place, innermost_element, line_of, refusal_at, refuse_file
 from pupper_analysis.models.unlimited import complete_limits, taken_as_unlimited
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
@@ -28,7 +28,7 @@ from pupper_analysis.models.urdf_checks import (
     leave_out_undeclared,
 )
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import parse
+from pupper_analysis.models.xml import parse_xml
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def read_urdf(path: str | Path, packages: Mapping[str, Path] | None = None) -> U
     """
     check_type("urdf", path, str | Path)
     path = Path(path)
-    text, root = parse(path)
+    text, root = parse_xml(path)
     return urdf_from(path, text, root, packages)
 
 
@@ -154,9 +154,9 @@ def urdf_from(
     links = distinct_children(path, root, "link")
     joints = distinct_children(path, root, "joint")
     if not links:
-        raise refusal(Place(path), diagnose("no-links"))
+        raise refuse_file(Place(path), diagnose("no-links"))
     if len(links) > MAX_LINKS:
-        raise refusal(Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS))
+        raise refuse_file(Place(path), diagnose("too-many-links", count=len(links), most=MAX_LINKS))
     spaces = False
     for element in (*links.values(), *joints.values(), *materials.values()):
         spaces |= check_element(path, element)

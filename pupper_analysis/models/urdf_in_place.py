@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.digits import SAME, Digits
-from pupper_analysis.models.orientation import origin, origin_changes, parse_numbers
+from pupper_analysis.models.orientation import origin_changes, parse_numbers, read_origin
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 
@@ -102,7 +102,7 @@ class UrdfInPlace:
 
 def pose_of(joint: Element) -> pin.SE3:
     """Returns where a joint's frame is in its parent's."""
-    return origin(joint.child("origin"))
+    return read_origin(joint.child("origin"))
 
 
 def parent_of(joint: Element) -> str:

@@ -16,7 +16,7 @@ from typing import Any, Final
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import MissingPackageError
-from pupper_analysis.models.places import Place, check_regular, one_line, refusal
+from pupper_analysis.models.places import Place, check_regular, one_line, refuse_file
 from pupper_analysis.models.xml import LFS_POINTER
 
 SUFFIXES: Final = (".usd", ".usda", ".usdc", ".usdz")
@@ -106,7 +106,9 @@ def read_usd(path: str | Path) -> UsdFile:
             stage = pxr.Usd.Stage.Open(str(path.absolute()), pxr.Usd.Stage.LoadAll)
             stage.Reload()  # a layer that was open already may be older than its file
         except pxr.Tf.ErrorException as error:
-            raise refusal(Place(path), diagnose("usd-not-valid", message=_words(error))) from error
+            raise refuse_file(
+                Place(path), diagnose("usd-not-valid", message=_words(error))
+            ) from error
         missing = sorted({name for text in said() for name in _MISSING.findall(text)})
     notes = (diagnose("usd-files-missing", files=missing),) if missing else ()
     bodies, joints = [], []
@@ -117,7 +119,7 @@ def read_usd(path: str | Path) -> UsdFile:
         elif prim.IsA(pxr.UsdPhysics.Joint):
             joints.append(prim)
     if not bodies:
-        raise refusal(Place(path), diagnose("usd-without-bodies"))
+        raise refuse_file(Place(path), diagnose("usd-without-bodies"))
     return UsdFile(path, stage, _named(bodies), _named(joints), notes)
 
 
@@ -140,17 +142,19 @@ def _check_file(path: Path) -> None:
     try:
         check_regular(path)
         if path.stat().st_size > MAX_BYTES:
-            raise refusal(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
+            raise refuse_file(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
         with path.open("rb") as file:
             start = file.read(len(LFS_POINTER))
             if start == LFS_POINTER:
-                raise refusal(Place(path), diagnose("model-is-lfs-pointer"))
+                raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
             if not start.strip():
-                raise refusal(Place(path), diagnose("file-is-empty"))
+                raise refuse_file(Place(path), diagnose("file-is-empty"))
             if start.startswith(b"#usda"):
                 _check_depth(path, start + file.read())
     except (OSError, ValueError) as error:
-        raise refusal(Place(path), diagnose("file-not-read", message=one_line(error))) from error
+        raise refuse_file(
+            Place(path), diagnose("file-not-read", message=one_line(error))
+        ) from error
 
 
 def _check_depth(path: Path, text: bytes) -> None:
@@ -159,7 +163,7 @@ def _check_depth(path: Path, text: bytes) -> None:
     for bracket in _BRACKETS.findall(text):
         depth += {b"{": 1, b"(": 1, b"[": 1, b"}": -1, b")": -1, b"]": -1}.get(bracket, 0)
         if depth > MAX_DEPTH:
-            raise refusal(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
+            raise refuse_file(Place(path), diagnose("nested-too-deep", most=MAX_DEPTH))
 
 
 def _check_size(pxr: Any, path: Path) -> None:
@@ -167,7 +171,7 @@ def _check_size(pxr: Any, path: Path) -> None:
     counts: dict[tuple[str, str], int] = {}
     top = pxr.Sdf.Layer.FindOrOpen(str(path.absolute()))
     if top is None:
-        raise refusal(Place(path), diagnose("usd-not-valid", message=""))
+        raise refuse_file(Place(path), diagnose("usd-not-valid", message=""))
 
     def layer_of(layer: Any, asset: str) -> Any:
         """Returns a layer that is brought in; None where it is no file beside this one."""
@@ -214,7 +218,9 @@ def _check_size(pxr: Any, path: Path) -> None:
         return counts[key]
 
     if whole(top) > MAX_PRIMS:
-        raise refusal(Place(path), diagnose("too-many-elements", count=whole(top), most=MAX_PRIMS))
+        raise refuse_file(
+            Place(path), diagnose("too-many-elements", count=whole(top), most=MAX_PRIMS)
+        )
 
 
 def _children(prim: Any) -> Iterator[Any]:

@@ -10,7 +10,7 @@ from lxml import etree
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models import standard_input
-from pupper_analysis.models.places import Place, check_regular, one_line, refusal, refusal_at
+from pupper_analysis.models.places import Place, check_regular, one_line, refusal_at, refuse_file
 
 MAX_BYTES: Final = 20_000_000
 """Largest file that is read."""
@@ -34,7 +34,7 @@ MAX_NUMBER: Final = 1e50
 """Largest mass, length or moment: products of six such are numbers still."""
 
 
-def parse(path: Path) -> tuple[str, etree._Element]:
+def parse_xml(path: Path) -> tuple[str, etree._Element]:
     """Returns a file's text, and its root element without comments and default namespace."""
     text = _text(path)
     _refuse_doctype(path, text)
@@ -48,7 +48,7 @@ def parse(path: Path) -> tuple[str, etree._Element]:
             problem = diagnose("xml-not-well-formed", message=one_line(message))
             if "Excessive depth" in message:  # libxml2's words
                 problem = diagnose("nested-too-deep", most=MAX_DEPTH)
-            raise refusal(Place(path, line or None), problem) from error
+            raise refuse_file(Place(path, line or None), problem) from error
         # A prefix is used that is not declared, which neither Pinocchio nor MuJoCo minds.
         root = etree.fromstring(text.encode(), _parser(recover=True))
     count = 0
@@ -65,7 +65,9 @@ def parse(path: Path) -> tuple[str, etree._Element]:
         if name is not None and name.namespace and element.prefix is None:
             element.tag = name.localname
     if count > MAX_ELEMENTS:
-        raise refusal(Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS))
+        raise refuse_file(
+            Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS)
+        )
     return text, root
 
 
@@ -80,26 +82,26 @@ def to_text(root: etree._Element) -> str:
 
 
 def _text(path: Path) -> str:
-    data = standard_input.content(path) if standard_input.is_held(path) else _bytes(path)
+    data = standard_input.read_content(path) if standard_input.is_held(path) else _bytes(path)
     if len(data) > MAX_BYTES:
-        raise refusal(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
+        raise refuse_file(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
     if data.startswith(LFS_POINTER):
-        raise refusal(Place(path), diagnose("model-is-lfs-pointer"))
+        raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise refusal(Place(path), diagnose("encoded-in-utf-16"))
+        raise refuse_file(Place(path), diagnose("encoded-in-utf-16"))
     if data.startswith(USD):
-        raise refusal(Place(path), diagnose("usd-not-here"))
+        raise refuse_file(Place(path), diagnose("usd-not-here"))
     if b"\0" in data:
         line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise refusal(Place(path, line), diagnose("file-is-binary"))
+        raise refuse_file(Place(path, line), diagnose("file-is-binary"))
     if not data.strip():
-        raise refusal(Place(path), diagnose("file-is-empty"))
+        raise refuse_file(Place(path), diagnose("file-is-empty"))
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         problem = diagnose("not-utf-8", byte=data[error.start])
-        raise refusal(Place(path, line), problem) from error
+        raise refuse_file(Place(path, line), problem) from error
 
 
 def _bytes(path: Path) -> bytes:
@@ -110,7 +112,7 @@ def _bytes(path: Path) -> bytes:
             return file.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
         problem = diagnose("file-not-read", message=one_line(error))
-        raise refusal(Place(path), problem) from error
+        raise refuse_file(Place(path), problem) from error
 
 
 def _refuse_doctype(path: Path, text: str) -> None:
@@ -127,7 +129,7 @@ def _refuse_doctype(path: Path, text: str) -> None:
         at = end + len(closing)
     if text.startswith("<!", at):
         line = text.count("\n", 0, at) + 1
-        raise refusal(Place(path, line), diagnose("doctype-refused"))
+        raise refuse_file(Place(path, line), diagnose("doctype-refused"))
 
 
 _SPACE: Final = re.compile(r"\s*")

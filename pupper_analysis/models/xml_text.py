@@ -18,7 +18,7 @@ ANGLE_DIGITS = 15
 """Of angles: half of pi is what it is to a hundredth of a rounding error."""
 
 
-def words(values: ArrayLike, scale: float = 0.0, digits: int = _DIGITS) -> str:
+def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int = _DIGITS) -> str:
     """Writes numbers, separated by spaces.
 
     Args:
@@ -36,12 +36,12 @@ def is_zero(text: str) -> bool:
     return all(float(word) == 0 for word in text.split())
 
 
-def halved(text: str) -> str:
+def write_halves(text: str) -> str:
     """Writes the halves of numbers: a URDF gives lengths, an MJCF half of them."""
-    return words([float(word) / 2 for word in text.split()])
+    return write_numbers([float(word) / 2 for word in text.split()])
 
 
-def element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:
+def add_element(parent: etree._Element, tag: str, **attributes: str | None) -> etree._Element:
     """Adds an element; attributes that are None are left out, ``class_`` is ``class``."""
     given = {name.rstrip("_"): text for name, text in attributes.items() if text is not None}
     return etree.SubElement(parent, tag, given)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.joint_drives import Drive, drive_of
 from pupper_analysis.models.joint_kinds import scalar_joints
-from pupper_analysis.models.mjcf import compile_spec, quiet
+from pupper_analysis.models.mjcf import compile_spec, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
@@ -265,7 +265,7 @@ def simulate_published(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: flo
     damping = model.dof_damping[dofs].copy()
     model.dof_damping[dofs] += kd  # taken implicitly, as the servos' own is
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
-    with quiet():
+    with silence_mujoco():
         for step in range(steps):
             if len(dofs):
                 torque = ahead + kp * (goals - data.qpos[places])

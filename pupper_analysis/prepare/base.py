@@ -14,7 +14,7 @@ from pupper_analysis.matching.places import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_file import UrdfFile
 
@@ -75,7 +75,7 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[D
     base = freed.worldbody.add_body(name=name)
     base.add_freejoint()
     _weigh(base, inertial, _apart(tree, spec, urdf))
-    with quiet():
+    with silence_mujoco():
         freed.attach(spec, frame=base.add_frame(), prefix="")
     mass = Quantity(inertial.mass, "kg")
     return freed, [diagnose("base-added", subject=("link", name), mass=mass)]

@@ -7,7 +7,7 @@ import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.feet import limb_ends
 
@@ -30,7 +30,7 @@ def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
     whole = spec.copy()
     whole.compiler.discardvisual = False
     for one in (spec.copy(), whole):  # without what is only seen it takes a hundredth of the time
-        with quiet():
+        with silence_mujoco():
             model = one.compile()
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)

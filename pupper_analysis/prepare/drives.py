@@ -19,12 +19,12 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare import notes, start
-from pupper_analysis.prepare.notes import span
+from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.servo_tuning import suggested_gains
 from pupper_analysis.prepare.visuals import take_visuals_of
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos, servos
+from pupper_analysis.robot.servos import model_with_servos, own_servos
 from pupper_analysis.simulation.causes import too_stiff
 from pupper_analysis.simulation.settling import UPRIGHT, comes_to_rest
 from pupper_analysis.simulation.stability import stand_stability
@@ -71,7 +71,7 @@ def with_motors(robot: Robot) -> Robot:
     spec = robot.description.mjcf.copy()
     for joint in sorted(lacking):
         SpecTree(spec).add_motor(robot.joint_names[joint])
-    return rebuilt(robot, mjcf=spec)
+    return rebuild_robot(robot, mjcf=spec)
 
 
 def add_position_servos(
@@ -100,7 +100,7 @@ def add_position_servos(
         spec = with_servos(robot.description.mjcf, robot, kp, kd)
         spec.option.timestep /= parts
         take_visuals_of(spec, original)
-        return rebuilt(robot, mjcf=spec, efforts=stated)
+        return rebuild_robot(robot, mjcf=spec, efforts=stated)
 
     candidates = [
         (parts, *_kept(robot, own, *suggested_gains(robot, stand, torques, sag, parts)))
@@ -108,7 +108,7 @@ def add_position_servos(
     ]
 
     spec = with_servos(robot.description.mjcf, robot, *candidates[0][1:])
-    trial = rebuilt(robot, mjcf=spec, efforts=stated)
+    trial = rebuild_robot(robot, mjcf=spec, efforts=stated)
     timestep = float(trial.mj_model.opt.timestep)
 
     def first(*ways: bool) -> Iterator[tuple[int, Array, Array]]:
@@ -164,8 +164,8 @@ def suggest_servos(robot: Robot, stand: Stand) -> Diagnostic | None:
         return None
     own = np.array(list(own_servos(robot).values()))  # of those that have a motor
     torques = stand_statics(robot, stand).joint_torques
-    stiffness = span(own[:, 0], "N m/rad")
-    drive = servos(robot)
+    stiffness = describe_span(own[:, 0], "N m/rad")
+    drive = model_with_servos(robot)
     if too_stiff(robot, stand, drive):
         seen = verify_stand(robot, stand, integrator="implicitfast")
         if not _falls(seen):

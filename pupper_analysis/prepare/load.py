@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.draft import PassRun
-from pupper_analysis.prepare.passes import prepare
+from pupper_analysis.prepare.passes import run_passes
 from pupper_analysis.prepare.request import Request
 from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.simulable import check_simulable
@@ -29,7 +29,7 @@ Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
 
 
 @check_arguments
-@quiet()
+@silence_mujoco()
 def load_robot(
     *,
     urdf: str | Path,
@@ -160,7 +160,7 @@ def prepare_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Rob
         UnknownNameError: If a foot, joint or keyframe is not there.
     """
     check_simulable(mjcf)
-    return prepare(urdf, mjcf, request)
+    return run_passes(urdf, mjcf, request)
 
 
 def feet_frames(feet: Feet) -> dict[str, tuple[str, str]]:

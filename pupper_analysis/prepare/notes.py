@@ -18,7 +18,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import can_move_com
 
 
-def joints(matched: Match) -> Iterator[Diagnostic]:
+def tell_joints(matched: Match) -> Iterator[Diagnostic]:
     """Tells what became of joints whose names differ, or which only one file has."""
     renamed = [
         diagnose("names-of-joint", urdf=old, mjcf=new)
@@ -56,7 +56,7 @@ def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic
     return diagnose("feet-named" if given else "feet-found", feet=told)
 
 
-def balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[Diagnostic]:
+def tell_balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[Diagnostic]:
     """Tells which meshes balls take the place of."""
     kinds: dict[str, list[str]] = {}
     for foot in feet:
@@ -73,7 +73,7 @@ def balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[Diagnostic]:
             yield diagnose("balls-for-edges", feet=names)
 
 
-def planar(robot: Robot) -> Iterator[Diagnostic]:
+def tell_planar(robot: Robot) -> Iterator[Diagnostic]:
     """Tells so if the legs cannot move the com to every place over the feet."""
     if not can_move_com(robot):
         yield diagnose("com-anywhere-inside")
@@ -104,13 +104,13 @@ def made_servos(servos: Sequence[MadeServo], own: int, timestep: float) -> Itera
         count=len(servos),
         bad=bool(bad),
         some=bool(own) and not bad,
-        kp=span([servo.kp for servo in servos], "N m/rad"),
-        kd=span([servo.kd for servo in servos], "N m s/rad"),
+        kp=describe_span([servo.kp for servo in servos], "N m/rad"),
+        kd=describe_span([servo.kd for servo in servos], "N m s/rad"),
         timestep=Quantity(timestep, "s"),
     )
 
 
-def uncommanded(robot: Robot) -> Iterator[Diagnostic]:
+def tell_uncommanded(robot: Robot) -> Iterator[Diagnostic]:
     """Tells which motors drive no joint of their own: a tendon, a site, a ball joint."""
     model = robot.mj_model
     others = [motor for motor in range(model.nactuator) if not is_at_one_joint(model, motor)]
@@ -133,7 +133,7 @@ def _driven(model: mujoco.MjModel, motor: int) -> str:
     return "ball or free joint" if kind.startswith("joint") else kind
 
 
-def span(values: ArrayLike, unit: str) -> Diagnostic:
+def describe_span(values: ArrayLike, unit: str) -> Diagnostic:
     """Tells the least and the greatest of some numbers, or the one that all are."""
     low, high = float(np.min(values)), float(np.max(values))
     return diagnose("span", least=low, most=Quantity(high, unit), wide=low != high)

@@ -33,7 +33,7 @@ from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import choose_exact_solver
 from pupper_analysis.prepare.start_pose import find_start_pose
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
-from pupper_analysis.robot.build import build_robot, like
+from pupper_analysis.robot.build import build_robot, with_knowledge_of
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
@@ -104,7 +104,7 @@ def _name_elements(draft: Draft) -> Made:
     name_all(spec, set())
     if draft.request.feet is None:  # a foot may be named by a shape that is only seen
         leave_out_visuals(spec)
-    known = start.chosen(draft.mjcf, start.keyframes(spec), draft.request.keyframe)
+    known = start.choose_keyframes(draft.mjcf, start.list_keyframes(spec), draft.request.keyframe)
     return replace(draft, spec=spec, keyframes=known), ()
 
 
@@ -121,7 +121,7 @@ def _match(draft: Draft) -> Made:
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
     description = found.robot.description
-    told = (*found.notes, *notes.joints(found))
+    told = (*found.notes, *notes.tell_joints(found))
     return replace(draft, found=found, description=description), told
 
 
@@ -202,7 +202,7 @@ def _put_feet(draft: Draft) -> Made:
     if apart[worst] > _APART:
         off = Quantity(apart[worst], "m")
         told.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
-    told += notes.balls(bare, feet)
+    told += notes.tell_balls(bare, feet)
     return replace(draft, built=build_robot(with_feet(bare, feet))), told
 
 
@@ -219,7 +219,7 @@ def _add_motors(draft: Draft) -> Made:
 
 
 def _start(draft: Draft) -> Made:
-    told = list(notes.planar(draft.robot))
+    told = list(notes.tell_planar(draft.robot))
     robot, pose = find_start_pose(draft.robot, draft.keyframes)
     return replace(draft, built=robot), told + pose
 
@@ -235,7 +235,7 @@ def _of_robots(step: Callable[[Robot], tuple[Robot, list[Diagnostic]]]) -> Calla
 
 
 def _tell_what_follows(draft: Draft) -> Made:
-    return draft, (*notes.bound_joints(draft.robot), *notes.uncommanded(draft.robot))
+    return draft, (*notes.bound_joints(draft.robot), *notes.tell_uncommanded(draft.robot))
 
 
 def _add_servos(draft: Draft) -> Made:
@@ -256,7 +256,7 @@ def _build_whole(draft: Draft) -> Made:
         return draft, ()
     whole = replace(robot.description, mjcf=spec)
     built = build_robot(whole, fixed_base=draft.request.fixed_base)
-    return replace(draft, built=like(built, robot)), ()
+    return replace(draft, built=with_knowledge_of(built, robot)), ()
 
 
 def _stands_on_no_feet(draft: Draft) -> bool:
@@ -355,7 +355,7 @@ PASSES = (
 """In the order in which they are run."""
 
 
-def prepare(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
+def run_passes(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
     """Runs the passes on two files.
 
     Returns:

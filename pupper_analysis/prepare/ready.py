@@ -40,7 +40,7 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
     robot = _built(urdf, mjcf, request)
     if robot is None or (robot.floating and _needs_more(robot)):
         return None
-    said = (*notes.bound_joints(robot), *notes.uncommanded(robot))
+    said = (*notes.bound_joints(robot), *notes.tell_uncommanded(robot))
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))
 
 

@@ -198,7 +198,7 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
     Returns:
         What comes of it; None if nothing is predicted of the stand.
     """
-    wanted = predictions(robot, stand)
+    wanted = predict_stand(robot, stand)
     if not wanted:
         return None
     if not bare.floating:
@@ -244,7 +244,7 @@ class Predicted:
     targets: Array
 
 
-def predictions(robot: Robot, stand: Stand) -> list[Predicted]:
+def predict_stand(robot: Robot, stand: Stand) -> list[Predicted]:
     """Returns what is predicted of a stand, with feed-forward and on position commands alone."""
     try:
         held = solve_stand_on_soft_ground(robot, stand, explain=False)

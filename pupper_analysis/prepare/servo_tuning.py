@@ -24,7 +24,7 @@ from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.stand import Stand, stand_statics
 
 Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ def stand_gains(
     Returns:
         kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
     """
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     kp, kd = drive.kp.copy(), drive.kd.copy()
     if sag is not None:
         torques = stand_statics(robot, stand).joint_torques

@@ -10,7 +10,7 @@ import numpy as np
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.configuration import Configuration
@@ -56,7 +56,7 @@ def check_simulable(mjcf: MjcfFile) -> None:
     ):
         if not good:
             stated = (place for words, place in mjcf.elements("option") if word in words)
-            raise refusal(next(stated, Place(mjcf.path)), problem)
+            raise refuse_file(next(stated, Place(mjcf.path)), problem)
     _check_rotors(mjcf, model)
     _check_lengths(mjcf, model)
     _check_motors(mjcf, model)
@@ -72,7 +72,7 @@ def _check_rotors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             problem = diagnose(
                 "rotor-inertia-negative", subject=("joint", joint), armature=armature
             )
-            raise refusal(mjcf.place("joint", joint), problem)
+            raise refuse_file(mjcf.place("joint", joint), problem)
 
 
 def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
@@ -96,7 +96,7 @@ def _check_lengths(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
                 value=" ".join(f"{number:g}" for number in numbers[found]),
                 most=most,
             )
-            raise refusal(place, problem)
+            raise refuse_file(place, problem)
 
 
 def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
@@ -108,7 +108,7 @@ def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             problem = diagnose(
                 "rotor-inertia-negative", subject=("actuator", name), armature=armature
             )
-            raise refusal(place, problem)
+            raise refuse_file(place, problem)
         if not is_at_one_joint(model, motor):
             continue
         gear = float(actuator_gear(model, motor)[0])
@@ -120,7 +120,7 @@ def _check_motors(mjcf: MjcfFile, model: mujoco.MjModel) -> None:
             problem = diagnose(
                 "gear-of-no-motor", subject=driven, gear=gear, least=least, most=most
             )
-            raise refusal(place, problem)
+            raise refuse_file(place, problem)
 
 
 def check_masses(robot: Robot, urdf: UrdfFile) -> None:
@@ -133,4 +133,4 @@ def check_masses(robot: Robot, urdf: UrdfFile) -> None:
     for name, inertia in zip(robot.joint_names, felt.tolist(), strict=True):
         if inertia <= 0:
             problem = diagnose("joint-moves-no-mass", subject=("joint", name))
-            raise refusal(urdf.place("joint", name), problem)
+            raise refuse_file(urdf.place("joint", name), problem)

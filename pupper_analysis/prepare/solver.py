@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.exactness import INEXACT, left_out
 from pupper_analysis.robot.robot import Robot
 
@@ -39,7 +39,7 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     if mujoco.mj_isSparse(robot.mj_model):
         spec = robot.description.mjcf.copy()
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        dense = rebuilt(robot, mjcf=spec)
+        dense = rebuild_robot(robot, mjcf=spec)
         if solver_error(dense) is None:
             return dense, [diagnose("solver-made-dense", share=share)]
     return robot, [diagnose("solver-inexact", share=share)]

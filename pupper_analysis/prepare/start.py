@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -52,7 +52,7 @@ the second, and stand below the hips by the third."""
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
 
-def keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+def list_keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
 
     Args:
@@ -60,7 +60,7 @@ def keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     """
     if not len(spec.keys):
         return {}
-    with quiet():
+    with silence_mujoco():
         model = spec.copy().compile()
     found = {}
     for number in range(model.nkey):
@@ -73,7 +73,7 @@ def keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     return found
 
 
-def chosen(
+def choose_keyframes(
     mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
 ) -> dict[str, Mapping[str, float]]:
     """Returns the keyframes to begin with: the one that is wanted, or ``home`` and then the others.

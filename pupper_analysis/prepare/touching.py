@@ -12,7 +12,7 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.visuals import geoms_by_id
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
@@ -54,7 +54,7 @@ def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")
     noted = [diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)]
-    return rebuilt(robot, mjcf=spec), noted
+    return rebuild_robot(robot, mjcf=spec), noted
 
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
@@ -80,4 +80,6 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         diagnose("bodies-overlap", one=one, two=two, depth=Quantity(by, "m"))
         for (one, two), by in deep.items()
     ]
-    return rebuilt(robot, mjcf=spec), [diagnose("overlapping-bodies-do-not-touch", pairs=pairs)]
+    return rebuild_robot(robot, mjcf=spec), [
+        diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
+    ]

@@ -87,7 +87,7 @@ def _derived(
 @lru_cache(maxsize=8)
 def _read(source: Path, _stamp: tuple[int, int]) -> mujoco.MjSpec:
     """Reads a base MJCF once, unless the file changes; that it compiles is known then."""
-    return mjcf.load(source)
+    return mjcf.load_mjcf(source)
 
 
 def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path, Path]:

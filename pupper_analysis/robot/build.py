@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
-from pupper_analysis.models.conversion import gravity, joint_armature
+from pupper_analysis.models.conversion import acting_gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.multibody import joint_placements
@@ -80,7 +80,7 @@ def build_robot(
     sole_of = {point: sole for sole, points in soles.items() for point in points}
     ground = contact.ground_geom(mj_model)
     contacts = {
-        foot: contact.combine(mj_model, geom, ground)
+        foot: contact.combine_geoms(mj_model, geom, ground)
         for foot, (geom, _) in geoms.items()
         if ground is not None
     }
@@ -113,7 +113,7 @@ def build_robot(
     )
 
 
-def rebuilt(robot: Robot, **changes: Any) -> Robot:
+def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
     """Builds a robot anew with changes of its description; its nominal stand and notes stay.
 
     So does what is known of its files as they were published.
@@ -125,10 +125,10 @@ def rebuilt(robot: Robot, **changes: Any) -> Robot:
     Raises:
         ModelError: If a model cannot be built.
     """
-    return like(build_robot(replace(robot.description, **changes)), robot)
+    return with_knowledge_of(build_robot(replace(robot.description, **changes)), robot)
 
 
-def like(built: Robot, robot: Robot) -> Robot:
+def with_knowledge_of(built: Robot, robot: Robot) -> Robot:
     """Returns a robot that was built anew with what is known of it, and is in no description."""
     return replace(
         built,
@@ -328,7 +328,7 @@ def _pinocchio_model(
         for frame in model.frames:
             if frame.parentJoint == 0 and frame.name != "universe":
                 frame.placement = pose * frame.placement
-    model.gravity = pin.Motion(gravity(mj_model), np.zeros(3))
+    model.gravity = pin.Motion(acting_gravity(mj_model), np.zeros(3))
     return model
 
 

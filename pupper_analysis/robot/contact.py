@@ -38,7 +38,7 @@ class ContactParameters:
         return self.friction[0] if self.condim > 1 else 0.0
 
 
-def combine(model: mujoco.MjModel, first: int, second: int) -> ContactParameters:
+def combine_geoms(model: mujoco.MjModel, first: int, second: int) -> ContactParameters:
     """Combines two geoms' parameters as MuJoCo does for a contact without a ``<pair>``.
 
     The geom of higher priority wins. At equal priority: the greater condim, each greater friction

@@ -129,7 +129,7 @@ def base_moved(
         height=height - ground,
         end_height=float(end.xpos[base][2]) - ground,
         lean=lean_between(start.xmat[base].reshape(3, 3), end.xmat[base].reshape(3, 3)),
-        away=travelled(start.xpos[base], end.xpos[base]),
+        away=horizontal_distance(start.xpos[base], end.xpos[base]),
         # MuJoCo begins anew where numbers are no longer any.
         diverged=not end.time - start.time > seconds - 1.5 * model.opt.timestep,
     )
@@ -183,7 +183,7 @@ def still_moves(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> bool:
     return not float(np.abs(velocity[3:]).max()) <= MOVES
 
 
-def travelled(start: Array, end: Array) -> float:
+def horizontal_distance(start: Array, end: Array) -> float:
     """Returns how far a position (3,) is from another, as seen from above (m)."""
     return float(np.linalg.norm((end - start)[:2]))
 

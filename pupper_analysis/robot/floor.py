@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree
 
 Array = NDArray[np.float64]
@@ -92,7 +92,7 @@ def _laid(
     numbers = [next(i for i, g in enumerate(spec.geoms) if g == floor) for floor in floors]
     mine = spec.copy()
     mine.compiler.discardvisual = False  # which would take geoms out, and so change their order
-    with quiet():
+    with silence_mujoco():
         model = mine.compile()
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -38,7 +38,7 @@ class Kinematics:
         self.qpos = qpos
         pin.framesForwardKinematics(self._model, self._data, self._structure.q(qpos))
         pin.centerOfMass(self._model, self._data, pin.POSITION, False)
-        if not shown(self._com):
+        if not is_pinocchio_memory(self._com):
             self._look()
 
     def com(self) -> list[float]:
@@ -54,7 +54,7 @@ class Kinematics:
         """Returns rotation (3, 3) and origin (3,) (m) of a link in the world.
 
         They are Pinocchio's own memory: after the next ``move`` they are those there, unless it has
-        copied them instead; see ``shown``.
+        copied them instead; see ``is_pinocchio_memory``.
         """
         if name not in self._links:
             place = self._data.oMf[self._structure.links[name]]
@@ -69,7 +69,7 @@ class Kinematics:
         self._links = {}
 
 
-def shown(array: Array) -> bool:
+def is_pinocchio_memory(array: Array) -> bool:
     """Whether an array of Pinocchio's is its memory, which tells what is written there next.
 
     By default it is; who calls ``pin.sharedMemory(False)`` gets copies.

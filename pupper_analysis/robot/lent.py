@@ -22,7 +22,7 @@ _lock = Lock()
 
 
 @contextmanager
-def lent(robot: Robot, make: Callable[[Robot], T]) -> Iterator[T]:
+def lend(robot: Robot, make: Callable[[Robot], T]) -> Iterator[T]:
     """Lends something that is made of a robot to one user at a time, in whatever thread.
 
     What was given back is lent again, as long as the robot is one of those that were asked last.

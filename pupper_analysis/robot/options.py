@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.conversion import gravity
+from pupper_analysis.models.conversion import acting_gravity
 
 _EARTH = np.array([0.0, 0.0, -9.81])
 
@@ -28,7 +28,7 @@ _FLAGS = (
 
 def option_notes(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yields what a model's options make other than a robot on the Earth expects."""
-    acts = gravity(model)
+    acts = acting_gravity(model)
     if float(np.linalg.norm(acts - _EARTH)) > _NEAR:
         yield diagnose("gravity-not-the-earths", gravity=acts)
     for bit, word in _FLAGS:

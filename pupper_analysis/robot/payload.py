@@ -16,7 +16,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
     for tree, base in sides:
         tree.add_link(name, base, f"{name}_weld", place, weight)
-    built = rebuilt(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
+    built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
     model = robot.pin_model.copy()
     frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]

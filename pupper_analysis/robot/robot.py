@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import plain_state
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.conversion import gravity
+from pupper_analysis.models.conversion import acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.robot.as_published import OwnRun, Published
@@ -136,7 +136,7 @@ class Robot:
     @property
     def gravity(self) -> Array:
         """(3,) acceleration of gravity in the world (m/s^2)."""
-        return gravity(self.mj_model)
+        return acting_gravity(self.mj_model)
 
     @property
     def total_mass(self) -> float:

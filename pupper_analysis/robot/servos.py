@@ -68,12 +68,12 @@ class Servos:
         """
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
-        target = positions if torques is None else positions + lead(torques, self.kp)
+        target = positions if torques is None else positions + command_lead(torques, self.kp)
         ctrl[self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[driven]
         return ctrl
 
 
-def lead(torques: Array, kp: Array) -> Array:
+def command_lead(torques: Array, kp: Array) -> Array:
     """Returns by how much (nu,) a command is beyond a pose for torques (nu,) to be given there.
 
     Nothing where there is no servo, at joints that follow others.
@@ -82,7 +82,7 @@ def lead(torques: Array, kp: Array) -> Array:
     return ahead
 
 
-def servos(
+def model_with_servos(
     robot: Robot,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -102,7 +102,7 @@ def servos(
             both given.
     """
     model = copy.copy(robot.mj_model)
-    wanted = gains(robot, kp, kd)
+    wanted = servo_gains(robot, kp, kd)
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
     if kp is not None or kd is not None:
@@ -147,13 +147,13 @@ class Gains:
         return self.kp[driven] / squared, self.kd[driven] / squared
 
 
-def retuned(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
+def retune_servos(robot: Robot, drive: Servos, wanted: Gains) -> Servos:
     """Gives servos other gains, in their own model: a copy of it takes longer than its use.
 
     Args:
         robot: The robot.
         drive: Its servos, made with a kp and a kd; the model's gains are not theirs any more.
-        wanted: The gains, by ``gains``.
+        wanted: The gains, by ``servo_gains``.
     """
     driven = robot.mj_convention.actuator_index >= 0
     actuators = robot.mj_convention.actuator_index[driven]
@@ -196,11 +196,11 @@ SOFTEST = 1e-9
 """N m/rad: commands are the torque divided by kp, and overflow far below."""
 
 
-def gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None) -> Gains:
-    """Returns what ``servos`` works out, without a model that has it.
+def servo_gains(robot: Robot, kp: ArrayLike | None = None, kd: ArrayLike | None = None) -> Gains:
+    """Returns what ``model_with_servos`` works out, without a model that has it.
 
     Raises:
-        ConfigurationError: As ``servos``.
+        ConfigurationError: As ``model_with_servos``.
         ModelError: Likewise.
     """
     actuators = robot.mj_convention.actuator_index
@@ -274,14 +274,14 @@ def servos_used(
 
     Args:
         robot: The robot.
-        kp: As for ``servos``.
-        kd: As for ``servos``.
+        kp: As for ``model_with_servos``.
+        kd: As for ``model_with_servos``.
 
     Raises:
-        ConfigurationError: As ``servos``.
+        ConfigurationError: As ``model_with_servos``.
         ModelError: Likewise.
     """
-    found, made = gains(robot, kp, kd), robot.description.made_servos
+    found, made = servo_gains(robot, kp, kd), robot.description.made_servos
     joints = {servo.joint for servo in made}
     chosen = np.array([name in joints for name in robot.joint_names])
     if kp is not None or kd is not None:

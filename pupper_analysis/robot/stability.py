@@ -14,7 +14,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.results import Result
 from pupper_analysis.robot.transition import STEP, copy_data, step_derivative
 
@@ -214,7 +214,7 @@ def step_stability(
     steps = round(settle / model.opt.timestep)
     if not steps:
         return _judged(model, data, settled=False)
-    with quiet():
+    with silence_mujoco():
         mujoco.mj_step(model, data, steps)
     if data.time < start.time + (steps - 0.5) * model.opt.timestep:
         # It diverged, and MuJoCo began anew.

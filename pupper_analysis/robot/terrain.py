@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.floor import floor_of, turn_floor
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
@@ -75,7 +75,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
                 rgba=(0.0, 0.0, 0.0, 0.0),
             )
             _like_floor(top, floor)
-    return replace(rebuilt(robot, mjcf=spec), fingerprint=robot.fingerprint)
+    return replace(rebuild_robot(robot, mjcf=spec), fingerprint=robot.fingerprint)
 
 
 def _like_floor(geom: mujoco.MjsGeom, floor: mujoco.MjsGeom) -> None:

@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics import Diagnostic, Vector, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.robot_model.mjcf import KINDS
 from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Inertial, Link
@@ -110,7 +110,7 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
                 told = diagnose(
                     "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
                 )
-                raise refusal(model.file.place("body", name), told)
+                raise refuse_file(model.file.place("body", name), told)
             body.explicitinertial = True
             body.mass, body.ipos = inertial.mass, inertial.com
             (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
@@ -138,7 +138,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
             continue
         if joint.kind == FREE and link.parent is not None:
             place = model.file.place("joint", joint.name)
-            raise refusal(place, diagnose("usd-joint-of-several-axes"))
+            raise refuse_file(place, diagnose("usd-joint-of-several-axes"))
         added = body.add_joint(name=joint.name, type=_TYPES[joint.kind])
         if not joint.moves:
             continue
@@ -241,13 +241,15 @@ def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:
     """Adds what a joint holds together that closes a loop: MuJoCo has points and frames for it."""
     one, two = edge.bodies
     if not one or not two:
-        raise refusal(model.file.place("joint", edge.name), diagnose("usd-second-hold-of-world"))
+        raise refuse_file(
+            model.file.place("joint", edge.name), diagnose("usd-second-hold-of-world")
+        )
     weld = edge.kind == FIXED
     ends = [np.zeros(3)]
     if edge.kind == HINGE:
         ends.append(_HINGE * np.eye(3)[edge.axis])
     if edge.kind in (SLIDE, FREE):
-        raise refusal(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
+        raise refuse_file(model.file.place("joint", edge.name), diagnose("usd-loop-of-slide"))
     for number, end in enumerate(ends):
         name = edge.name if number == 0 else f"{edge.name}_{number}"
         equality = spec.add_equality(name=name, name1=one, name2=two)

@@ -14,7 +14,7 @@ from lxml import etree
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.places import refusal
+from pupper_analysis.models.places import refuse_file
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
@@ -80,7 +80,7 @@ def urdf_of(model: UsdModel) -> etree._Element:
                 continue  # a free base has no joint
             if joint.kind in (BALL, FREE):
                 place = model.file.place("joint", joint.name)
-                raise refusal(place, diagnose("usd-joint-of-several-axes"))
+                raise refuse_file(place, diagnose("usd-joint-of-several-axes"))
             outer = poses[joint.parent]
             root.append(_joint(model, joint, outer.inverse() * poses[name], poses[name]))
     return root

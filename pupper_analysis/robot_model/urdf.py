@@ -39,13 +39,13 @@ def read_urdf_model(file: UrdfFile) -> UrdfModel:
     for parent in (waiting := [root.name]):
         for joint in tree.below.get(parent, []):
             name = joint.child
-            pose = bodies[parent].pose * origin(joint.element)
+            pose = bodies[parent].pose * read_origin(joint.element)
             bodies[name] = _body(file, tree.links[name], parent, pose, (_joint(joint, pose),))
             waiting.append(name)
     return UrdfModel("urdf", "link", root.name, bodies, file.notes, file)
 
 
-def number(element: etree._Element | None, attribute: str, default: float) -> float:
+def read_number(element: etree._Element | None, attribute: str, default: float) -> float:
     """Returns a number of an element; the default where there is none."""
     text = None if element is None else element.get(attribute)
     try:
@@ -54,7 +54,9 @@ def number(element: etree._Element | None, attribute: str, default: float) -> fl
         return default
 
 
-def vector(element: etree._Element | None, attribute: str, default: tuple[float, ...]) -> Array:
+def read_vector(
+    element: etree._Element | None, attribute: str, default: tuple[float, ...]
+) -> Array:
     """Returns the numbers of an element; the default where there are none."""
     text = None if element is None else element.get(attribute)
     try:
@@ -64,17 +66,17 @@ def vector(element: etree._Element | None, attribute: str, default: tuple[float,
     return values if len(values) == len(default) else np.array(default, dtype=float)
 
 
-def origin(element: etree._Element) -> Pose:
+def read_origin(element: etree._Element) -> Pose:
     """Returns the pose that an element's ``<origin>`` states."""
     tag = element.find("origin")
-    roll, pitch, yaw = vector(tag, "rpy", (0.0, 0.0, 0.0))
+    roll, pitch, yaw = read_vector(tag, "rpy", (0.0, 0.0, 0.0))
     rotation: Array = pin.rpy.rpyToMatrix(roll, pitch, yaw)
-    return Pose(vector(tag, "xyz", (0.0, 0.0, 0.0)), rotation)
+    return Pose(read_vector(tag, "xyz", (0.0, 0.0, 0.0)), rotation)
 
 
 def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
     element = joint.element
-    raw = vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
+    raw = read_vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
     length = float(np.linalg.norm(raw))
     limit = element.find("limit")
     limited = joint.kind in ("revolute", "prismatic") and limit is not None
@@ -87,9 +89,9 @@ def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
         axis=pose.rotation @ raw / length if length > 0 else np.zeros(3),
         raw_axis=raw,
         stated=_stated(joint),
-        lower=number(limit, "lower", 0.0) if limited else -math.inf,
-        upper=number(limit, "upper", 0.0) if limited else math.inf,
-        effort=number(limit, "effort", math.inf),
+        lower=read_number(limit, "lower", 0.0) if limited else -math.inf,
+        upper=read_number(limit, "upper", 0.0) if limited else math.inf,
+        effort=read_number(limit, "effort", math.inf),
     )
 
 
@@ -115,15 +117,15 @@ def _inertial(link: UrdfLink) -> Inertial | None:
     element = link.inertial
     if element is None:
         return None
-    pose = origin(element)
+    pose = read_origin(element)
     tag = element.find("inertia")
     tensor = np.zeros((3, 3))
     rounding = 0.0
     for attribute, (row, column) in INERTIA_ENTRIES.items():
-        tensor[row, column] = tensor[column, row] = number(tag, attribute, 0.0)
+        tensor[row, column] = tensor[column, row] = read_number(tag, attribute, 0.0)
         rounding = max(rounding, half_digit("0" if tag is None else tag.get(attribute, "0")))
     return Inertial(
-        mass=number(element.find("mass"), "value", 0.0),
+        mass=read_number(element.find("mass"), "value", 0.0),
         com=pose.position,
         inertia=pose.rotation @ tensor @ pose.rotation.T,
         stated=True,
@@ -144,17 +146,17 @@ def half_digit(text: str) -> float:
 def _shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
-    pose, name = origin(element), element.get("name", "")
+    pose, name = read_origin(element), element.get("name", "")
     if tag is None:
         return Shape(name, "none", pose, (), collides)
     kind = str(tag.tag)
     match kind:
         case "box":
-            size = tuple(vector(tag, "size", (0.0, 0.0, 0.0)) / 2)
+            size = tuple(read_vector(tag, "size", (0.0, 0.0, 0.0)) / 2)
         case "sphere":
-            size = (number(tag, "radius", 0.0),)
+            size = (read_number(tag, "radius", 0.0),)
         case "cylinder" | "capsule":
-            size = (number(tag, "radius", 0.0), number(tag, "length", 0.0) / 2)
+            size = (read_number(tag, "radius", 0.0), read_number(tag, "length", 0.0) / 2)
         case _:
             size = ()
     vertices = _mesh(file, tag) if kind == "mesh" else lambda: None
@@ -163,7 +165,7 @@ def _shape(
 
 def _mesh(file: UrdfFile, tag: etree._Element) -> Callable[[], Array | None]:
     filename = tag.get("filename", "")
-    scale = vector(tag, "scale", (1.0, 1.0, 1.0))
+    scale = read_vector(tag, "scale", (1.0, 1.0, 1.0))
 
     def vertices() -> Array | None:
         path = file.resolve_mesh(filename)

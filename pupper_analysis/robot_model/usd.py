@@ -15,7 +15,7 @@ import numpy as np
 
 from pupper_analysis.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
-from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.usd_file import UsdFile
 from pupper_analysis.robot_model.model import (
     FIXED,
@@ -98,7 +98,7 @@ def read_usd_model(file: UsdFile) -> UsdModel:
     for name, place in places.items():
         if np.ptp(place.scale) > 1e-4 * place.scale.max():
             told = diagnose("usd-body-scaled-unevenly", scale=Vector(tuple(place.scale), "1"))
-            raise refusal(file.place("body", name), told)
+            raise refuse_file(file.place("body", name), told)
     edges = {edge.name: edge for edge in _edges(file, places, units, cache)}
     trees = _Forest(list(prims), edges, _article_roots(file))
     base = trees.base
@@ -163,7 +163,7 @@ def _edges(
             target = file.stage.GetPrimAtPath(targets[0]) if targets else None
             if targets and not target:
                 told = diagnose("usd-joint-of-no-prim", end=f"body{end}", prim=str(targets[0]))
-                raise refusal(Place(file.path, None, path), told)
+                raise refuse_file(Place(file.path, None, path), told)
             body, place = _carrier(target, names), Placed(Pose(), np.full(3, units.length))
             if target:
                 matrix = world_matrix(file, target, cache)

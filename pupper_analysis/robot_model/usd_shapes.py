@@ -13,7 +13,7 @@ import numpy as np
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Vector, diagnose
-from pupper_analysis.models.places import Place, refusal
+from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.usd_file import UsdFile
 from pupper_analysis.robot_model.model import Shape
 from pupper_analysis.robot_model.pose import Array, Pose
@@ -119,7 +119,7 @@ def value_of(prim: Any, name: str, kind: str) -> Any:
     if not fits:
         file = Path(prim.GetStage().GetRootLayer().realPath)
         told = diagnose("usd-value-of-other-type", attribute=name, kind=type(value).__name__)
-        raise refusal(Place(file, None, str(prim.GetPath())), told)
+        raise refuse_file(Place(file, None, str(prim.GetPath())), told)
     return value
 
 
@@ -140,7 +140,7 @@ def axis_of(prim: Any, name: str, usual: str) -> str:
     if axis not in AXES:
         file = Path(prim.GetStage().GetRootLayer().realPath)
         told = diagnose("usd-value-of-other-type", attribute=name, kind=axis)
-        raise refusal(Place(file, None, str(prim.GetPath())), told)
+        raise refuse_file(Place(file, None, str(prim.GetPath())), told)
     return axis
 
 
@@ -176,7 +176,7 @@ def world_matrix(file: UsdFile, prim: Any, cache: Any) -> Any:
         return cache.GetLocalToWorldTransform(prim)
     except Tf.ErrorException as error:
         told = diagnose("usd-transform-without-value")
-        raise refusal(Place(file.path, None, str(prim.GetPath())), told) from error
+        raise refuse_file(Place(file.path, None, str(prim.GetPath())), told) from error
 
 
 def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) -> Placed:
@@ -190,7 +190,7 @@ def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) ->
     turn = whole[:3, :3] / np.where(scale > 0, scale, 1.0)
     if not np.allclose(turn.T @ turn, np.eye(3), atol=1e-4) or np.linalg.det(turn) < 0:
         told = diagnose("usd-frame-sheared", scale=Vector(tuple(scale), "1"))
-        raise refusal(Place(file.path, None, str(prim.GetPath())), told)
+        raise refuse_file(Place(file.path, None, str(prim.GetPath())), told)
     scale = np.where(np.abs(scale - 1.0) < SCALE_ROUNDING, 1.0, scale)
     left, _, right = np.linalg.svd(turn)
     return Placed(Pose(whole[:3, 3] * units.length, left @ right), scale * units.length)

@@ -67,7 +67,7 @@ _NOISE = 0.2
 and PGS, as MuJoCo sets them, a robot at rest moves by 0.02 to 0.12 of it for ever, and stays."""
 
 
-def unstable(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
+def find_instability(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
     """Says so if a stand would not last, or a nudge did not decay.
 
     Args:
@@ -75,7 +75,7 @@ def unstable(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
         nudge: What became of the nudge, if it was given.
     """
     leaving = stability.leaving() if stability.at_rest else ()
-    told = [growing(mode) for mode in leaving[:1]]
+    told = [describe_growth(mode) for mode in leaving[:1]]
     quiet = nudge is not None and nudge.left <= _NOISE * nudge.speed
     if nudge is not None and not nudge.decayed and not quiet and not told:
         after = Quantity(nudge.duration, "s")
@@ -92,7 +92,7 @@ def unstable(stability: Stability, nudge: Nudge | None) -> list[Diagnostic]:
     return told
 
 
-def growing(mode: Mode) -> Diagnostic:
+def describe_growth(mode: Mode) -> Diagnostic:
     """Says how a mode grows."""
     return diagnose(
         "mode-shakes" if mode.shakes else "mode-buckles",
@@ -103,7 +103,7 @@ def growing(mode: Mode) -> Diagnostic:
     )
 
 
-def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
+def find_chatter(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Diagnostic]:
     """Says so if the ground pushes by jolts, from step to step, where it should push evenly.
 
     MuJoCo's solver meets the edges of pyramidal cones with an ``impratio`` above 1 only so far, and
@@ -129,7 +129,7 @@ def rattling(robot: Robot, drive: Servos, states: Array, ctrl: Array) -> list[Di
     return [diagnose("contacts-rattle", share=share, impratio=impratio)]
 
 
-def creeping(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
+def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> list[Diagnostic]:
     """Says so if feet creep, as MuJoCo's friction, which is viscous, lets them.
 
     Args:

@@ -21,7 +21,7 @@ from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, gains, retuned, servos
+from pupper_analysis.robot.servos import Servos, model_with_servos, retune_servos, servo_gains
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
@@ -135,7 +135,7 @@ def sweep_gains(
     check_stand(robot, stand, duration)
     if not (math.isfinite(amplitude) and math.isfinite(frequency)):
         raise ConfigurationError("amplitude, frequency", diagnose("must-be-finite"))
-    own = None if kp is not None and kd is not None else servos(robot)
+    own = None if kp is not None and kd is not None else model_with_servos(robot)
     axes = [
         _values(given, None if own is None else getattr(own, name))
         for name, given in (("kp", kp), ("kd", kd))
@@ -215,10 +215,10 @@ class _Trial:
         robot, stand = self.robot, self.stand
         # Refused before anything is simulated; nothing moves where a start is looked for, that kd
         # could damp.
-        tuned = {cell: gains(robot, *cell) for cell in cells}
+        tuned = {cell: servo_gains(robot, *cell) for cell in cells}
         new = dict.fromkeys(kp for kp, _ in cells if kp not in self._starts)
-        soft = {kp: gains(robot, kp, 0.0) for kp in new}
-        drives = _Drives(robot, lambda: servos(robot, *cells[0], self.integrator))
+        soft = {kp: servo_gains(robot, kp, 0.0) for kp in new}
+        drives = _Drives(robot, lambda: model_with_servos(robot, *cells[0], self.integrator))
         with drives.one() as (first, _):
             model, ctrl = first.model, first.command(robot, stand.joint_positions(robot))
         control, force = forced_commands(robot, model, ctrl, 1, self.steps)
@@ -227,7 +227,7 @@ class _Trial:
 
         def place(kp: float) -> None:
             with drives.one() as (drive, _):
-                drive = retuned(robot, drive, soft[kp])
+                drive = retune_servos(robot, drive, soft[kp])
                 self._starts[kp] = place_on_ground(robot, drive, stand, self.torques)
                 with suppress(PupperAnalysisError):
                     pose = steady_state(self.plain, stand, kp=kp)
@@ -236,7 +236,7 @@ class _Trial:
 
         def simulate(cell: tuple[float, float]) -> tuple[float, Stability | None]:
             with drives.one() as (drive, watcher):
-                own, start = retuned(robot, drive, tuned[cell]), self._starts[cell[0]]
+                own, start = retune_servos(robot, drive, tuned[cell]), self._starts[cell[0]]
                 states = roll_out(own.model, watcher.data, start, control, control_spec=FORCED)[0]
                 deviation = self._deviation(watcher, states)
                 if cell[0] in self._rests:
@@ -266,7 +266,7 @@ class _Trial:
         """Judges where it is in the end, undisturbed; None if that is no rest on its feet."""
         steps = round(LASTING / self.timestep)
         states = roll_out(drive.model, watcher.data, start, np.tile(ctrl, (1, steps, 1)))[0]
-        if monitor.diverged(states, self.timestep):
+        if monitor.has_diverged(states, self.timestep):
             return None
         if _lies(self.robot, watcher, self.stand, states[-1]):
             return None
@@ -275,7 +275,7 @@ class _Trial:
 
     def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:
         """Returns the deviation of the height in a rollout's last second; infinite if it fell."""
-        if monitor.diverged(states, self.timestep):
+        if monitor.has_diverged(states, self.timestep):
             return math.inf
         if _lies(self.robot, watcher, self.stand, states[-1]):
             return math.inf
@@ -316,5 +316,5 @@ def _damping_ratio(stability: Stability | None) -> float:
 
 def _lies(robot: Robot, watcher: monitor.Watcher, stand: Stand, state: Array) -> bool:
     """Tells whether a robot has fallen over, or rests on something else than its feet."""
-    leaning = monitor.lean(robot, stand.task.rotation(), state)
+    leaning = monitor.base_lean(robot, stand.task.rotation(), state)
     return leaning > FALLEN_TILT or bool(watcher.touching(state))

@@ -99,13 +99,13 @@ def turned_by(robot: Robot, rotation: Array, state: Array) -> float:
     return float(np.linalg.norm(pin.log3(rotation.T @ rotation_from_quaternion(quaternion))))
 
 
-def lean(robot: Robot, rotation: Array, state: Array) -> float:
+def base_lean(robot: Robot, rotation: Array, state: Array) -> float:
     """Returns how far the base of a state leans off a rotation's vertical (rad); yaw is no lean."""
     quaternion = state[1 + robot.mj_convention.qpos_index[3:7]]
     return lean_between(rotation, rotation_from_quaternion(quaternion))
 
 
-def diverged(states: Array, timestep: float) -> bool:
+def has_diverged(states: Array, timestep: float) -> bool:
     """Tells whether a rollout broke down: MuJoCo resets the state, and so the time, if it does."""
     times = states[..., 0]
     with np.errstate(invalid="ignore", over="ignore"):  # a sum of infinities is no number
@@ -114,7 +114,7 @@ def diverged(states: Array, timestep: float) -> bool:
     return not bool(finite and (times[..., 1:] - times[..., :-1] > timestep / 2).all())
 
 
-def divergence(integrator: str, timestep: float) -> Diagnostic:
+def tell_divergence(integrator: str, timestep: float) -> Diagnostic:
     """Says that a rollout broke down."""
     step = Quantity(timestep, "s")
     return diagnose("simulation-diverged", integrator=integrator, timestep=step)
@@ -124,14 +124,14 @@ def has_fallen(leaning: float, height: float, upright: float) -> bool:
     """Tells whether a robot has fallen over, by its lean (rad) and its base's height (m).
 
     Args:
-        leaning: How far it leans; see ``lean``.
+        leaning: How far it leans; see ``base_lean``.
         height: Its base's.
         upright: What that should be.
     """
     return leaning > FALLEN_TILT or height < FALLEN_HEIGHT * upright
 
 
-def fall(leaning: float, height: float) -> Diagnostic:
+def tell_fall(leaning: float, height: float) -> Diagnostic:
     """Says that a robot has fallen over."""
     tilt, left = Quantity(leaning, "rad"), Quantity(height, "m")
     return diagnose("fell-over", tilt=tilt, height=left, time=None)

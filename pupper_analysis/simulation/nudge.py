@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.results import Result
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import run
+from pupper_analysis.simulation.rollout import simulate
 
 Array = NDArray[np.float64]
 
@@ -82,11 +82,11 @@ def nudged_states(model: mujoco.MjModel, state: Array, ctrl: Array, duration: fl
     nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
     start[first : first + model.nv] += NUDGE * nudge / np.abs(nudge).max(initial=0.5)
     steps = max(3, round(duration / model.opt.timestep))
-    return run(model, start, np.tile(ctrl, (steps, 1)))
+    return simulate(model, start, np.tile(ctrl, (steps, 1)))
 
 
 @np.errstate(invalid="ignore", over="ignore")  # of what has diverged: it has not decayed
-def response(
+def measure_response(
     model: mujoco.MjModel, before: Array, states: Array, creep: Array | None = None
 ) -> Nudge:
     """Measures what became of a nudge.
@@ -104,7 +104,7 @@ def response(
     third, timestep = len(states) // 3, float(model.opt.timestep)
     windows = states[third : 2 * third], states[-third:]
     motion, left = (_swinging(rows[:, 1 + model.nq : 1 + model.nq + model.nv]) for rows in windows)
-    whole = not monitor.diverged(states, timestep)
+    whole = not monitor.has_diverged(states, timestep)
     joints = scalar_joints(model)
     hinges = model.jnt_qposadr[joints]
     ways = np.abs(states[:, 1 + hinges] - before[1 + hinges])

@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.stance.path.sinking import AT_REST, sunk_motion
@@ -71,7 +71,7 @@ class PathCommands:
 def path_commands(
     robot: Robot,
     path: StancePath,
-    drive_of: Callable[[Robot], Servos] = servos,
+    drive_of: Callable[[Robot], Servos] = model_with_servos,
     timestep: float | None = None,
 ) -> PathCommands:
     """Returns what the servos are told, step by step.

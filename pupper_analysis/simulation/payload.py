@@ -16,7 +16,7 @@ from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
@@ -242,7 +242,7 @@ def _laid(
     loaded = with_payload(robot, mass, point.tolist())
     start = _start(robot, stand, mass, point, command, kp)
     loaded = on_ground(loaded, start.stand.task.ground, start.stand.foot_targets)
-    drive = servos(loaded, kp, kd)
+    drive = model_with_servos(loaded, kp, kd)
     return _Laid(loaded, start.stand, drive, start.start, drive.command(loaded, start.target))
 
 
@@ -300,7 +300,7 @@ def _first_event(
     A motor may saturate for a moment, in the swing of a nudge, if the robot then stands.
     """
     timestep = float(model.opt.timestep)
-    if monitor.diverged(states, timestep):
+    if monitor.has_diverged(states, timestep):
         return 0.0, Failure.BUCKLING, ()
     watcher = monitor.Watcher(robot, model)
     data = watcher.data

@@ -21,9 +21,9 @@ from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.rollout import (
     FORCED,
     Standing,
+    begin_stand,
     forced_commands,
     roll_out,
-    standing,
 )
 from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -174,15 +174,15 @@ class Bench:
     def failure(self, states: Array) -> Diagnostic | None:
         """Returns why a run is no recovery, or None if it is one."""
         broken = self._broken(states)
-        if broken is not None and monitor.diverged(states, self.timestep):
+        if broken is not None and monitor.has_diverged(states, self.timestep):
             return broken
         failures = [] if broken is None else [broken]
         return _together(failures + self._unsettled(states))
 
     def _broken(self, states: Array) -> Diagnostic | None:
         """Says so if some states cannot be part of a recovery, whatever comes next."""
-        if monitor.diverged(states, self.timestep):
-            return monitor.divergence(self.drive.integrator, self.timestep)
+        if monitor.has_diverged(states, self.timestep):
+            return monitor.tell_divergence(self.drive.integrator, self.timestep)
         for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
             if touching := sorted(self.watcher.touching(state)):
                 moment = Quantity(self.watcher.data.time, "s")
@@ -193,10 +193,10 @@ class Bench:
         """Says how it does not stand at the end of some states, of half a second or more."""
         failures = []
         upright = float(self.stand.qpos[2])
-        leaning = monitor.lean(self.robot, self.stand.task.rotation(), states[-1])
+        leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), states[-1])
         height = float(monitor.base_heights(self.robot, states[-1]))
         if monitor.has_fallen(leaning, height, upright):
-            failures.append(monitor.fall(leaning, height))
+            failures.append(monitor.tell_fall(leaning, height))
         speed = self._last_speed(states)
         if speed > REST_SPEED and speed > REST_SPEED + self.creep:
             failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
@@ -220,7 +220,7 @@ class Bench:
             return False
         end = states[-1]
         height = float(monitor.base_heights(self.robot, end))
-        leaning = monitor.lean(self.robot, self.stand.task.rotation(), end)
+        leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), end)
         if monitor.has_fallen(leaning, height, float(self.stand.qpos[2])):
             return False
         return judged_at(self.drive, end, self.ctrl, 0.0).lasts()
@@ -287,7 +287,7 @@ def bench_of(
     alone = verification or verify_stand(
         robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator
     )
-    held = standing(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
+    held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
     in_world = angles + math.atan2(forward[1], forward[0])
     return Bench(
         held=held,

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
@@ -59,7 +59,7 @@ class Standing:
     ctrl: Array
 
 
-def standing(
+def begin_stand(
     robot: Robot,
     stand: Stand,
     *,
@@ -85,7 +85,7 @@ def standing(
     """
     prediction = stand_statics(robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive, torques = servos(robot, kp, kd, integrator), prediction.joint_torques
+    drive, torques = model_with_servos(robot, kp, kd, integrator), prediction.joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques if feedforward else None)
     return Standing(robot, stand, prediction, drive, start, ctrl)
@@ -210,14 +210,14 @@ def roll_out(
     Returns:
         (runs, steps, size) the states after each step.
     """
-    with quiet():
+    with silence_mujoco():
         states, _ = mujoco.rollout.rollout(
             model, workers, starts, control, control_spec=control_spec
         )
     return np.asarray(states)
 
 
-def run(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
+def simulate(model: mujoco.MjModel, start: Array, ctrl: Array) -> Array:
     """Simulates a model from a state on.
 
     Args:

@@ -11,13 +11,13 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.robot.fall import has_collapsed, travelled
+from pupper_analysis.robot.fall import has_collapsed, horizontal_distance
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.causes import unstable
-from pupper_analysis.simulation.nudge import nudged_states, response
-from pupper_analysis.simulation.rollout import STATE, Standing, run, standing
+from pupper_analysis.simulation.causes import find_instability
+from pupper_analysis.simulation.nudge import measure_response, nudged_states
+from pupper_analysis.simulation.rollout import STATE, Standing, begin_stand, simulate
 from pupper_analysis.simulation.stability import judged_at
 from pupper_analysis.simulation.verify import NUDGED, RESTING, SETTLED_DRIFT
 from pupper_analysis.simulation.watch import LAST
@@ -102,7 +102,7 @@ def comes_to_rest(
         ModelError: If the model has no servos and no gains are given.
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
-    held = standing(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
+    held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
     last = _settled(held)
     if last is None:
         return False
@@ -113,10 +113,10 @@ def comes_to_rest(
     if not judged.lasts():
         return False
     later = nudged_states(model, state, held.ctrl, _time_to_forget(judged))
-    if monitor.diverged(later, float(model.opt.timestep)):
+    if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
-    nudge = response(model, state, later, last.states)
-    return not unstable(judged, nudge) and not _falls(held, later[-1])
+    nudge = measure_response(model, state, later, last.states)
+    return not find_instability(judged, nudge) and not _falls(held, later[-1])
 
 
 def _time_to_forget(stability: Stability) -> float:
@@ -134,9 +134,9 @@ def _settled(held: Standing) -> _Second | None:
     ctrl = np.tile(held.ctrl, (steps, 1))
     data = mujoco.MjData(model)
     for _ in range(seconds):
-        states = run(model, state, ctrl)
+        states = simulate(model, state, ctrl)
         state = states[-1]
-        if monitor.diverged(states, float(model.opt.timestep)):
+        if monitor.has_diverged(states, float(model.opt.timestep)):
             return None
         seen = _looked_at(held, data, states)
         if seen.slip > _LOST * STAYED or _collapses(held, state):
@@ -174,7 +174,7 @@ def _falls(held: Standing, state: Array) -> bool:
 
 def _collapses(held: Standing, state: Array) -> bool:
     robot, stand = held.robot, held.stand
-    leaning = monitor.lean(robot, stand.task.rotation(), state)
+    leaning = monitor.base_lean(robot, stand.task.rotation(), state)
     place = state[1 + robot.mj_convention.qpos_index[:3]]
-    away = travelled(stand.qpos[:3], place)
+    away = horizontal_distance(stand.qpos[:3], place)
     return has_collapsed(leaning, float(stand.qpos[2]), float(place[2]), away)

@@ -8,15 +8,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, servos
+from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.stability import SETTLE, Stability, step_stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import (
     STATE,
+    begin_stand,
     check_standing,
     full_state,
     settled_activations,
-    standing,
 )
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import Stand
@@ -65,7 +65,7 @@ def stand_stability(
     if not feedforward:
         pose = steady_state(robot, stand, kp=kp)
         return rest_stability(robot, stand, pose, kp=kp, kd=kd, integrator=integrator)
-    held = standing(robot, stand, kp=kp, kd=kd, integrator=integrator)
+    held = begin_stand(robot, stand, kp=kp, kd=kd, integrator=integrator)
     return judged_at(held.drive, held.start, held.ctrl)
 
 
@@ -92,7 +92,7 @@ def rest_stability(
         The modes that grow there, and the margin.
     """
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = servos(robot, kp, kd, integrator)
+    drive = model_with_servos(robot, kp, kd, integrator)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     return judged_at(drive, rest_state(robot, drive, pose, ctrl), ctrl, MEETING)
 

@@ -16,10 +16,10 @@ from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.path_commands import PathCommands, path_commands
-from pupper_analysis.simulation.rollout import run
+from pupper_analysis.simulation.rollout import simulate
 from pupper_analysis.stance.path.stance_path import StancePath
 
 Array = NDArray[np.float64]
@@ -121,9 +121,11 @@ def track_path(
         ModelError: If the model has no servos and no gains are given.
     """
     robot.check_tree("how a path is tracked")
-    plan = path_commands(robot, path, lambda there: servos(there, kp, kd, integrator), timestep)
+    plan = path_commands(
+        robot, path, lambda there: model_with_servos(there, kp, kd, integrator), timestep
+    )
     robot, model, joints = plan.robot, plan.drive.model, slice(robot.nq - robot.nu, None)
-    states = run(model, plan.start, plan.ctrl)
+    states = simulate(model, plan.start, plan.ctrl)
     simulated = states[:, 1 + robot.mj_convention.qpos_index]
     deviation = simulated[:, joints] - plan.qpos[:, joints]
     joint_error = float(np.abs(deviation).max())
@@ -133,8 +135,8 @@ def track_path(
     step = max(1, round(apart / timestep))
     looks = np.arange(step - 1, len(states), step)
     tilt, torque_error, slip = math.inf, math.inf, dict.fromkeys(path.feet, math.inf)
-    if monitor.diverged(states, timestep):
-        failures = [monitor.divergence(plan.drive.integrator, timestep)]
+    if monitor.has_diverged(states, timestep):
+        failures = [monitor.tell_divergence(plan.drive.integrator, timestep)]
     else:
         failures, tilt, slip = _watch(plan, states, looks)
         saturated, torque_error = _torques(plan, states)
@@ -220,7 +222,7 @@ def _watch(
         base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
-        if monitor.has_fallen(monitor.lean(robot, rotation, states[index]), base[2], goal[2]):
+        if monitor.has_fallen(monitor.base_lean(robot, rotation, states[index]), base[2], goal[2]):
             seen.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
         idle = sight.idle(robot.soles)

@@ -1,6 +1,6 @@
 """The verdict of a stance: what a simulation makes of it, and what that rests on.
 
-One function makes it, ``judge``; whatever prints, draws or exits by a verdict has it from here.
+One function makes it, ``judge_stance``; whatever prints, draws or exits by it has it from here.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Verdict(Result):
     doubling_time: float
 
 
-def judge(
+def judge_stance(
     fed: StandVerification,
     alone: StandVerification | None,
     servos: ServosUsed,
@@ -116,8 +116,8 @@ def judge(
         code=code,
         passed=code in HOLDING,
         seconds=fed.duration,
-        with_feedforward=ending(fed),
-        commands_alone=None if alone is None else ending(alone),
+        with_feedforward=describe_ending(fed),
+        commands_alone=None if alone is None else describe_ending(alone),
         torque_error=fed.torque_error,
         force_error=fed.force_error,
         failures=fed.failures,
@@ -130,7 +130,7 @@ def judge(
     )
 
 
-def expect(
+def predict_verdict(
     statics: GravityCompensation, servos: ServosUsed, stability: Stability | None = None
 ) -> Verdict:
     """Weighs what is known of a stance that balances before it is simulated; it never passes.
@@ -169,7 +169,7 @@ def beyond_limits(statics: GravityCompensation) -> tuple[str, ...]:
     return tuple(name for name, share in used if share > 1)
 
 
-def ending(run: StandVerification) -> Ending:
+def describe_ending(run: StandVerification) -> Ending:
     """Tells how a simulation of a stand ended."""
     if run.passed:
         return Ending.HOLDS

@@ -11,20 +11,20 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
-from pupper_analysis.robot.fall import has_collapsed, travelled
+from pupper_analysis.robot.fall import has_collapsed, horizontal_distance
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.balance import balance_by_mujoco
-from pupper_analysis.simulation.causes import creeping, rattling, too_stiff, unstable
+from pupper_analysis.simulation.causes import find_chatter, find_creep, find_instability, too_stiff
 from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
-from pupper_analysis.simulation.nudge import Nudge, nudged_states, response
-from pupper_analysis.simulation.rollout import check_stand, run, standing
+from pupper_analysis.simulation.nudge import Nudge, measure_response, nudged_states
+from pupper_analysis.simulation.rollout import begin_stand, check_stand, simulate
 from pupper_analysis.simulation.stability import judged_at
-from pupper_analysis.simulation.watch import LAST, Watch, watched
+from pupper_analysis.simulation.watch import LAST, Watch, watch_contacts
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.statics.support_polygon import interpolate_drop
@@ -178,27 +178,27 @@ def verify_stand(
     """
     check_stand(robot, stand, duration)
     after = _time_after(duration, nudged)
-    held = standing(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
+    held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd, integrator=integrator)
     robot, drive, prediction = held.robot, held.drive, held.prediction
     start, ctrl = held.start, held.ctrl
     timestep = float(drive.model.opt.timestep)
-    quiet = run(
+    quiet = simulate(
         drive.model, start, np.tile(ctrl, (max(2, round((duration - after) / timestep)), 1))
     )
-    diverged = monitor.diverged(quiet, timestep)
+    diverged = monitor.has_diverged(quiet, timestep)
     later = nudged_states(drive.model, quiet[-1], ctrl, after) if after and not diverged else None
     states = quiet if later is None else np.concatenate([quiet, later])
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
-    watch = watched(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
+    watch = watch_contacts(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
     judged = judged_at(drive, quiet[-1], ctrl, 0.0)
     if diverged or judged.speed > RESTING:  # what threw it off grew where it began
         judged = judged_at(drive, start, ctrl)
     nudge = (
         None
         if later is None
-        else response(drive.model, quiet[-1], later, quiet[-round(LAST / timestep) :])
+        else measure_response(drive.model, quiet[-1], later, quiet[-round(LAST / timestep) :])
     )
     seen = _Seen(states, len(quiet), watch, judged, nudge)
     found = replace(
@@ -206,12 +206,12 @@ def verify_stand(
     )
     failures = _failures(robot, stand, states, watch, found)
     if failures:
-        failures += [*too_stiff(robot, stand, drive), *creeping(robot, stand, prediction)]
-    failures += unstable(found.stability, found.nudge)
+        failures += [*too_stiff(robot, stand, drive), *find_creep(robot, stand, prediction)]
+    failures += find_instability(found.stability, found.nudge)
     stays = not failures
     if feedforward:
         failures += _deviations(robot, stand, watch, found, prediction, alone=stays)
-    failures += rattling(robot, drive, states, ctrl) if failures else []
+    failures += find_chatter(robot, drive, states, ctrl) if failures else []
     return replace(found, passed=not failures, failures=tuple(failures), stays=stays)
 
 
@@ -319,24 +319,24 @@ def _measured(
 
 def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bool:
     """Tells whether a robot no longer stands at the end, in any way."""
-    leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
+    leaning = monitor.base_lean(robot, stand.task.rotation(), states[-1])
     place = states[-1, 1 + robot.mj_convention.qpos_index[:3]]
-    away = travelled(stand.qpos[:3], place)
+    away = horizontal_distance(stand.qpos[:3], place)
     fallen = has_collapsed(leaning, float(stand.qpos[2]), float(place[2]), away)
-    return fallen or monitor.diverged(states, timestep)
+    return fallen or monitor.has_diverged(states, timestep)
 
 
 def _failures(
     robot: Robot, stand: Stand, states: Array, watch: Watch, found: StandVerification
 ) -> list[Diagnostic]:
     """Says why the robot does not stand still on its feet, if it does not."""
-    leaning = monitor.lean(robot, stand.task.rotation(), states[-1])
+    leaning = monitor.base_lean(robot, stand.task.rotation(), states[-1])
     failures = list(watch.failures)
-    if monitor.diverged(states, found.timestep):
-        failures.insert(0, monitor.divergence(found.integrator, found.timestep))
+    if monitor.has_diverged(states, found.timestep):
+        failures.insert(0, monitor.tell_divergence(found.integrator, found.timestep))
     height = float(monitor.base_heights(robot, states[-1]))
     if monitor.has_fallen(leaning, height, float(stand.qpos[2])):
-        failures.insert(0, monitor.fall(leaning, height))
+        failures.insert(0, monitor.tell_fall(leaning, height))
     if not found.height_deviation < STABLE_DEVIATION:
         deviation = Quantity(found.height_deviation, "m")
         failures.append(diagnose("height-deviates", deviation=deviation))

@@ -38,7 +38,7 @@ class Watch:
         }
 
 
-def watched(
+def watch_contacts(
     robot: Robot,
     model: mujoco.MjModel,
     stand: Stand,

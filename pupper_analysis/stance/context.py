@@ -10,7 +10,7 @@ import numpy as np
 import placo
 from numpy.typing import NDArray
 
-from pupper_analysis.robot.lent import lent
+from pupper_analysis.robot.lent import lend
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.wrappers import Wrapper
@@ -69,4 +69,4 @@ class Context:
 
 def context_of(robot: Robot) -> AbstractContextManager[Context]:
     """Lends a robot's context to one search, or to many one after the other."""
-    return lent(robot, Context)
+    return lend(robot, Context)

@@ -14,7 +14,7 @@ from pupper_analysis.study.store import require_library
 
 
 @contextmanager
-def cluster(scheduler: str | None, workers: int | None) -> Iterator[tuple[Executor, str]]:
+def open_cluster(scheduler: str | None, workers: int | None) -> Iterator[tuple[Executor, str]]:
     """Yields the executor of a Dask cluster, and the address of its dashboard.
 
     Args:

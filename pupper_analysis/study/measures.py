@@ -17,7 +17,7 @@ from pupper_analysis.diagnostics import diagnose, phrase
 from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import Stability
-from pupper_analysis.simulation.causes import growing
+from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.push import push_recovery
 from pupper_analysis.simulation.stability import rest_stability
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
@@ -155,7 +155,7 @@ def _stands(design: Design) -> bool:
     """Tells so, or says why not: it stays up, and neither shakes nor buckles within 12 s."""
     leaving = design.stability.leaving()
     if leaving:
-        raise NotStandingError((growing(leaving[0]),))
+        raise NotStandingError((describe_growth(leaving[0]),))
     return True
 
 

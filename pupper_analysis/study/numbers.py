@@ -16,9 +16,9 @@ from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.study.com import check_coms, move_coms
 from pupper_analysis.study.named import (
     AXES,
@@ -78,7 +78,7 @@ def scale_robot(robot: Robot, factors: Mapping[str, float]) -> Robot:
                 _scale(tree, tree.moved_by(joint) or base, kind, joint, factor, robot)
     if offsets:
         move_coms(robot, (urdf, mjcf), offsets)
-    built = rebuilt(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
+    built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
     _check(robot, built, wanted.get("mass", {}))
     if offsets and "mass" not in wanted:  # which move the whole's, too
         check_coms(robot, built, offsets)
@@ -155,7 +155,7 @@ def with_friction(robot: Robot, friction: float) -> Robot:
             sliding = np.array(geom.friction)
             sliding[0] = friction
             geom.friction = sliding
-    return rebuilt(robot, mjcf=spec)
+    return rebuild_robot(robot, mjcf=spec)
 
 
 def with_gains(
@@ -174,14 +174,14 @@ def with_gains(
         UnknownNameError: If a pattern matches nothing.
         ModelError: If a joint has no servo, and kp and kd are not both given.
     """
-    drive = servos(robot, kp, kd)
+    drive = model_with_servos(robot, kp, kd)
     gains = {"kp": drive.kp.copy(), "kd": drive.kd.copy()}
     for name, factor in factors.items():
         named = Named.of(name)
         if named is not None and named.kind in SERVOS:
             chosen = np.isin(robot.joint_names, joints_of(robot, named))
             gains[named.kind][chosen] *= factor
-    model = servos(robot, gains["kp"], gains["kd"]).model
+    model = model_with_servos(robot, gains["kp"], gains["kd"]).model
     spec = robot.description.mjcf.copy()
     for index, actuator in enumerate(spec.actuators):
         actuator.gaintype = mujoco.mjtGain(int(model.actuator_gaintype[index]))

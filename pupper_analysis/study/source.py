@@ -15,7 +15,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_state import state_of
 from pupper_analysis.prepare.load import load_robot
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.numbers import without_visuals
 
@@ -74,7 +74,7 @@ class FilePair:
         if not robot.floating or not robot.feet:
             raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
         paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
-        bare = rebuilt(robot, mjcf=without_visuals(robot.description).mjcf)
+        bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
         return FilePair({**options, **paths}, bare)
 
     @property

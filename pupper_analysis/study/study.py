@@ -156,10 +156,10 @@ class DesignStudy:
                 joints_of(self.base, named)
         servos = {name for name in self.variables if name.partition(":")[0] in SERVOS}
         if servos:
-            from pupper_analysis.robot.servos import gains
+            from pupper_analysis.robot.servos import servo_gains
 
             given = {name: 1.0 if name in self.variables else None for name in SERVOS}
-            gains(self.base, given["kp"], given["kd"])
+            servo_gains(self.base, given["kp"], given["kd"])
 
     @cached_property
     def base(self) -> Robot:

@@ -111,7 +111,7 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
     )
 
 
-def placement(joint: TreeJoint) -> pin.SE3:
+def place_joint(joint: TreeJoint) -> pin.SE3:
     """Returns where a joint is in the frame of the body that carries it."""
     return pin.SE3(joint.rotation, joint.position)
 
@@ -128,7 +128,7 @@ def _gauges(own: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
     while waiting:
         name = waiting.pop()
         before, after = own.joints[name], moved.joints[name]
-        gauge = placement(after).inverse() * gauges[before.parent] * placement(before)
+        gauge = place_joint(after).inverse() * gauges[before.parent] * place_joint(before)
         gauges[name] = pin.SE3.Identity() if gauge.isIdentity(1e-12) else gauge
         waiting += own.children(name)
     return gauges

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import inertia_entries, rotation_from_quaternion
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.digits import Digits
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_in_place import elements_within
 from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.xml_bytes import Element
@@ -129,7 +129,7 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
         tried = spec.copy()
         tried.body(name).geoms[index].mass = float(text)
         try:
-            with quiet():
+            with silence_mujoco():
                 model = copy.copy(tried.compile())
         except (ValueError, RuntimeError):
             continue

@@ -20,7 +20,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.orientation import orientation_change
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key, placement
+from pupper_analysis.sync.frames import Key, place_joint
 from pupper_analysis.sync.mjcf_anchor import move_anchors
 from pupper_analysis.sync.mjcf_effort import write_effort
 from pupper_analysis.sync.mjcf_inertials import write_inertial
@@ -147,8 +147,8 @@ class MjcfSide(Side):
             rotation_from_quaternion(self.model.body_quat[body]),
             np.array(self.model.body_pos[body]),
         )
-        joint = before * placement(self.wanted.joints[name]) * self.sides.mjcf_frames[name]
-        own = placement(self.sides.own.joints[name])
+        joint = before * place_joint(self.wanted.joints[name]) * self.sides.mjcf_frames[name]
+        own = place_joint(self.sides.own.joints[name])
         wanted = frame.inverse() * joint * own.inverse() * frame * now
         around = self.elements.frame_of(element).inverse()
         now, wanted = around * now, around * wanted

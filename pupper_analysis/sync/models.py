@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.git import refuse_uncommitted
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.results import Result
@@ -73,7 +73,7 @@ class Sync(Result):
 
 
 @check_arguments
-@quiet()
+@silence_mujoco()
 def sync_models(
     urdf: str | Path,
     mjcf: str | Path,

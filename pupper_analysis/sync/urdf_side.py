@@ -15,10 +15,10 @@ from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.multibody import TreeJoint
-from pupper_analysis.models.orientation import origin, origin_changes
+from pupper_analysis.models.orientation import origin_changes, read_origin
 from pupper_analysis.models.urdf_in_place import UrdfInPlace, parent_of, pose_of
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key, mass_of, placement
+from pupper_analysis.sync.frames import Key, mass_of, place_joint
 from pupper_analysis.sync.inertia import (
     Mass,
     is_same_mass,
@@ -98,7 +98,7 @@ class UrdfSide(Side):
         joint = self._joint(name)
         parent = parent_of(joint)
         frame = self.sides.urdf_frames[self._mover(parent)] * self._pose(parent)
-        self.file.set_pose(joint, frame.inverse() * placement(self.wanted.joints[name]))
+        self.file.set_pose(joint, frame.inverse() * place_joint(self.wanted.joints[name]))
 
     def _joint(self, name: str) -> Element:
         return self.file.joints[self.sides.matched.urdf_joint[name]]
@@ -195,7 +195,7 @@ def _stated(link: Element) -> Mass | None:
     values = inertial.child("inertia")
     own = np.array([float((values and values.get(name)) or 0) for name in INERTIA_ENTRIES])
     mass = Mass(float(weight.get("value") or 0), np.zeros(3), inertia_tensor(own))
-    return mass.moved(origin(inertial.child("origin")))
+    return mass.moved(read_origin(inertial.child("origin")))
 
 
 def inertial_changes(link: Element, wanted: Mass, digits: Digits) -> Changes:
@@ -210,7 +210,7 @@ def inertial_changes(link: Element, wanted: Mass, digits: Digits) -> Changes:
     text = digits.words((old or "").split(), np.array([wanted.mass]))
     if text is not None:
         changes["mass", "value"] = text
-    rotation = np.array(origin(parts["origin"]).rotation)
+    rotation = np.array(read_origin(parts["origin"]).rotation)
     entry = parts["inertia"]
     stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
     inside = rotation.T @ wanted.inertia @ rotation

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.links import fold_bodies, moments
+from pupper_analysis.checks.links import body_moments, fold_bodies
 from pupper_analysis.checks.patterns.links import by_pattern
 from pupper_analysis.models.multibody import TreeBody
 from tests.report.test_comparison import lines
@@ -206,7 +206,7 @@ def test_moments_add_up_as_in_mujoco() -> None:
     mujoco.mju_quat2Mat(turn, model.body_iquat[1])
     turn = turn.reshape(3, 3)
     assert both.inertia == pytest.approx(turn @ np.diag(model.body_inertia[1]) @ turn.T)
-    assert moments(both)[0] == 5.0
+    assert body_moments(both)[0] == 5.0
 
 
 def test_names_are_grouped_by_what_they_share() -> None:

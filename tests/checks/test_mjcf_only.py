@@ -18,7 +18,7 @@ from pupper_analysis.checks.compare import Comparison
 from pupper_analysis.checks.differences import Effect
 from pupper_analysis.checks.engines import EXTRAS, cross_check
 from pupper_analysis.checks.mjcf_only import find as extras_module
-from pupper_analysis.checks.mjcf_only.effect import as_it_is, without
+from pupper_analysis.checks.mjcf_only.effect import as_it_is, without_effects
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.states import random_states
@@ -388,12 +388,12 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 
 
 FINDERS = {
-    "springs": ("spring", "qfrc_spring"),
+    "find_springs": ("spring", "qfrc_spring"),
     "damping_polynomials": ("damping polynomial", "qfrc_damper"),
     "gravity_compensation": ("gravity compensation", "qfrc_gravcomp"),
-    "tendons": ("spatial spring", "qfrc_spring"),
-    "fluid": ("density", "qfrc_fluid"),
-    "actuators": ("motor damping polynomial", "qfrc_damper"),
+    "find_tendons": ("spatial spring", "qfrc_spring"),
+    "find_fluid": ("density", "qfrc_fluid"),
+    "find_actuators": ("motor damping polynomial", "qfrc_damper"),
 }
 
 
@@ -627,7 +627,7 @@ def test_taking_away_all_extras_leaves_a_bare_tree() -> None:
     names = [f"{part}{leg}" for leg in range(4) for part in ("hip", "knee")]
     reference = Reference(model, model, names, "base")
     for bare, zero in (
-        (without(model, mjcf_only_effects(reference)), True),
+        (without_effects(model, mjcf_only_effects(reference)), True),
         (as_it_is(model), False),
     ):
         data = mujoco.MjData(bare)

@@ -15,7 +15,7 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from tests.support.commands import Answer, answer
 from tests.support.legged import quadruped as legged
 from tests.support.repository import ROOT
@@ -44,7 +44,7 @@ def _shape(kind: str, geometry: str, xyz: str, rpy: str = "0 0 0") -> str:
 
 
 def compiled(path: Path) -> mujoco.MjModel:
-    with quiet():
+    with silence_mujoco():
         return mujoco.MjModel.from_xml_path(str(path))
 
 

@@ -35,7 +35,7 @@ from pupper_analysis.live.model import (
     expect_verdict,
     explain_refusal,
     predict_sag,
-    pushed,
+    push_stand,
     simulate_stance,
 )
 from pupper_analysis.live.render import render_brief, render_panel
@@ -193,7 +193,7 @@ def test_simulations_are_the_python_interfaces() -> None:
     assert report.passed
     assert report.base_height == pytest.approx(again.base_height, abs=1e-9)
     assert report.kp == pytest.approx(40.0)
-    trial = pushed(found, 0.5, 1.0, feedforward=True)
+    trial = push_stand(found, 0.5, 1.0, feedforward=True)
     same = pa.simulation.simulate_push(robot, held, 0.5, 1.0, duration=4.0, kp=40.0, kd=0.6)
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.matching.alignment import digits, digits_in_all, with_base
+from pupper_analysis.matching.alignment import count_digits, digits_in_all, with_base
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
 
@@ -52,5 +52,5 @@ def test_only_what_differs_takes_digits_to_tell() -> None:
     one = leg((0.01, 0.0, -0.2))
     assert digits_in_all(one, leg((0.01, 0.0, -0.2)), tolerances) == 0
     there = digits_in_all(one, leg((0.01, 0.03, -0.16)), tolerances)
-    np.testing.assert_allclose(there, digits(0.05, tolerances.position))
+    np.testing.assert_allclose(there, count_digits(0.05, tolerances.position))
     assert there > 3

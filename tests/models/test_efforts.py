@@ -10,9 +10,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left_out
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.efforts import effort_notes
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.payload.limit import motor_limit
 from tests.support.engines import changed
 from tests.support.variants import load, stand_of
@@ -37,7 +37,7 @@ def limited(way: str, limit: float, gear: float = 1.0) -> pa.Robot:
         if way == "actuatorfrcrange":
             joint = spec.joint(actuator.target)
             joint.actfrcrange, joint.actfrclimited = (-limit, limit), True
-    return rebuilt(load("v3"), mjcf=spec)
+    return rebuild_robot(load("v3"), mjcf=spec)
 
 
 def bare_height(robot: pa.Robot, seconds: float = 4.0) -> float:
@@ -89,7 +89,7 @@ def test_a_simulation_gives_no_more_than_the_least(way: str) -> None:
     """An arm's length from the command, what MuJoCo gives is the URDF's 3 N m, or 0.7 of 2 N m."""
     for limit, most in ((50.0, 3.0), (0.7, 0.7)):
         robot = limited(way, limit, gear=2.0)
-        drive = servos(robot, kp=100.0, kd=0.0)
+        drive = model_with_servos(robot, kp=100.0, kd=0.0)
         data = mujoco.MjData(drive.model)
         robot.mj_convention.set_state(data, stand_of("v3").qpos)
         data.ctrl[:] = drive.command(robot, stand_of("v3").qpos[7:] + np.tile([1.0, -1.0], 6))
@@ -157,10 +157,10 @@ def test_motors_that_differ_by_direction() -> None:
     spec = limited("forcerange", 0.9).description.mjcf.copy()
     for actuator in spec.actuators:
         actuator.forcerange = (-0.9, 0.5)
-    robot, stand = rebuilt(load("v3"), mjcf=spec), stand_of("v3")
+    robot, stand = rebuild_robot(load("v3"), mjcf=spec), stand_of("v3")
     np.testing.assert_allclose(robot.effort_limits, 0.5)
     np.testing.assert_allclose(robot.effort_ranges, [(-0.9, 0.5)] * 12)
-    drive = servos(robot, kp=100.0, kd=0.0)
+    drive = model_with_servos(robot, kp=100.0, kd=0.0)
     data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, stand.qpos)
     data.ctrl[:] = drive.command(robot, stand.qpos[7:] + np.tile([1.0, -1.0], 6))
@@ -177,7 +177,7 @@ def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:
     robot = limited("ctrlrange", 0.8)
     stated = {limit.joint: limit for limit in robot.efforts}
     spec = with_servos(robot.description.mjcf, robot, np.full(12, 20.0), np.full(12, 0.4))
-    made = rebuilt(robot, mjcf=spec, efforts=stated)
+    made = rebuild_robot(robot, mjcf=spec, efforts=stated)
     np.testing.assert_allclose(made.effort_limits, 0.8, rtol=1e-15)
     assert [limit.origin for limit in made.efforts] == [limit.origin for limit in robot.efforts]
     assert made.efforts[0].origin is not None
@@ -185,7 +185,7 @@ def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:
     half = spec.copy()
     for actuator in half.actuators:
         actuator.forcerange = np.array(actuator.forcerange) / 2
-    scaled = rebuilt(made, mjcf=half)
+    scaled = rebuild_robot(made, mjcf=half)
     np.testing.assert_allclose(scaled.effort_limits, 0.4, rtol=1e-15)
 
 

@@ -10,7 +10,7 @@ import pytest
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.xml_text import element
+from pupper_analysis.models.xml_text import add_element
 
 ARRAYS = (
     *("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited", "actuator_forcerange"),
@@ -23,14 +23,14 @@ ARRAYS = (
 def robot() -> MjcfXml:
     """Three hinges in a row on a free base, each body with a sphere."""
     mjcf = MjcfXml.of_urdf("chain")
-    body = element(mjcf.section("worldbody"), "body", name="base", pos="0 0 0.4")
-    element(body, "freejoint", name="root")
+    body = add_element(mjcf.section("worldbody"), "body", name="base", pos="0 0 0.4")
+    add_element(body, "freejoint", name="root")
     for name in ("base", "one", "two", "three"):
         if name != "base":
-            body = element(body, "body", name=name, pos="0 0 -0.1")
-            element(body, "joint", name=f"{name}_joint", axis="0 1 0")
-        element(body, "inertial", pos="0 0 0.01", mass="0.2", diaginertia="1e-3 2e-3 2e-3")
-        element(body, "geom", name=f"{name}_geom", class_="collision", size="0.02")
+            body = add_element(body, "body", name=name, pos="0 0 -0.1")
+            add_element(body, "joint", name=f"{name}_joint", axis="0 1 0")
+        add_element(body, "inertial", pos="0 0 0.01", mass="0.2", diaginertia="1e-3 2e-3 2e-3")
+        add_element(body, "geom", name=f"{name}_geom", class_="collision", size="0.02")
     return mjcf
 
 

@@ -22,10 +22,10 @@ from pupper_analysis.pupper.live import LiveVariants
 from pupper_analysis.report.documents import sources
 from pupper_analysis.report.documents.estimate import duration_text
 from pupper_analysis.report.html import plots
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.floor import floor_of, level_ground
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import tracking
 from pupper_analysis.simulation.payload import _start
@@ -154,7 +154,7 @@ def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
     ground.contype, ground.conaffinity = floor
     stand = stand_of("original")
     step = pa.Ground(heights={robot.feet[0]: 0.01})
-    there = on_ground(rebuilt(robot, mjcf=spec), step, stand.foot_targets)
+    there = on_ground(rebuild_robot(robot, mjcf=spec), step, stand.foot_targets)
     sunk = stand.qpos.copy()
     sunk[2] -= 2e-3
     data = mujoco_at(there, sunk)
@@ -263,7 +263,7 @@ def test_a_motor_saturates_at_either_end_of_its_range(sign: float) -> None:
         model.actuator_forcerange[motor] = (-1.0, 2.0)
 
     robot = changed(load("v3"), weaker)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     model = drive.model
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, stand.qpos, np.zeros(robot.nv))
@@ -315,7 +315,7 @@ def test_a_load_beyond_the_motors_begins_with_its_own_command() -> None:
     found = _start(weak, stand, mass, np.zeros(3), PayloadCommand.LOADED, None)
     assert found.pose is None
     assert found.failure is Failure.MOTOR
-    asked = servos(found.robot).kp * (found.target - found.start[7:])
+    asked = model_with_servos(found.robot).kp * (found.target - found.start[7:])
     np.testing.assert_allclose(asked, held, atol=0.05 * np.abs(held).max())
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.xml import parse_text, to_text
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.stance.sag import steady_state
 from tests.support.random_legged import drawn, written
 from tests.support.variants import load
@@ -38,7 +38,7 @@ def scaled(robot: pa.Robot, factor: float) -> pa.Robot:
         for element in root.iter(tag):
             for word in words or tuple(str(key) for key in element.keys()):  # noqa: SIM118
                 element.set(word, repr(float(str(element.get(word))) * factor))
-    return rebuilt(robot, urdf=to_text(root), mjcf=spec)
+    return rebuild_robot(robot, urdf=to_text(root), mjcf=spec)
 
 
 def resized(robot: pa.Robot, size: float) -> pa.Robot:
@@ -102,7 +102,7 @@ def resized(robot: pa.Robot, size: float) -> pa.Robot:
     for mesh in root.iter("mesh"):
         scale = [float(value) for value in str(mesh.get("scale", "1 1 1")).split()]
         mesh.set("scale", " ".join(repr(value * size) for value in scale))
-    built = rebuilt(robot, urdf=to_text(root), mjcf=spec)
+    built = rebuild_robot(robot, urdf=to_text(root), mjcf=spec)
     return replace(built, stand_height=size * robot.stand_height)
 
 

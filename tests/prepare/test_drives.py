@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from tests.support.legged import quadruped
 
 
@@ -19,7 +19,7 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     assert set(made) == set(robot.joint_names)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     np.testing.assert_allclose(drive.kp, [made[name].kp for name in robot.joint_names])
     np.testing.assert_allclose(drive.kd, [made[name].kd for name in robot.joint_names])
     np.testing.assert_allclose(robot.effort_limits, 30.0)

@@ -278,7 +278,7 @@ def test_what_is_not_explained_is_the_verdict(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a difference to name, the verdict still is not AGREE, in every format."""
-    monkeypatch.setattr(extras, "springs", lambda _: iter(()))
+    monkeypatch.setattr(extras, "find_springs", lambda _: iter(()))
     text = mjcf_text(quadruped())
     text = text.replace('<joint name="hip0"', '<joint name="hip0" stiffness="20"')
     comparison = compared(write(tmp_path, urdf_text(quadruped()), text))

@@ -45,7 +45,7 @@ from pupper_analysis.report.plots import Axis, LinePlot, Series
 from pupper_analysis.report.scene import coarsen_mesh, describe_scene, shapes_of
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.push import PushRecovery
-from pupper_analysis.simulation.verdict import judge
+from pupper_analysis.simulation.verdict import judge_stance
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
@@ -313,7 +313,7 @@ def test_a_stance_is_told() -> None:
 
 def test_pushes_are_told_and_compared() -> None:
 
-    verdict = judge(analysis().verification, None, servos_used(load("v3")))
+    verdict = judge_stance(analysis().verification, None, servos_used(load("v3")))
     one = PushedStance("v3", stand_of("v3"), pushed(), verdict)
     other = replace(one, name="b", recovery=replace(pushed(), impulses=pushed().impulses + 1))
     page = Page(written({"v3": one, "b": other}))

@@ -22,7 +22,7 @@ from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.plots import LinePlot
 from pupper_analysis.report.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.simulation.verdict import judge
+from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.stance.optimize.best import Objective
 from pupper_analysis.stance.path.leg_time import BindingLimit
 from pupper_analysis.stance.path.path_limits import PathLimit
@@ -99,7 +99,7 @@ def test_a_stance_that_fails() -> None:
         sunk=None,
         settled=None,
         unsettled=problem("why"),
-        verdict=judge(run(0.0, passed=False), None, SERVOS),
+        verdict=judge_stance(run(0.0, passed=False), None, SERVOS),
         minimum_stiffness=None,
         loops_open=None,
     )
@@ -158,7 +158,7 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
     said = "on servos that were added at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
     assert said in " ".join(printed(payload_document(one)))
     push = pushed("one", 0.0, 0.00311)
-    push.verdict = judge(run(0.0, passed=True), None, own)
+    push.verdict = judge_stance(run(0.0, passed=True), None, own)
     assert said in " ".join(printed(push_document(push)))
     assert said in " ".join(printed(path_document(there(servos=own))))
 
@@ -166,7 +166,7 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
 def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     """It stands, and not as predicted: limits are told, and so is that `stand` fails."""
     one = pushed("one", 0.0, 0.00311)
-    one.verdict, one.passed = judge(run(0.0, passed=False), None, SERVOS), False
+    one.verdict, one.passed = judge_stance(run(0.0, passed=False), None, SERVOS), False
     text = " ".join(printed(push_document(one)))
     assert text.startswith("FAILS one: FAILS in MuJoCo: ")
     assert "weakest at 240°: 0.43 N s" in text

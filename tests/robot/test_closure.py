@@ -12,8 +12,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
-from pupper_analysis.simulation.rollout import place_on_ground, run
+from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.simulation.rollout import place_on_ground, simulate
 from tests.support.bound import LEGS, belts, four_bars
 from tests.support.commands import run_command
 from tests.support.legged import Pair, quadruped
@@ -216,11 +216,11 @@ def test_a_give_is_what_mujoco_opens_by(tmp_path: Path) -> None:
     """A constraint's force and opening at rest, from a simulation that knows no prediction."""
     robot = load(belts(tmp_path, words=""))
     stand = pa.solve_stand(robot)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     torques = pa.stance.stand_statics(robot, stand).joint_torques
     start = place_on_ground(robot, drive, stand, torques)
     ctrl = drive.command(robot, stand.joint_positions(robot), torques)
-    end = run(drive.model, start, np.tile(ctrl, (2000, 1)))[-1]
+    end = simulate(drive.model, start, np.tile(ctrl, (2000, 1)))[-1]
     model, data = drive.model, mujoco.MjData(drive.model)
     mujoco.mj_setState(model, data, end, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     data.ctrl[:] = ctrl

@@ -40,7 +40,7 @@ def test_law_is_mujocos(name: str, change: object) -> None:
     robot = replace(
         robot,
         contacts={
-            f: contact.combine(robot.mj_model, s, ground) for s, f in robot.foot_geoms.items()
+            f: contact.combine_geoms(robot.mj_model, s, ground) for s, f in robot.foot_geoms.items()
         },
     )
     for drop in (1e-4, 2e-3, 5e-3, 9e-3):

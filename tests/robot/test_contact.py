@@ -57,8 +57,8 @@ def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object
     model = ball_on_plane(ball, plane)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    ours = contact.combine(model, model.geom("ball").id, model.geom("plane").id)
-    swapped = contact.combine(model, model.geom("plane").id, model.geom("ball").id)
+    ours = contact.combine_geoms(model, model.geom("ball").id, model.geom("plane").id)
+    swapped = contact.combine_geoms(model, model.geom("plane").id, model.geom("ball").id)
     assert ours.condim == data.contact.dim[0]
     np.testing.assert_allclose(ours.friction, data.contact.friction[0], rtol=1e-12)
     np.testing.assert_allclose(ours.solref, data.contact.solref[0], rtol=1e-12)
@@ -69,9 +69,9 @@ def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object
 def test_a_frictionless_contact_has_no_friction() -> None:
     values = {"condim": 1, "friction": (0.7, 0.1, 0.1)}
     model = ball_on_plane(values, values)
-    assert contact.combine(model, 0, 1).sliding_friction == 0.0
+    assert contact.combine_geoms(model, 0, 1).sliding_friction == 0.0
     values["condim"] = 3
-    assert contact.combine(ball_on_plane(values, values), 0, 1).sliding_friction == 0.7
+    assert contact.combine_geoms(ball_on_plane(values, values), 0, 1).sliding_friction == 0.7
 
 
 @pytest.mark.parametrize(("name", "friction", "condim"), [("v3", 1.0, 6), ("original", 1.2, 3)])

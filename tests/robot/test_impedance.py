@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.impedance import (
     Softness,
     clip_solimp,
@@ -97,7 +97,7 @@ def test_impedance_is_mujocos(seed: int) -> None:
         assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-4, abs=1e-6)
 
 
-@quiet()
+@silence_mujoco()
 def rests_at(solref: str) -> float:
     """How high MuJoCo's ball lies on its floor (m)."""
     geom = f'<geom size="0.1" mass="1" solref="{solref}"/>'

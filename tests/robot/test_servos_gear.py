@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from tests.support.engines import changed, mujoco_at
 from tests.support.variants import load, stand_of
@@ -34,7 +34,7 @@ def geared(name: str, *, force: float | None = None) -> pa.Robot:
 def test_the_law_at_the_joint_is_mujocos(gains: dict[str, float]) -> None:
     """tau = kp (q* - q) + feed-forward - kd dq/dt, with the gains that are said."""
     robot, name = geared("v3"), "v3"
-    drive = servos(robot, **gains)
+    drive = model_with_servos(robot, **gains)
     actuators = robot.mj_convention.actuator_index
     own = (load(name).mj_model.actuator_gainprm[actuators, 0] * GEARS**2, 0.1 * GEARS**2)
     for found, given, file in ((drive.kp, "kp", own[0]), (drive.kd, "kd", own[1])):
@@ -75,7 +75,7 @@ def test_a_force_range_counts_times_the_gear() -> None:
 def test_a_servo_saturates_at_its_force_range_times_the_gear() -> None:
     """What MuJoCo clips and what the prediction clips, far from the commanded pose."""
     robot = geared("v3", force=0.9)
-    drive, stand = servos(robot, kp=50.0, kd=0.0), stand_of("v3")
+    drive, stand = model_with_servos(robot, kp=50.0, kd=0.0), stand_of("v3")
     data = mujoco_at(robot, stand.qpos, model=drive.model)
     drive.model.actuator_ctrllimited[:] = 0
     for sign in (1, -1):

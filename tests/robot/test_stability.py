@@ -11,9 +11,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.stability import Mode
 from pupper_analysis.robot.transition import step_derivative
-from pupper_analysis.simulation.causes import unstable
-from pupper_analysis.simulation.nudge import response
-from pupper_analysis.simulation.rollout import full_state, run
+from pupper_analysis.simulation.causes import find_instability
+from pupper_analysis.simulation.nudge import measure_response
+from pupper_analysis.simulation.rollout import full_state, simulate
 from tests.support.repository import benchmark
 from tests.support.variants import load, stand_of
 
@@ -132,11 +132,11 @@ def test_own_differences_are_mujocos() -> None:
 
 def test_what_still_sags_is_not_judged() -> None:
     """On servos of which it sags by centimetres, v3 is half way down after half a second."""
-    from pupper_analysis.simulation.rollout import standing
+    from pupper_analysis.simulation.rollout import begin_stand
     from pupper_analysis.simulation.stability import judged_at
 
     robot, stand = load("v3"), stand_of("v3")
-    held = standing(robot, stand, feedforward=False, kp=2.5, kd=0.4)
+    held = begin_stand(robot, stand, feedforward=False, kp=2.5, kd=0.4)
     found = judged_at(held.drive, held.start, held.ctrl)
     assert not found.at_rest
     rest = pa.simulation.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
@@ -264,7 +264,7 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     before = full_state(model, mujoco.MjData(model))
     start = before.copy()
     start[1 + model.nq] = speed
-    found = response(model, before, run(model, start, np.zeros((8000, 0))))
+    found = measure_response(model, before, simulate(model, start, np.zeros((8000, 0))))
     angle = math.acos(damping)
     way = speed / natural * math.exp(-damping * angle / math.sin(angle))
     assert found.farthest == pytest.approx(way, rel=1e-4)
@@ -274,9 +274,9 @@ def test_what_leaves_and_comes_back_has_left() -> None:
     assert found.moved < 1e-6
     assert not found.stays
     stability = pa.robot.step_stability(model, mujoco.MjData(model))
-    (said,) = unstable(stability, found)
+    (said,) = find_instability(stability, found)
     assert "swing is 0.03 rad from where it was, and comes back" in str(said)
-    assert not unstable(stability, replace(found, farthest=9e-3))
+    assert not find_instability(stability, replace(found, farthest=9e-3))
 
 
 def test_a_joint_at_its_limit_is_judged_on_either_side_of_it() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.rollout import full_state, run
+from pupper_analysis.simulation.rollout import full_state, simulate
 from tests.support.states import quaternion
 from tests.support.variants import load, stand_of
 
@@ -29,7 +29,7 @@ def state_at(
 
 def test_feet_in_the_air_on_the_ground_and_in_it() -> None:
     robot, stand = load(NAME), stand_of(NAME)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     watcher = monitor.Watcher(robot, drive.model)
     ctrl = drive.command(robot, stand.joint_positions(robot))
     above, in_ground = stand.qpos.copy(), stand.qpos.copy()
@@ -50,7 +50,7 @@ def test_feet_in_the_air_on_the_ground_and_in_it() -> None:
 
 def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
     robot = load(NAME)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     qpos = robot.neutral()
     qpos[2] = 0.02
     qpos[3:7] = quaternion(np.array([math.pi, 0.0, 0.0]))
@@ -58,8 +58,8 @@ def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
     watcher = monitor.Watcher(robot, drive.model)
     assert "base_link" in watcher.touching(state)
     assert watcher.look(state, np.zeros(robot.nu)).bodies == watcher.touching(state)
-    assert monitor.lean(robot, np.eye(3), state) == pytest.approx(math.pi)
-    assert "tilt 180 deg, height 0.020 m" in str(monitor.fall(math.pi, 0.02))
+    assert monitor.base_lean(robot, np.eye(3), state) == pytest.approx(math.pi)
+    assert "tilt 180 deg, height 0.020 m" in str(monitor.tell_fall(math.pi, 0.02))
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_yaw_is_no_lean_and_a_turn_is() -> None:
     for vector, lean in (((0, 0, 0.7), 0.0), ((0.3, 0, 0), 0.3), ((0, -0.2, 0), 0.2)):
         qpos[3:7] = quaternion(np.array(vector, dtype=float))
         state = state_at(robot, robot.mj_model, qpos)
-        assert monitor.lean(robot, np.eye(3), state) == pytest.approx(lean, abs=1e-7)
+        assert monitor.base_lean(robot, np.eye(3), state) == pytest.approx(lean, abs=1e-7)
         turn = float(np.linalg.norm(vector))
         assert monitor.turned_by(robot, np.eye(3), state) == pytest.approx(turn, abs=1e-9)
 
@@ -94,15 +94,15 @@ def test_the_speed_of_a_base_is_that_of_its_com_and_its_turn() -> None:
 
 def test_a_rollout_that_breaks_down_is_known() -> None:
     robot, stand = load(NAME), stand_of(NAME)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     timestep = float(drive.model.opt.timestep)
     ctrl = np.tile(drive.command(robot, stand.joint_positions(robot)), (50, 1))
-    states = run(drive.model, state_at(robot, drive.model, stand.qpos), ctrl)
-    assert not monitor.diverged(states, timestep)
+    states = simulate(drive.model, state_at(robot, drive.model, stand.qpos), ctrl)
+    assert not monitor.has_diverged(states, timestep)
     states[30:, 0] -= states[30, 0]  # MuJoCo resets the time
-    assert monitor.diverged(states, timestep)
+    assert monitor.has_diverged(states, timestep)
     states[30, 5] = np.nan
-    assert monitor.diverged(states, timestep)
+    assert monitor.has_diverged(states, timestep)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from matplotlib.image import imread
 import pupper_analysis as pa
 from pupper_analysis.report.figures.push import push_figure
 from pupper_analysis.report.figures.style import DPI
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import push
 from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
 from pupper_analysis.simulation.push_bench import bench_of
@@ -42,7 +42,7 @@ def changed(name: str, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:
 def plain_push(name: str, angle: float, impulse: float, duration: float) -> bool:
     """MuJoCo's own loop, and an opinion of our own whether the robot still stands on its feet."""
     robot, stand = load(name), stand_of(name)
-    drive, model = servos(robot), robot.description.mjcf.copy().compile()
+    drive, model = model_with_servos(robot), robot.description.mjcf.copy().compile()
     torques = pa.gravity_compensation(
         pa.Configuration(robot, stand.qpos),
         distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,

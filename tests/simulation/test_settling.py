@@ -39,14 +39,14 @@ def test_it_simulates_no_longer_than_it_takes(
 ) -> None:
     robot, stand = standing
     simulated = []
-    run = settling.run
+    run = settling.simulate
     step = float(robot.mj_model.opt.timestep)
 
     def counted(*given: object) -> object:
         simulated.append(len(given[2]) * step)  # type: ignore[arg-type]
         return run(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(settling, "run", counted)
+    monkeypatch.setattr(settling, "simulate", counted)
     assert comes_to_rest(robot, stand)
     assert sum(simulated) == pytest.approx(1.0)  # of 5 s in which a stand may settle
     simulated.clear()

@@ -8,13 +8,13 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.pupper.demo import demo_stances
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.path_commands import path_commands
-from pupper_analysis.simulation.rollout import STATE, run
+from pupper_analysis.simulation.rollout import STATE, simulate
 from pupper_analysis.simulation.tracking import track_path
-from pupper_analysis.stance.path.creeping import crept
+from pupper_analysis.stance.path.creeping import find_creep
 from pupper_analysis.stance.path.geometry import path_geometry
-from pupper_analysis.stance.path.stance_path import evenly, stance_path, timed_path
+from pupper_analysis.stance.path.stance_path import even_times, stance_path, timed_path
 from tests.stance.path.test_stance_path import SECONDS, path_of, stances
 from tests.support.cases import some
 from tests.support.engines import mujoco_at
@@ -95,7 +95,7 @@ def test_a_time_step_suits_the_servos_damping() -> None:
     mujoco.mj_fullM(robot.mj_model, mujoco_at(robot, path.qpos[0]), matrix)
     inertia = np.diag(matrix)[robot.mj_convention.qvel_index[6:]]
     for kd in (1.0, 5.0, 20.0):
-        plan = path_commands(robot, path, lambda there, kd=kd: servos(there, 50.0, kd))
+        plan = path_commands(robot, path, lambda there, kd=kd: model_with_servos(there, 50.0, kd))
         share.append(plan.drive.model.opt.timestep * kd / inertia.min())
     assert share[0] == pytest.approx(2.5e-4 / inertia.min())
     assert share[1:] == pytest.approx([share[1]] * 2, rel=1e-2)  # the stand is sunk by 0.7 mm
@@ -110,7 +110,7 @@ def test_legs_that_are_longer_hold_the_same_forces_with_other_torques() -> None:
     plan, joints = path_commands(robot, path), robot.mj_convention.qvel_index[6:]
     model, largest = plan.drive.model, np.abs(path.torques).max()
     model.opt.timestep = 1e-3
-    last = run(model, plan.start, np.tile(plan.ctrl[0], (1000, 1)))[-1]
+    last = simulate(model, plan.start, np.tile(plan.ctrl[0], (1000, 1)))[-1]
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, last, STATE)
     data.ctrl[:] = plan.ctrl[0]
@@ -145,13 +145,13 @@ def fast_sway() -> pa.stance.StancePath:
     robot = load("v3")
     geometry = path_geometry(robot, demo_stances(robot, "sway", depth=0.2), 32)
     friction = {foot: 0.8 * contact.sliding_friction for foot, contact in robot.contacts.items()}
-    return timed_path(robot, geometry, evenly(geometry, 0.6632), friction=friction)
+    return timed_path(robot, geometry, even_times(geometry, 0.6632), friction=friction)
 
 
 def test_feet_that_are_pushed_as_they_roll_creep_as_predicted() -> None:
     """By 1 mm; the simulated feet are within half of that, and would be 1.1 mm off without it."""
     robot, path = load("v3"), fast_sway()
-    away = 1e3 * np.linalg.norm(crept(robot, path, path.qvel, path.forces)[-1], axis=1)
+    away = 1e3 * np.linalg.norm(find_creep(robot, path, path.qvel, path.forces)[-1], axis=1)
     assert (away > 0.7).all()
     assert (away < 1.2).all()
     tracking = track_path(robot, path)
@@ -167,7 +167,7 @@ def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
     """
     robot, path = load("v3"), fast_sway()
     plan = path_commands(robot, path)
-    states, model = run(plan.drive.model, plan.start, plan.ctrl), plan.drive.model
+    states, model = simulate(plan.drive.model, plan.start, plan.ctrl), plan.drive.model
     slide, _, spin, roll, _ = robot.contacts["FR"].friction
     axes, data = (slide, slide, spin, roll, roll), mujoco.MjData(model)
     for share in (0.4, 0.42, 0.6, 0.62):

@@ -19,7 +19,7 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.fall import has_collapsed
-from pupper_analysis.simulation.verdict import Ending, VerdictCode, expect, judge
+from pupper_analysis.simulation.verdict import Ending, VerdictCode, judge_stance, predict_verdict
 
 
 def run(loss: float = 0.001, *, passed: bool = True) -> Any:
@@ -116,7 +116,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
 def test_a_verdict_is_never_better_than_what_it_rests_on(case: str) -> None:
     given, code, passed, said = CASES[case]
     asked: dict[str, Any] = {"fed": run(), "alone": run(), "servos": FILE, **given}
-    verdict = judge(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
+    verdict = judge_stance(asked.pop("fed"), asked.pop("alone"), asked.pop("servos"), **asked)
     assert (verdict.code, verdict.passed) == (code, passed)
     assert said in in_words(verdict)
     if not passed:
@@ -124,7 +124,9 @@ def test_a_verdict_is_never_better_than_what_it_rests_on(case: str) -> None:
 
 
 def test_the_worst_decides() -> None:
-    verdict = judge(run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65))
+    verdict = judge_stance(
+        run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65)
+    )
     assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED
     assert verdict.commands_alone is Ending.COLLAPSES
     assert "were added" in in_words(verdict)
@@ -148,7 +150,7 @@ def test_what_is_only_expected_never_passes(
         code = VerdictCode.OVERLOADED if max(shares) > 1 else VerdictCode.IN_BALANCE
     statics: Any = Stub(joint_names=("hip", "knee"), motor_utilisation=shares)
     stability: Any = Stub(lasts=lambda: doubling is None, doubling_time=doubling)
-    verdict = expect(statics, FILE, stability if known else None)
+    verdict = predict_verdict(statics, FILE, stability if known else None)
     assert verdict.code is code
     assert not verdict.passed
     assert verdict.seconds == 0

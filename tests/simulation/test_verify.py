@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import INTEGRATORS, servos
-from pupper_analysis.simulation.causes import rattling
-from pupper_analysis.simulation.rollout import place_on_ground, run
+from pupper_analysis.robot.servos import INTEGRATORS, model_with_servos
+from pupper_analysis.simulation.causes import find_chatter
+from pupper_analysis.simulation.rollout import place_on_ground, simulate
 from tests.support.engines import addresses, changed, mujoco_at
 from tests.support.legged import quadruped
 from tests.support.variants import NAMES, SKELETON_NAMES, load, stand_of
@@ -191,7 +191,7 @@ def test_integrator_is_selected_reported_and_does_not_move_the_balance(integrato
     assert result.integrator == integrator
     assert result.passed, result.failures
     assert result.base_height == pytest.approx(verified("v3").base_height, abs=1e-4)
-    drive = servos(load("v3"), integrator=integrator)
+    drive = model_with_servos(load("v3"), integrator=integrator)
     assert mujoco.mjtIntegrator(drive.model.opt.integrator).name == f"mjINT_{integrator.upper()}"
 
 
@@ -211,7 +211,7 @@ def test_servo_law_with_given_gains(name: str) -> None:
     robot = load(name)
     random = np.random.default_rng(0)
     kp, kd = random.uniform(1, 9, 12), random.uniform(0.1, 1, 12)
-    drive = servos(robot, kp, kd)
+    drive = model_with_servos(robot, kp, kd)
     qpos, rates = stand_of(name).qpos, random.uniform(-1, 1, 12)
     wanted, torque = random.uniform(-0.2, 0.2, 12), random.uniform(-0.5, 0.5, 12)
     data = mujoco_at(robot, qpos, np.r_[np.zeros(6), rates], drive.model)
@@ -223,7 +223,7 @@ def test_servo_law_with_given_gains(name: str) -> None:
 
 
 def test_start_is_in_balance(robot: pa.Robot, stand: pa.Stand) -> None:
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     prediction = pa.gravity_compensation(
         pa.Configuration(robot, stand.qpos),
         distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
@@ -350,7 +350,7 @@ def test_fixed_base_and_foreign_stands_are_refused(tiny: pa.Robot) -> None:
 
 def test_joint_without_motor_is_named(tiny: pa.Robot) -> None:
     with pytest.raises(pa.ModelError, match="'turn' has no actuator"):
-        servos(tiny)
+        model_with_servos(tiny)
 
 
 # ------------------------------------------------------------------------------------- sweep
@@ -454,7 +454,7 @@ def test_batched_rollout_is_a_plain_loop(name: str, kp: float, kd: float) -> Non
         pa.Configuration(robot, stand.qpos),
         distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
     ).joint_torques
-    start = place_on_ground(robot, servos(robot, kp, kd, "implicitfast"), stand, torques)
+    start = place_on_ground(robot, model_with_servos(robot, kp, kd, "implicitfast"), stand, torques)
     mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
     data.ctrl[:] = stand.qpos[7:]
     heights = []
@@ -602,15 +602,15 @@ def test_ground_that_pushes_by_jolts_is_told(option: str, says: str, tmp_path: P
     pair.mjcf.write_text(text.replace("<worldbody>", f"{option}<worldbody>", 1))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
-    drive = servos(robot)
+    drive = model_with_servos(robot)
     ctrl = drive.command(robot, stand.joint_positions(robot), None)
     start = place_on_ground(
         robot, drive, stand, pa.stance.stand_statics(robot, stand).joint_torques
     )
-    states = run(drive.model, start, np.tile(ctrl, (200, 1)))
-    assert rattling(robot, drive, states, ctrl) == []
+    states = simulate(drive.model, start, np.tile(ctrl, (200, 1)))
+    assert find_chatter(robot, drive, states, ctrl) == []
     states = np.tile(states[-1], (200, 1))
     states[::2, 3] += 2e-3  # the base's height, every other step
-    (message,) = rattling(robot, drive, states, ctrl)
+    (message,) = find_chatter(robot, drive, states, ctrl)
     assert message.code == "contacts-rattle"
     assert says in str(message)

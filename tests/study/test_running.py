@@ -177,9 +177,9 @@ def test_threads_processes_and_any_order_give_the_same_bits(
 
 @pytest.mark.longest
 def test_dask_gives_the_same_bits(undisturbed: pd.DataFrame, tmp_path: Path) -> None:
-    from pupper_analysis.study.dask import cluster
+    from pupper_analysis.study.dask import open_cluster
 
-    with cluster(None, 2) as (executor, dashboard):
+    with open_cluster(None, 2) as (executor, dashboard):
         assert dashboard.startswith("http://127.0.0.1")
         same(study().run(tmp_path, executor=executor), undisturbed)
 

@@ -17,7 +17,7 @@ from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.build import rebuilt
+from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.measures import MEASURES
@@ -398,7 +398,7 @@ def test_coms_move_where_the_files_masses_differ() -> None:
     robot = load("v3")
     spec = robot.description.mjcf.copy()
     spec.body(robot.mj_base).mass *= 1.1
-    heavier = rebuilt(robot, mjcf=spec)
+    heavier = rebuild_robot(robot, mjcf=spec)
     after = scale_robot(heavier, {f"com_y:{robot.base}": 0.01})
     at = heavier.mj_model.body(heavier.mj_base).id
     moved = after.mj_model.body_ipos[at] - heavier.mj_model.body_ipos[at]
@@ -492,10 +492,10 @@ def test_gains_and_friction_are_what_the_predictions_read() -> None:
 
 def test_what_is_only_looked_at_makes_no_difference() -> None:
     """The plain robot stands, sags and moves in MuJoCo as the whole one, to the last bit."""
-    from pupper_analysis.robot.build import rebuilt
+    from pupper_analysis.robot.build import rebuild_robot
 
     robot, stand = load("v3"), stand_of("v3")
-    bare = rebuilt(robot, mjcf=without_visuals(robot.description).mjcf)
+    bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
     assert bare.mj_model.nmesh == 0 < robot.mj_model.nmesh
     assert np.array_equal(pa.solve_stand(bare).qpos, stand.qpos)
     simulated = [pa.verify_stand(one, stand, duration=2.0).base_height for one in (bare, robot)]

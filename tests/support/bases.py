@@ -15,8 +15,8 @@ import mujoco
 from lxml import etree
 
 import pupper_analysis as pa
-from pupper_analysis.models.mjcf import quiet
-from pupper_analysis.robot.servos import lead, own_servos, servos
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.robot.servos import command_lead, model_with_servos, own_servos
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import stand_statics
 from tests.robots.test_wheels import wheeled
@@ -189,12 +189,12 @@ def _with_servos(root: etree._Element, robot: pa.Robot) -> None:
             motor.set("forcerange", f"{-limit:g} {limit:g}")
 
 
-@quiet()
+@silence_mujoco()
 def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
     """Returns a keyframe in which it stands, with the commands that keep it there."""
     stand = solve_stand_as_simulated(robot, pa.solve_stand(robot))
-    held = servos(robot)
-    ahead = lead(stand_statics(robot, stand).joint_torques, held.kp)
+    held = model_with_servos(robot)
+    ahead = command_lead(stand_statics(robot, stand).joint_torques, held.kp)
     model = mujoco.MjModel.from_xml_string(etree.tostring(root).decode())
     data = mujoco.MjData(model)
     joints = dict(zip(robot.joint_names, stand.joint_positions(robot).tolist(), strict=True))
@@ -217,7 +217,7 @@ def _keyframe(root: etree._Element, robot: pa.Robot) -> etree._Element:
     return section
 
 
-@quiet()
+@silence_mujoco()
 def by_itself(path: Path, seconds: float = 5.0) -> float:
     """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
 

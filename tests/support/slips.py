@@ -10,7 +10,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from tests.support import legged
 
 Slip = Callable[[str, np.random.Generator], str]
@@ -32,7 +32,7 @@ def standing(folder: Path, **options: object) -> legged.Pair:
     return pair
 
 
-@quiet()
+@silence_mujoco()
 def by_itself(path: Path, seconds: float = 5.0) -> float:
     """Which share of its height a file's robot has lost, from its own keyframe in bare MuJoCo.
 

@@ -26,7 +26,7 @@ from pupper_analysis.report.documents.pushed_stance import compare_pushes, push_
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.simulation.verdict import judge
+from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.stance.optimize.best import Objective
 from pupper_analysis.stance.payload.servo_limit import Failure
 from pupper_analysis.stance.payload.sharing import Sharing
@@ -159,7 +159,7 @@ ANALYSIS: Any = Stub(
     hanging_torques=np.array([0.0077, 0.0088]),
     verification=run(0.0, passed=True),
     sagging=run(0.01, passed=False),
-    verdict=judge(run(0.0, passed=True), run(0.01, passed=False), SERVOS),
+    verdict=judge_stance(run(0.0, passed=True), run(0.01, passed=False), SERVOS),
     sweep=Stub(
         kp=np.array([10.0, 30.0]),
         kd=np.array([0.5, 1.0, 2.0]),
@@ -250,7 +250,7 @@ def pushed(name: str, shift: float, depth: float) -> Any:
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
     )
-    verdict = judge(run(0.0, passed=True), None, SERVOS)
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS)
     return Stub(name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict)
 
 
@@ -274,7 +274,7 @@ def stance(**changes: Any) -> Any:
         "min_max_torque": loads(-0.05),
         "limits": np.array([3.1, 4.2]),
         "limit_origins": ORIGINS,
-        "verdict": judge(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
+        "verdict": judge_stance(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
         "settled": Stub(
             base_height=0.11223,
             servo_sag=0.00789,

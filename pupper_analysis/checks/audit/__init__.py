@@ -16,7 +16,7 @@ from pupper_analysis.checks.audit.result import Audit, Finding
 from pupper_analysis.diagnostics import Severity, Subject, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -56,7 +56,7 @@ def audit_model(
         told = diagnose("rules-unknown", names=unknown, known=RULES)
         raise ConfigurationError("disabled", told)
     file = read_usd(path) if is_usd(Path(path)) else read_model(path, packages)
-    with warnings.catch_warnings(), np.errstate(all="ignore"), quiet():
+    with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():
         warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
         return _audited(str(path), file, unwanted)
 

@@ -80,7 +80,7 @@ def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
     return bool(dc) and not controlled and not switched_off
 
 
-def without(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
+def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
     """Returns ``as_it_is(model)`` with some effects taken away."""
     result = as_it_is(model)
     for effect in effects:

@@ -16,13 +16,19 @@ from __future__ import annotations
 from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
 from pupper_analysis.checks.mjcf_only.joints import (
     damping_polynomials,
+    find_springs,
     free_joint_friction,
     gravity_compensation,
-    springs,
 )
 from pupper_analysis.checks.mjcf_only.named_model import NamedModel
-from pupper_analysis.checks.mjcf_only.others import equalities, flags, flexes, fluid, plugins
-from pupper_analysis.checks.mjcf_only.transmissions import actuators, tendons
+from pupper_analysis.checks.mjcf_only.others import (
+    find_equalities,
+    find_flags,
+    find_flexes,
+    find_fluid,
+    find_plugins,
+)
+from pupper_analysis.checks.mjcf_only.transmissions import find_actuators, find_tendons
 from pupper_analysis.matching.reference import Reference
 
 
@@ -30,15 +36,15 @@ def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
     """Finds all that acts on the robot and that a URDF cannot state."""
     scene = NamedModel(reference)
     return [
-        *springs(scene),
+        *find_springs(scene),
         *damping_polynomials(scene),
         *gravity_compensation(scene),
         *free_joint_friction(scene),
-        *tendons(scene),
-        *actuators(scene),
-        *fluid(scene),
-        *equalities(scene),
-        *flexes(scene),
-        *plugins(scene),
-        *flags(scene),
+        *find_tendons(scene),
+        *find_actuators(scene),
+        *find_fluid(scene),
+        *find_equalities(scene),
+        *find_flexes(scene),
+        *find_plugins(scene),
+        *find_flags(scene),
     ]

@@ -10,7 +10,7 @@ from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 
 
-def springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the springs of the robot's joints."""
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_SPRING) else ():

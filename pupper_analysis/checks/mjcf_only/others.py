@@ -10,11 +10,11 @@ import numpy as np
 from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, Slot
 from pupper_analysis.checks.mjcf_only.mimics import EQUALITY
 from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
-from pupper_analysis.checks.mjcf_only.transmissions import wraps
+from pupper_analysis.checks.mjcf_only.transmissions import wrapped_bodies
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 
 
-def fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the medium, if it has density or viscosity."""
     option = scene.model.opt
     if option.density or option.viscosity:
@@ -30,7 +30,7 @@ def fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         yield MjcfOnlyEffect("fluid", "option", value, "", told, slots)
 
 
-def equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the equality constraints that are on at the start and hold the robot."""
     model = scene.model
     if scene.off(DISABLE.mjDSBL_CONSTRAINT) or scene.off(DISABLE.mjDSBL_EQUALITY):
@@ -71,7 +71,7 @@ def _end_bodies(scene: NamedModel, what: mujoco.mjtObj, target: int) -> set[int]
     if target < 0:
         return set()
     if what == kinds.mjOBJ_TENDON:
-        return wraps(scene, target)
+        return wrapped_bodies(scene, target)
     if what == kinds.mjOBJ_FLEX:
         return flex_bodies(model, target)
     carrier = {
@@ -101,7 +101,7 @@ def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
     return found
 
 
-def flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the deformable bodies, as one, if they are fixed to the robot."""
     model = scene.model
     if not model.nflex:
@@ -117,7 +117,7 @@ def flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         yield MjcfOnlyEffect("flex", name, model.nflex, "", told, slots)
 
 
-def plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Plugins of bodies; they cannot be switched off in a compiled model."""
     for body in sorted(scene.bodies):
         if scene.model.body_plugin[body] >= 0:
@@ -126,7 +126,7 @@ def plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             yield MjcfOnlyEffect("plugin", name, int(scene.model.body_plugin[body]), "", told)
 
 
-def flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """What the file states and switches off again; springs and damping are 0 then."""
     for bit, word, what in _FLAGS:
         if scene.off(bit):

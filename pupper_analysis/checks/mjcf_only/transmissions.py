@@ -13,11 +13,11 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diag
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
-def tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the tendons that pull at the robot, as far as they act without command."""
     model = scene.model
     for tendon in range(model.ntendon):
-        if not wraps(scene, tendon) & scene.bodies:
+        if not wrapped_bodies(scene, tendon) & scene.bodies:
             continue
         force, length = _tendon_units(scene, tendon)
         value, terms, acts = _tendon_terms(scene, tendon, force, length)
@@ -70,7 +70,7 @@ def _tendon_terms(
     return value, terms, acts
 
 
-def wraps(scene: NamedModel, tendon: int) -> set[int]:
+def wrapped_bodies(scene: NamedModel, tendon: int) -> set[int]:
     """The bodies that a tendon pulls at."""
     model = scene.model
     wrap = mujoco.mjtWrap
@@ -97,7 +97,7 @@ def _tendon_units(scene: NamedModel, tendon: int) -> tuple[str, str]:
     return units.pop() if len(units) == 1 else ("", "unit of its length")
 
 
-def actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Inertia and damping of motors; at one joint, the linear ones count as the joint's."""
     model = scene.model
     for motor in range(model.nactuator):
@@ -143,7 +143,7 @@ def _drives(scene: NamedModel, motor: int) -> set[int]:
     if kind in (transmission.mjTRN_JOINT.value, transmission.mjTRN_JOINTINPARENT.value):
         return {int(model.jnt_bodyid[target])}
     if kind == transmission.mjTRN_TENDON.value:
-        return wraps(scene, int(target))
+        return wrapped_bodies(scene, int(target))
     if kind == transmission.mjTRN_BODY.value:
         return {int(target)}
     sites = [int(site) for site in (target, other) if 0 <= site < model.nsite]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.changes import body_changes
 from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.checks.links import ComparedLink, from_moments, moments
+from pupper_analysis.checks.links import ComparedLink, body_moments, from_moments
 from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.multibody import TreeBody
@@ -79,15 +79,15 @@ def other_links(case: PatternCase) -> Found:
 def _slip(case: PatternCase, name: str) -> _Slip | None:
     """Returns the one slip that explains how a body differs, if any does."""
     one, two = case.first.bodies[name], case.second.bodies[name]
-    apart = moments(one) - moments(two)
+    apart = body_moments(one) - body_moments(two)
     if not one.mass or not two.mass or not apart[0]:
         return None
     lacks, links = ("MJCF", case.urdf) if apart[0] > 0 else ("URDF", case.mjcf)
     own = [link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(apart[0])]
     if len(own) < len(links.get(name, ())):  # a body of which all links are gone is another thing
         for chosen in _subsets(own, abs(apart[0])):
-            extra = sum((moments(link.body) for link in chosen), start=np.zeros(10))
-            less = from_moments(moments(one if lacks == "MJCF" else two) - extra)
+            extra = sum((body_moments(link.body) for link in chosen), start=np.zeros(10))
+            less = from_moments(body_moments(one if lacks == "MJCF" else two) - extra)
             if _is_it(case, name, less, two if lacks == "MJCF" else one, extra, apart):
                 return _Slip(name, chosen, lacks)
     kinds = {kind for kind, element in case.open if element == name}
@@ -105,8 +105,8 @@ def _slip(case: PatternCase, name: str) -> _Slip | None:
             link.body.com,
             (factor if inertia else 1.0) * link.body.inertia,
         )
-        extra = moments(link.body) - moments(changed)
-        if _is_it(case, name, from_moments(moments(one) - extra), two, extra, apart):
+        extra = body_moments(link.body) - body_moments(changed)
+        if _is_it(case, name, from_moments(body_moments(one) - extra), two, extra, apart):
             return _Slip(name, (link,), "", factor, inertia)
     return None
 

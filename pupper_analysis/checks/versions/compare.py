@@ -23,7 +23,7 @@ from pupper_analysis.matching.conventions import find_conventions
 from pupper_analysis.matching.structure import guess_of_trees
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.loading import read_model
-from pupper_analysis.models.mjcf import quiet
+from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, rename_joints, with_fixed
 from pupper_analysis.results import Result
 
@@ -93,7 +93,7 @@ class ModelDiff(Result):
 
 
 @check_arguments
-@quiet()
+@silence_mujoco()
 def diff_models(
     old: str | Path,
     new: str | Path,

@@ -13,7 +13,7 @@ from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.named_model import NamedModel
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.mimics import urdf_mimics
-from pupper_analysis.matching.mjcf import drop_other_objects, hinges, mjcf_tree, name_all
+from pupper_analysis.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree, name_all
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.urdf import (
@@ -84,7 +84,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     named, joined = name_all(spec, set()), join_free_base(spec, file.path)
     whole = compile_spec(spec.copy(), file.path)
     dropped = drop_other_objects(spec, file.path, None)
-    _, _, held = hinges(spec, file.path)
+    _, _, held = list_hinges(spec, file.path)
     notes = [*file.notes, *named, *([joined] if joined else []), *dropped, *held]
     for key in list(spec.keys):
         spec.delete(key)  # its size may no longer fit

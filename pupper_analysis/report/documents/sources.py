@@ -7,7 +7,7 @@ from pathlib import Path
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.standard_input import content, is_held
+from pupper_analysis.models.standard_input import is_held, read_content
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.words import text
@@ -99,6 +99,6 @@ def _text(path: Path) -> str:
     try:
         if not (is_held(path) or path.is_file()):
             return ""
-        return content(path).decode("utf-8", errors="replace")
+        return read_content(path).decode("utf-8", errors="replace")
     except (OSError, ValueError):
         return ""

@@ -18,7 +18,7 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -104,7 +104,7 @@ class StanceSearch:
         if objective is Objective.PAYLOAD:
             # Small: with one that tips the robot there is no line to follow.
             self.loaded = with_payload(robot, robot.total_mass / 10, self.point.tolist())
-            self.kp = servos(robot, kp, None if kp is None else 0.0).kp
+            self.kp = model_with_servos(robot, kp, None if kp is None else 0.0).kp
         self.scale = 1.0
         first = self.stance(self.space.start, self.space.nominal)
         self.scale = abs(first.level) or robot.stand_height

@@ -213,7 +213,7 @@ def stance_path(
     robot.check_tree("a path")
     per_leg = _samples(seconds, rate, stances)
     geometry = path_geometry(robot, stances, per_leg, rolling=rolling, seconds=float(seconds))
-    return timed_path(robot, geometry, evenly(geometry, float(seconds)), beyond=beyond)
+    return timed_path(robot, geometry, even_times(geometry, float(seconds)), beyond=beyond)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +235,7 @@ class Timing:
         return Timing(factor * self.time, self.rates / factor, self.accelerations / factor**2)
 
 
-def evenly(geometry: Geometry, seconds: float) -> Timing:
+def even_times(geometry: Geometry, seconds: float) -> Timing:
     """Returns the minimum-jerk law in every leg, each of the same time; (s) in all."""
     per_leg = seconds / len(geometry.legs)
     laws = np.array([minimum_jerk(place.progress) for place in geometry.places])

@@ -20,7 +20,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_ranges, lead, own_servos, servos
+from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos, own_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.payload.first_order import FirstOrder
 from pupper_analysis.stance.payload.nudge import find_saturating_motors
@@ -171,7 +171,10 @@ def servo_limit(
         return found.failure is not None
 
     ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
-    start = _guess(robot, stand, point, servos(robot, kp, None if kp is None else 0.0).kp) / 4
+    start = (
+        _guess(robot, stand, point, model_with_servos(robot, kp, None if kp is None else 0.0).kp)
+        / 4
+    )
     mass = 0.0 if fails(0.0) else find_first_failing(fails, min(start, most), ceiling)
     if mass >= ceiling:
         return Bound(math.inf, Failure.NOTHING, ())
@@ -251,15 +254,15 @@ def find_loaded_pose(
         return Bound(mass, failure, error.feet)
     except NoEquilibriumError:
         return Bound(mass, Failure.BUCKLING, ())
-    drive = servos(loaded, kp, _damping(loaded, kp, kd))
+    drive = model_with_servos(loaded, kp, _damping(loaded, kp, kd))
     damping = drive.kd
-    target = sunk.joint_positions(loaded) + lead(balance.joint_torques, drive.kp)
+    target = sunk.joint_positions(loaded) + command_lead(balance.joint_torques, drive.kp)
     if command is PayloadCommand.UNLOADED:
         empty = solve_loaded_stand(robot, stand)
         torques = stand_statics(
             robot, empty, distribution=ForceDistribution.MIN_TANGENTIAL
         ).joint_torques
-        target = empty.joint_positions(robot) + lead(torques, drive.kp)
+        target = empty.joint_positions(robot) + command_lead(torques, drive.kp)
     try:
         if command is PayloadCommand.LOADED:
             way = _way(loaded, sunk, kp)

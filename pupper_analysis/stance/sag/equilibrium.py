@@ -14,7 +14,7 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import command_ranges, gains
+from pupper_analysis.robot.servos import command_ranges, servo_gains
 from pupper_analysis.stance.sag.contact_compliance import contact_compliance, sole_compliance
 from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
 from pupper_analysis.stance.sag.coulomb_friction import apply_coulomb_friction
@@ -70,7 +70,7 @@ class SagEquilibrium:
         feet: Feet,
         lift: float = 0.0,
     ) -> None:
-        used = gains(robot, kp, None if kp is None else 0.0)
+        used = servo_gains(robot, kp, None if kp is None else 0.0)
         self.lower, self.upper = robot.effort_ranges.T
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.robot.servos import lead
+from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.stiffness import stiffness_at
@@ -194,7 +194,7 @@ class HomotopyPath:
 
     def _command(self, share: float) -> None:
         system = self.system
-        full = system.stand.qpos[7:] + lead(self.balance.joint_torques, system.kp)
+        full = system.stand.qpos[7:] + command_lead(self.balance.joint_torques, system.kp)
         system.command(full + share * (self.end - full))
 
     def _at(self, share: float) -> Solution | None:

@@ -15,7 +15,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.lent import lent
+from pupper_analysis.robot.lent import lend
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
@@ -372,7 +372,7 @@ def _failures(
         diagnose("joint-beyond-limit", subject=("joint", robot.joint_names[i]))
         for i in np.flatnonzero(beyond)
     ]
-    with lent(robot, _data_of) as data:  # what is asked of them depends on qpos alone
+    with lend(robot, _data_of) as data:  # what is asked of them depends on qpos alone
         robot.mj_convention.set_state(data, qpos)
         mujoco.mj_kinematics(robot.mj_model, data)
         mujoco.mj_comPos(robot.mj_model, data)

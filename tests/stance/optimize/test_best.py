@@ -9,7 +9,7 @@ import pytest
 from scipy import optimize
 
 import pupper_analysis as pa
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.payload import simulate_payload
 from pupper_analysis.stance.optimize import search
 from pupper_analysis.stance.optimize.best import best_stance
@@ -144,7 +144,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     robot, point = load("v3"), (0.05, 0.0, 0.05)
     found = StanceSearch(robot, Objective.PAYLOAD, point=point)
     found.run()
-    loaded, kp = found.loaded, servos(robot).kp
+    loaded, kp = found.loaded, model_with_servos(robot).kp
 
     def carried(stand: pa.Stand) -> float:
         first = FirstOrder.of(robot, loaded, stand, kp)

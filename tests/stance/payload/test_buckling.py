@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.payload.buckling import _geometric, _jacobian, find_buckling_modes
 from pupper_analysis.stance.sag.solution import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
@@ -54,7 +54,7 @@ def test_stiffness_is_the_slope_of_the_balance(name: str, slope: float) -> None:
 def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> None:
     """Substituted twice, as the depths under the load change the configuration."""
     robot, stand = load(name), stand_of(name)
-    kp, mass, sunk = servos(robot).kp, 0.3, stand
+    kp, mass, sunk = model_with_servos(robot).kp, 0.3, stand
     for _ in range(4):
         loaded = with_payload(robot, mass)
         sunk = solve_loaded_stand(loaded, stand)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import pupper_analysis as pa
 from pupper_analysis.analysis.payload import NEAR, study_payload
 from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import payload
 from pupper_analysis.simulation.payload import simulate_payload
 from pupper_analysis.stance.payload.first_order import FirstOrder
@@ -264,7 +264,7 @@ def test_a_surprise_is_carried_less_well() -> None:
 def test_first_order_is_near_the_limit(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     loaded = with_payload(robot, 0.3, ON_TOP)
-    first = FirstOrder.of(robot, loaded, stand, servos(robot).kp)
+    first = FirstOrder.of(robot, loaded, stand, model_with_servos(robot).kp)
     assert first is not None
     limit = payload_limit(robot, stand, ON_TOP).mass
     assert first.limit(robot.effort_limits) == pytest.approx(limit, rel=0.08)

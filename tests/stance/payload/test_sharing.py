@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.payload import with_payload
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.context import context_of
 from pupper_analysis.stance.payload.sharing import share_load
 from pupper_analysis.stance.problem import make_goal
@@ -39,7 +39,7 @@ def lowest(robot: pa.Robot, stand: pa.Stand, share: float) -> float:
     task = solve_loaded_stand(laden, stand).task
     with context_of(laden) as context:
         sunk = solve_goal(context, make_goal(laden, task, depths), explain=False)
-    drive = servos(laden)
+    drive = model_with_servos(laden)
     data = mujoco.MjData(drive.model)
     speed = np.zeros(laden.nv)
     speed[2] = -0.01

@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.payload import TRIED, try_payload
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from tests.support.random_legged import irregular_biped, written
 
@@ -27,7 +27,7 @@ def loaded(seed: int, folder: Path) -> pa.Robot:
 def bare_height(robot: pa.Robot, stand: pa.Stand, kp: float, seconds: float = 6.0) -> float:
     """Where MuJoCo leaves the base that is let go in the stand, commanded the pose alone."""
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = servos(robot, kp, 0.03 * kp, "implicitfast")
+    drive = model_with_servos(robot, kp, 0.03 * kp, "implicitfast")
     data = mujoco.MjData(drive.model)
     robot.mj_convention.set_state(data, stand.qpos)
     data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))
@@ -80,7 +80,7 @@ def test_irregular_bipeds_stand_as_predicted(seed: int, tmp_path: Path) -> None:
         if pose.failures:
             continue
         grounded = on_ground(robot, stand.task.ground, stand.foot_targets)
-        drive = servos(grounded, kp, 0.03 * kp, "implicitfast")
+        drive = model_with_servos(grounded, kp, 0.03 * kp, "implicitfast")
         data = mujoco.MjData(drive.model)
         nudge = np.zeros(robot.nv)
         nudge[:3] = 1e-3

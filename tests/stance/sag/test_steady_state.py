@@ -11,7 +11,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.diagnostics import Subject
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.servos import servos
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
@@ -52,7 +52,7 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
     pose = steady_state(robot, stand, feet=feet)
     data = mujoco_at(robot, pose.qpos)
     rest = data.qfrc_bias[robot.mj_convention.qvel_index].copy()
-    torques = servos(robot).kp * (stand.qpos[7:] - pose.qpos[7:])
+    torques = model_with_servos(robot).kp * (stand.qpos[7:] - pose.qpos[7:])
     np.testing.assert_allclose(pose.joint_torques, torques, rtol=0, atol=1e-12)
     rest[6:] -= pose.joint_torques
     for touch in data.contact:
@@ -75,7 +75,7 @@ def test_it_is_a_minimum_of_the_energy(name: str) -> None:
     """Sliding, the energy is a function of qpos alone: it grows in every direction."""
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand, feet="sliding")
-    kp, g = servos(robot).kp, -robot.gravity[2]
+    kp, g = model_with_servos(robot).kp, -robot.gravity[2]
     laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
 
     def energy(qpos: np.ndarray) -> float:
@@ -473,7 +473,7 @@ def test_an_equilibrium_that_creep_ends_is_no_stand() -> None:
             model.opt.noslip_iterations = noslip
 
         still = changed(robot, grip)
-        drive = servos(still, 2.38, 0.1)
+        drive = model_with_servos(still, 2.38, 0.1)
         data = mujoco.MjData(drive.model)
         robot.mj_convention.set_state(data, pose.qpos)
         data.ctrl[:] = drive.command(robot, stand.joint_positions(robot))

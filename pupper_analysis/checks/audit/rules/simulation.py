@@ -11,7 +11,7 @@ from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.checks.audit.rules.actuators import drives
 from pupper_analysis.checks.audit.rules.files import first_place
 from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
-from pupper_analysis.robot.contact import combine, ground_geom
+from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.servo_stability import servo_stability
 from pupper_analysis.robot_model.model import MjcfModel
 
@@ -101,7 +101,7 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
         called = "foot" in name.lower() or "foot" in robot.body_names[body].lower()
         if not collides or not body or not (called or at_site):
             continue
-        contact = combine(model, geom, geom if ground is None else ground)
+        contact = combine_geoms(model, geom, geom if ground is None else ground)
         friction = contact.friction[0] if ground is None else contact.sliding_friction
         if friction < 1e-3:
             told = diagnose(

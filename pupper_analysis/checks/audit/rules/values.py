@@ -16,7 +16,7 @@ from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot_model.mjcf import line_of
 from pupper_analysis.robot_model.model import MjcfModel, UrdfModel
-from pupper_analysis.robot_model.urdf import number, vector
+from pupper_analysis.robot_model.urdf import read_number, read_vector
 from pupper_analysis.robot_model.usd import UsdModel
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
@@ -79,12 +79,14 @@ def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
     for link, _, shape in _shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
-            sizes = {"size": vector(shape, "size", (1.0, 1.0, 1.0))}
+            sizes = {"size": read_vector(shape, "size", (1.0, 1.0, 1.0))}
         elif tag == "mesh":
             # A negative factor mirrors: that is another rule's.
-            sizes = {"scale": np.abs(vector(shape, "scale", (1.0, 1.0, 1.0)))}
+            sizes = {"scale": np.abs(read_vector(shape, "scale", (1.0, 1.0, 1.0)))}
         else:
-            sizes = {name: np.array([number(shape, name, 1.0)]) for name in _SIZES.get(tag, ())}
+            sizes = {
+                name: np.array([read_number(shape, name, 1.0)]) for name in _SIZES.get(tag, ())
+            }
         for name, values in sizes.items():
             bad = values < 0 if name == "length" else values <= 0
             if bad.any():
@@ -122,7 +124,7 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
     mirrored: dict[int, list[tuple[str, etree._Element]]] = {1: [], 3: []}
     for link, _, shape in _shapes(robot):
         if shape.tag == "mesh":
-            negative = int((vector(shape, "scale", (1.0, 1.0, 1.0)) < 0).sum())
+            negative = int((read_vector(shape, "scale", (1.0, 1.0, 1.0)) < 0).sum())
             mirrored.get(negative, []).append((link, shape))
     for count, found in mirrored.items():
         if found:
