@@ -19,7 +19,6 @@ from pupper_analysis.models.mjcf import compile_spec, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
-from pupper_analysis.prepare.visuals import leave_out_visuals
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -71,7 +70,8 @@ class Bare:
 def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     """Returns the model of an MJCF as it was published; None if it lacks the robot's base.
 
-    It has a floor and names if it has none: nothing else is put into it.
+    It has a floor and names if it has none: nothing else is put into it. What is only seen stays:
+    the geoms of a body have the order that they have in the robot's.
     """
     model = mjcf.model
     grounded = _ground(model) is not None or len(_fixed_geoms(model)) > 0
@@ -80,7 +80,6 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     spec = mjcf.spec.copy()
     name_all(spec, set())
     if not grounded:
-        leave_out_visuals(spec)
         SpecTree(spec).add_floor()
     model = compile_spec(spec, mjcf.path)
     return model if _has(model, robot) else None

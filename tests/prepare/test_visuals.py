@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 import pupper_analysis as pa
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.visuals import geoms_by_id, leave_out_visuals
 from tests.support.legged import quadruped
 
@@ -48,3 +51,22 @@ def test_a_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     assert set(robot.foot_geoms.values()) == set(robot.soles)
     for geom in robot.foot_geoms:
         assert robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value
+
+
+def test_the_published_model_has_the_geoms_of_the_robot_in_their_order(tmp_path: Path) -> None:
+    """What was kept from touching is found by its place among its body's geoms."""
+    pair = quadruped(tmp_path)
+    seen = '<geom type="box" size=".1 .1 .1" contype="0" conaffinity="0" mass="0"/>'
+    text = re.sub(r"<geom[^>]*type=\"plane\"[^>]*/>", "", pair.mjcf.read_text())
+    pair.mjcf.write_text(text.replace("<freejoint/>", f"<freejoint/>{seen}", 1))
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
+    assert "ground-added" in {note.code for note in robot.notes}
+    model = published_model(read_mjcf(pair.mjcf), robot)
+    assert model is not None
+    for body in range(1, model.nbody):
+        same = robot.mj_model.body(model.body(body).name)
+        assert same.geomnum[0] == model.body_geomnum[body]
+        first, there = int(model.body_geomadr[body]), int(same.geomadr[0])
+        for index in range(int(model.body_geomnum[body])):
+            kinds = model.geom_type[first + index], robot.mj_model.geom_type[there + index]
+            assert kinds[0] == kinds[1]
