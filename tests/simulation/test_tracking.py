@@ -193,7 +193,8 @@ def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
 def test_as_a_path_begins_on_a_slope_next_to_nothing_accelerates() -> None:
     """Feet push along the ground, and where they touch it is a radius below their centres.
 
-    With their forces on the other side of these, the joints would begin with four times as much.
+    With their forces on the other side of these, the base would begin with 0.19 m/s^2 instead of
+    0.004, and joints with 1.15 rad/s^2 instead of 0.17.
     """
     robot, ground = load("v3"), pa.Ground(slope=0.15)
     height = robot.stand_height
@@ -203,4 +204,5 @@ def test_as_a_path_begins_on_a_slope_next_to_nothing_accelerates() -> None:
     mujoco.mj_setState(model, data, plan.start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     data.ctrl[:] = plan.ctrl[0]
     mujoco.mj_forward(model, data)
-    assert np.abs(data.qacc[3:]).max() < 0.1  # rad/s^2
+    assert np.abs(data.qacc[:3]).max() < 0.02  # m/s^2
+    assert np.abs(data.qacc[3:]).max() < 0.4  # rad/s^2
