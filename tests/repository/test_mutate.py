@@ -13,13 +13,16 @@ import pytest
 from tests.support.repository import ROOT
 
 SAMPLE = 8
+LEAST = 0.3
+"""Of the sample, which is another one whenever the code changes: where three of four slips are
+noticed, as the recorded score says, fewer than three of eight are so in one run of 200."""
 
 
 @pytest.mark.longest
 def test_most_of_a_few_slips_are_noticed(tmp_path: Path) -> None:
     """In the room that all else rests on, by its own quick tests alone."""
     pytest.importorskip("cosmic_ray")
-    words = ["statics", "--sample", str(SAMPLE), "--seed", "7", "--least", "0.6"]
+    words = ["statics", "--sample", str(SAMPLE), "--seed", "7", "--least", str(LEAST)]
     done = subprocess.run(
         [sys.executable, ROOT / "tests/mutate.py", *words, "--tests", "tests/statics"],
         capture_output=True,
