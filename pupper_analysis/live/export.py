@@ -104,7 +104,7 @@ def _typed(field: Field, value: Any) -> str:
     return value if isinstance(value, str) else repr(in_si(field, value))
 
 
-def write_json(source: LiveSource, answer: Answer, sag: PredictedSag | None) -> str:
+def write_answer(source: LiveSource, answer: Answer, sag: PredictedSag | None) -> str:
     """Returns all that is known of a stance."""
     content: dict[str, Any] = {
         "robot": source.python(answer.state.scales()),

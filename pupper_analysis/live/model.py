@@ -136,7 +136,7 @@ class Model:
         return Answer(state, robot, task, stand, statics, None)
 
 
-def explain_refusal(answer: Answer) -> StanceUnreachableError | None:
+def explain_unreachable(answer: Answer) -> StanceUnreachableError | None:
     """Returns why a stance is out of reach, and how far it can go (a second, or some).
 
     None if it is in reach after all.

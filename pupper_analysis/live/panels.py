@@ -166,7 +166,7 @@ class Panels:
             return
         content = {
             "stance.py": lambda: export.write_python(source, answer.state),
-            "stance.json": lambda: export.write_json(source, answer, sag),
+            "stance.json": lambda: export.write_answer(source, answer, sag),
             "torques.csv": lambda: export.write_table(answer),
         }[name]()
         self._client.send_file_download(name, content.encode(), save_immediately=True)

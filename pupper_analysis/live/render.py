@@ -48,12 +48,12 @@ def render_panel(document: Document, say: Language) -> str:
     """Returns a document: whose it is, its verdict and the reasons, and its blocks."""
     parts = [_headed(document.title, say), render_verdict(document, say)]
     parts += [_block(block, say) for block in document.blocks]
-    return render_page(*parts)
+    return join_parts(*parts)
 
 
 def render_brief(document: Document, say: Language) -> str:
     """Returns a document's verdict alone, for a screen that has no room for more."""
-    return f'<div class="pa-page">{render_page(render_verdict(document, say))}</div>'
+    return f'<div class="pa-page">{join_parts(render_verdict(document, say))}</div>'
 
 
 def render_verdict(document: Document, say: Language) -> str:
@@ -66,19 +66,19 @@ def render_verdict(document: Document, say: Language) -> str:
     return _box(document.mark, "; ".join(say.words(one) for one in told))
 
 
-def render_page(*parts: str) -> str:
+def join_parts(*parts: str) -> str:
     """Returns parts as one piece of a page."""
     return f'{STYLE}<div class="pa">{"".join(parts)}</div>'
 
 
 def render_waiting(words: Words, say: Language) -> str:
     """Returns that something is under way."""
-    return render_page(_box("warn", say.words(words)))
+    return join_parts(_box("warn", say.words(words)))
 
 
 def render_hint(words: Words, say: Language) -> str:
     """Returns a hint where there is no result."""
-    return render_page(f"<div>{_said(say.words(words))}</div>")
+    return join_parts(f"<div>{_said(say.words(words))}</div>")
 
 
 def _headed(words: Words, say: Language) -> str:

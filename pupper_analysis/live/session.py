@@ -309,7 +309,7 @@ class Session:
     def _look(self, answer: Answer) -> None:
         """Finds out what takes longer."""
         if answer.unreachable:
-            error = answers.explain_refusal(answer)
+            error = answers.explain_unreachable(answer)
             assert answer.robot is not None
             robot = answer.robot
 

@@ -124,9 +124,6 @@ class MjcfEdits(Protocol):
     def exclude_contact(self, one: str, two: str) -> None:
         """Lets two bodies not touch each other."""
 
-    def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Lets geoms touch nothing."""
-
     def add_ball(self, name: str, body: str, radius: float, place: ArrayLike) -> object:
         """Adds a sphere that touches and weighs nothing, at a place (3,) in its body (m)."""
 

@@ -213,15 +213,17 @@ class SpecTree:
 
     def add_motor(self, joint: str) -> mujoco.MjsActuator:
         """Adds a motor at a joint; it has no limits, and does what it is told."""
-        motor = self.spec.add_actuator(
-            name=f"{joint} (servo)", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
+        motor = self._add_actuator(joint)
         # The MJCF's defaults are meant for its own: a limit of theirs has no range here.
         motor.ctrllimited = motor.forcelimited = motor.actlimited = (
             mujoco.mjtLimited.mjLIMITED_FALSE
         )
         motor.set_to_motor()
         return motor
+
+    def _add_actuator(self, joint: str) -> mujoco.MjsActuator:
+        at = mujoco.mjtTrn.mjTRN_JOINT
+        return self.spec.add_actuator(name=f"{joint} (servo)", target=joint, trntype=at)
 
     def add_position_servo(
         self,
@@ -231,11 +233,7 @@ class SpecTree:
         limits: tuple[Number, Number] | None = None,
     ) -> None:
         """Makes a joint's motor a position servo; where it has none, one is added."""
-        motor = self.motor_at(joint)
-        if motor is None:
-            motor = self.spec.add_actuator(
-                name=f"{joint} (servo)", target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT
-            )
+        motor = self.motor_at(joint) or self._add_actuator(joint)
         gear = float(motor.gear[0]) or 1.0
         motor.set_to_position(kp=float(kp) / gear**2, kv=float(kd) / gear**2, inheritrange=0.0)
         motor.ctrllimited = motor.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
@@ -247,12 +245,6 @@ class SpecTree:
     def exclude_contact(self, one: str, two: str) -> None:
         """Lets two bodies not touch each other."""
         self.spec.add_exclude(bodyname1=one, bodyname2=two)
-
-    def turn_off_contact(self, geoms: Sequence[str]) -> None:
-        """Lets geoms touch nothing."""
-        for geom in self.spec.geoms:
-            if geom.name in geoms:
-                geom.contype = geom.conaffinity = 0
 
     def add_ball(
         self,

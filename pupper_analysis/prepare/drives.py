@@ -97,7 +97,7 @@ def add_position_servos(
     stated = {limit.joint: limit for limit in robot.efforts}
 
     def built(parts: int, kp: Array, kd: Array) -> Robot:
-        spec = with_servos(robot.description.mjcf, robot, kp, kd)
+        spec = spec_with_servos(robot.description.mjcf, robot, kp, kd)
         spec.option.timestep /= parts
         take_visuals_of(spec, original)
         return rebuild_robot(robot, mjcf=spec, efforts=stated)
@@ -107,7 +107,7 @@ def add_position_servos(
         for parts, sag in itertools.product(_FINER, _SAGS)
     ]
 
-    spec = with_servos(robot.description.mjcf, robot, *candidates[0][1:])
+    spec = spec_with_servos(robot.description.mjcf, robot, *candidates[0][1:])
     trial = rebuild_robot(robot, mjcf=spec, efforts=stated)
     timestep = float(trial.mj_model.opt.timestep)
 
@@ -241,7 +241,7 @@ def _another(robot: Robot, seen: StandVerification) -> bool:
     return seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 
-def with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:
+def spec_with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:
     """Returns a spec in which every joint has a position servo, whose limit is the motor's.
 
     A servo stays as it is. The integrator is ``implicitfast``, with which a servo's damping does

@@ -54,7 +54,7 @@ def in_words(verdict: Verdict) -> str:
     return "; ".join(map(str, verdict_clauses(verdict)))
 
 
-def word(verdict: Verdict) -> str:
+def short_verdict(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
     if verdict.passed:
         alone = verdict.commands_alone in (None, Ending.HOLDS)
@@ -78,7 +78,7 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 
 def verdict_word(verdict: Verdict) -> Text:
     """Returns a verdict in a word or two."""
-    return text(word(verdict))
+    return text(short_verdict(verdict))
 
 
 def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:

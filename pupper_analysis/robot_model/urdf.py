@@ -39,7 +39,7 @@ def read_urdf_model(file: UrdfFile) -> UrdfModel:
     for parent in (waiting := [root.name]):
         for joint in tree.below.get(parent, []):
             name = joint.child
-            pose = bodies[parent].pose * read_origin(joint.element)
+            pose = bodies[parent].pose * read_pose(joint.element)
             bodies[name] = _body(file, tree.links[name], parent, pose, (_joint(joint, pose),))
             waiting.append(name)
     return UrdfModel("urdf", "link", root.name, bodies, file.notes, file)
@@ -66,7 +66,7 @@ def read_vector(
     return values if len(values) == len(default) else np.array(default, dtype=float)
 
 
-def read_origin(element: etree._Element) -> Pose:
+def read_pose(element: etree._Element) -> Pose:
     """Returns the pose that an element's ``<origin>`` states."""
     tag = element.find("origin")
     roll, pitch, yaw = read_vector(tag, "rpy", (0.0, 0.0, 0.0))
@@ -117,7 +117,7 @@ def _inertial(link: UrdfLink) -> Inertial | None:
     element = link.inertial
     if element is None:
         return None
-    pose = read_origin(element)
+    pose = read_pose(element)
     tag = element.find("inertia")
     tensor = np.zeros((3, 3))
     rounding = 0.0
@@ -146,7 +146,7 @@ def half_digit(text: str) -> float:
 def _shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
-    pose, name = read_origin(element), element.get("name", "")
+    pose, name = read_pose(element), element.get("name", "")
     if tag is None:
         return Shape(name, "none", pose, (), collides)
     kind = str(tag.tag)

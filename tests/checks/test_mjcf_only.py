@@ -389,8 +389,8 @@ def test_never_agree_while_mujoco_accelerates_otherwise(
 
 FINDERS = {
     "find_springs": ("spring", "qfrc_spring"),
-    "damping_polynomials": ("damping polynomial", "qfrc_damper"),
-    "gravity_compensation": ("gravity compensation", "qfrc_gravcomp"),
+    "find_damping_polynomials": ("damping polynomial", "qfrc_damper"),
+    "find_gravity_compensation": ("gravity compensation", "qfrc_gravcomp"),
     "find_tendons": ("spatial spring", "qfrc_spring"),
     "find_fluid": ("density", "qfrc_fluid"),
     "find_actuators": ("motor damping polynomial", "qfrc_damper"),

@@ -33,7 +33,7 @@ from pupper_analysis.live.model import (
     Answer,
     Model,
     expect_verdict,
-    explain_refusal,
+    explain_unreachable,
     predict_sag,
     push_stand,
     simulate_stance,
@@ -204,7 +204,7 @@ def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     found = model.answer(State(height=200.0, roll=30.0))
     assert found.unreachable
     assert found.stand is None
-    error = explain_refusal(found)
+    error = explain_unreachable(found)
     assert error is not None
     with pytest.raises(pa.StanceUnreachableError) as same:
         pa.solve_stand(load("v3"), pa.StandTask(height=0.2, roll=np.radians(30.0)))
@@ -303,7 +303,7 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     saved = json.loads((tmp_path / "stance.json").read_text())
     assert saved["sunk"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
-    whole = json.loads(export.write_json(source, found, predict_sag(found)))
+    whole = json.loads(export.write_answer(source, found, predict_sag(found)))
     assert whole["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
     assert parse_state(whole["state"]) == state
     rows = [line.split(",") for line in export.write_table(found).splitlines()]
@@ -443,12 +443,12 @@ def test_errors_are_in_the_units_of_the_page(words: str, said: str) -> None:
 
 def test_what_is_possible_is_in_the_units_of_the_page() -> None:
     found = model_of().answer(State(height=250.0))
-    error = explain_refusal(found)
+    error = explain_unreachable(found)
     assert error is not None
     told = render_panel(refusal_document(found, error, pending=False), ENGLISH)
     assert f"height (mm): {1e3 * error.limits['height']['height']:g}" in told
     both = model_of().answer(State(roll=35.0))
-    joints = render_panel(refusal_document(both, explain_refusal(both), pending=False), ENGLISH)
+    joints = render_panel(refusal_document(both, explain_unreachable(both), pending=False), ENGLISH)
     assert "leg_front_l_2 (+24.1°)" in joints  # of 0.42 rad
 
 

@@ -12,7 +12,7 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.path_commands import path_commands
 from pupper_analysis.simulation.rollout import STATE, simulate
 from pupper_analysis.simulation.tracking import track_path
-from pupper_analysis.stance.path.creeping import find_creep
+from pupper_analysis.stance.path.creeping import integrate_creep
 from pupper_analysis.stance.path.geometry import path_geometry
 from pupper_analysis.stance.path.stance_path import even_times, stance_path, timed_path
 from tests.stance.path.test_stance_path import SECONDS, path_of, stances
@@ -151,7 +151,7 @@ def fast_sway() -> pa.stance.StancePath:
 def test_feet_that_are_pushed_as_they_roll_creep_as_predicted() -> None:
     """By 1 mm; the simulated feet are within half of that, and would be 1.1 mm off without it."""
     robot, path = load("v3"), fast_sway()
-    away = 1e3 * np.linalg.norm(find_creep(robot, path, path.qvel, path.forces)[-1], axis=1)
+    away = 1e3 * np.linalg.norm(integrate_creep(robot, path, path.qvel, path.forces)[-1], axis=1)
     assert (away > 0.7).all()
     assert (away < 1.2).all()
     tracking = track_path(robot, path)

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
 from pupper_analysis.checks.mjcf_only.joints import (
-    damping_polynomials,
+    find_damping_polynomials,
+    find_gravity_compensation,
     find_springs,
     free_joint_friction,
-    gravity_compensation,
 )
 from pupper_analysis.checks.mjcf_only.named_model import NamedModel
 from pupper_analysis.checks.mjcf_only.others import (
@@ -37,8 +37,8 @@ def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
     scene = NamedModel(reference)
     return [
         *find_springs(scene),
-        *damping_polynomials(scene),
-        *gravity_compensation(scene),
+        *find_damping_polynomials(scene),
+        *find_gravity_compensation(scene),
         *free_joint_friction(scene),
         *find_tendons(scene),
         *find_actuators(scene),

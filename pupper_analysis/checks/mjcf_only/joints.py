@@ -46,7 +46,7 @@ def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
         )
 
 
-def damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields damping in higher powers of a joint's speed."""
     model = scene.model
     for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_DAMPER) else ():
@@ -62,7 +62,7 @@ def damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
             yield MjcfOnlyEffect("damping polynomial", name, values, "", told, slots)
 
 
-def gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
     """Yields the bodies whose weight is (partly) carried by nothing."""
     model = scene.model
     for body in sorted(scene.bodies):

@@ -20,7 +20,7 @@ _SLIDING = 0.98
 """A foot that needs more of its friction slides, and its speed is no matter of friction alone."""
 
 
-def find_creep(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array:
+def integrate_creep(robot: Robot, path: StancePath, motion: Array, forces: Array) -> Array:
     """Returns how far each foot has crept along a path (n, feet, 3) (m).
 
     A contact at rest gives f_t = -c v (``GroundLaw``), and a foot creeps as long as it is pushed.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.creeping import find_creep, pressed_in
+from pupper_analysis.stance.path.creeping import integrate_creep, pressed_in
 from pupper_analysis.stance.path.stance_path import StancePath
 from pupper_analysis.statics.dynamics import joint_resistance, rolling_resistance
 
@@ -83,7 +83,9 @@ def sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
         # A sole's corners do not roll.
         shorter = np.where(radius > 0, radius - (depths[1:] + depths[:-1]) / 4, 0.0)
         configs = [Configuration(robot, qpos) for qpos in found.qpos]
-        goals = centres - depths[..., None] * normal + find_creep(robot, path, found.qvel, forces)
+        goals = (
+            centres - depths[..., None] * normal + integrate_creep(robot, path, found.qvel, forces)
+        )
         goals += _rolled(configs, path.feet, normal, carrying * shorter) - rolled
         rows = zip(found.qpos, goals, strict=True)
         qpos = np.array([_reaching(robot, row, path.feet, places) for row, places in rows])
