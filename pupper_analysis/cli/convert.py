@@ -20,42 +20,47 @@ from pupper_analysis.errors import ConfigurationError, OutputError
     "-o",
     "--output",
     required=True,
-    help="The new file: .xml of a URDF, .urdf of an MJCF.",
+    help="The file to write: .xml (from a URDF) or .urdf (from an MJCF).",
 )
-@click.option("--force", is_flag=True, help="Replace the new file if it exists.")
+@click.option("--force", is_flag=True, help="Overwrite the output file if it exists.")
 @click.option(
     "--foot",
     "feet",
     multiple=True,
     metavar="[NAME=]LINK",
-    help="A foot. Repeatable; else the feet are found.",
+    help="A foot; e.g. FL=FL_foot. Repeatable. By default the feet are detected.",
 )
 @click.option(
     "--fixed-base/--free-base",
     "fixed_base",
     default=None,
-    help="Whether the base is fixed; else one with two limbs or more is free.",
+    help="Fix or free the base. By default a base with two or more limbs is free.",
 )
-@click.option("--merge-fixed", is_flag=True, help="Links on fixed joints become sites.")
+@click.option("--merge-fixed", is_flag=True, help="Turn links on fixed joints into sites.")
 @click.option(
     "--armature",
     multiple=True,
     metavar="[JOINTS=]KGM2",
-    help="Rotor inertia (kg m^2), of all joints or by pattern: '*knee*=0.01'.",
+    help="Rotor inertia (kg m^2) of all joints, or by pattern; e.g. '*knee*=0.01'. Repeatable.",
 )
 @click.option(
     "--sag",
     type=shared.QuantityType("angle"),
-    help="The joint that holds most gives way so far (rad).",
+    help="Largest static deflection of a joint, which sets the servos' kp (rad); e.g. 1deg.",
 )
-@click.option("--damping-ratio", type=float, help="Of the base's bounce on its servos.")
+@click.option(
+    "--damping-ratio",
+    type=float,
+    help="Damping ratio of the base on its servos, which sets kd; e.g. 1.",
+)
 @click.option(
     "--repair-inertia",
     is_flag=True,
-    help="Give moving links the nearest inertia that a body can have; 1 g to those without mass.",
+    help="Replace impossible inertias of moving links by the nearest possible ones; links "
+    "without mass get 1 g.",
 )
 @click.option(
-    "--copy-meshes", is_flag=True, help="Copy all meshes to NAME_meshes/ beside the new file."
+    "--copy-meshes", is_flag=True, help="Copy all meshes into NAME_meshes/ beside the output file."
 )
 @shared.package_option
 @shared.json_option
@@ -80,9 +85,10 @@ def convert_command(
 ) -> None:
     """Make an MJCF of a URDF, ready for simulation; or a URDF of an MJCF.
 
-    All that the URDF states is kept, number by number; a floor, a free joint, feet, servos, a
-    keyframe in which it stands and an IMU are added, each is said, and so is what the new format
-    cannot say. The new file is proven: cross-checked with the source, and its robot stood for 12 s.
+    Every number of the URDF is kept. A floor, a free joint, feet, servos, a keyframe of the stand
+    and an IMU are added, and listed, as are the values that the new format cannot express. The new
+    file is then verified: it is cross-checked with its source, and its robot stands for 12 s in
+    simulation.
 
     \b
     Examples:
@@ -92,7 +98,8 @@ def convert_command(
       pupper-analysis convert robot.xml -o robot.urdf
 
     \b
-    Exit status: 0 both agree and it stands, 1 not so (the file is there all the same), 2 bad input.
+    Exit status: 0 both files agree and the robot stands, 1 they do not or it falls (the file is
+    written all the same), 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.convert.model import convert_model
     from pupper_analysis.models.urdf_file import read_urdf

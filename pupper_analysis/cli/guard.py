@@ -16,18 +16,18 @@ from pupper_analysis.cli import models, shared
 )
 @shared.file_option(
     "--config",
-    help="The pupper-analysis.toml; else that of this folder, or of one above it.",
+    help="Configuration file. By default pupper-analysis.toml in this folder or one above it.",
 )
 @click.option(
     "--update-baseline",
     is_flag=True,
-    help="Take all that is found as known: write the baseline. Only what is new fails from then.",
+    help="Write all current findings to the baseline; from then on only new ones fail.",
 )
 @click.option(
     "--init",
     "first",
     is_flag=True,
-    help="Write a pupper-analysis.toml that names all models in this folder, and end.",
+    help="Write a pupper-analysis.toml that lists all models in this folder, and exit.",
 )
 @shared.all_option
 @shared.json_option
@@ -40,14 +40,14 @@ def check_command(
     json_path: Path | None,
     style: str,
 ) -> None:
-    """Crosscheck and audit all models that pupper-analysis.toml names, as a repository's CI does.
+    """Cross-check and audit all models that pupper-analysis.toml lists, e.g. in a repository's CI.
 
-    What the baseline has with the same value is known, and passes: so an old robot can be guarded
-    from today on, and only a difference or finding that is new, or has changed, fails. Paths are
-    relative to the file. docs/how-to/check.md has an example, the GitHub Action and the hook.
+    Findings that the baseline lists with the same value pass, so an existing robot can be guarded
+    from today on: only a difference or finding that is new or has changed fails. Paths are relative
+    to the file. docs/how-to/check.md has an example, the GitHub Action and the pre-commit hook.
 
     \b
-    The least pupper-analysis.toml:
+    A minimal pupper-analysis.toml:
       [[pair]]
       name = "go1"
       urdf = "urdf/go1.urdf"
@@ -69,7 +69,7 @@ def check_command(
       pupper-analysis check --format sarif --json check.json
 
     \b
-    Exit status: 0 nothing is new, 1 something is, or a model cannot be read, 2 bad input.
+    Exit status: 0 nothing is new, 1 a finding is new or a model cannot be read, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.guard.check import check_repository
     from pupper_analysis.report import formats
@@ -121,7 +121,7 @@ def _begin(config: Path | None) -> None:
     "pairs",
     multiple=True,
     metavar="OLD=NEW",
-    help="A joint's old and new name, if neither name nor place tells. May be repeated.",
+    help="A joint's old and new name, where it is not detected; e.g. knee=knee_joint. Repeatable.",
 )
 @shared.package_option
 @models.fine_tolerance_option
@@ -140,10 +140,10 @@ def diff_command(
 ) -> None:
     """Show what has changed in the robot between OLD and NEW: two URDFs, or two MJCFs.
 
-    Each change of a number has its lines in both files and its effect on the dynamics; then what
-    it does to the mass, and to the torques that hold the links in the air. Moved text, link frames
-    that are put elsewhere, and other ways to say the same, are no changes. OLD or NEW may be
-    REVISION:PATH, a file as git has it.
+    Each changed number is shown with its lines in both files and its effect on the dynamics, then
+    the change in total mass and in the torques that hold the links in the air. Moved text, moved
+    link frames and other ways to write the same robot are not changes. OLD or NEW may be
+    REVISION:PATH, a file in git's history.
 
     \b
     Examples:

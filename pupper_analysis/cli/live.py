@@ -28,17 +28,27 @@ if TYPE_CHECKING:
 @click.command("live", context_settings=shared.CONTEXT, short_help="A page to play with stances.")
 @name_argument
 @stance_options(OWN, VARIANT)
-@click.option("--state", default="", metavar="STATE", help="How it begins; a page shows its own.")
+@click.option(
+    "--state",
+    default="",
+    metavar="STATE",
+    help="Initial state of the page, as the page's address shows it; e.g. 'height:120;roll:5'.",
+)
 @click.option(
     "--language",
     type=click.Choice(["en", "zh"]),
     default="en",
     show_default=True,
-    help="In which it opens: English or Chinese.",
+    help="Language of the page: English (en) or Chinese (zh).",
 )
-@click.option("--host", default="127.0.0.1", show_default=True, help="Where it can be reached.")
-@click.option("--port", type=int, help="On which port.  [default: any that is free]")
-@click.option("--no-browser", is_flag=True, help="Open no browser; print the address.")
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    help="Address to serve on; e.g. 0.0.0.0 for all machines that can reach this one.",
+)
+@click.option("--port", type=int, help="Port to serve on. [default: any that is free]")
+@click.option("--no-browser", is_flag=True, help="Do not open a browser; print the address.")
 def live_command(
     name: str | None,
     urdf: Path | None,
@@ -56,11 +66,11 @@ def live_command(
     port: int | None,
     no_browser: bool,
 ) -> None:
-    """Open a page on which sliders ask for a stance, and its torques, forces and sag are shown.
+    """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
-    NAME is a variant (v3 by default). Each browser that opens the page plays on its own. The page
-    can be reached from this machine alone, unless --host says otherwise: then by anyone who can
-    reach the port and has the address that is printed, with its token. It is served until Ctrl-C.
+    NAME is a variant (v3 by default). Each browser that opens the page has its own session.
+    Only this machine can reach the page, unless --host is given: then anyone can who reaches
+    the port and has the printed address with its token. The page is served until Ctrl-C.
 
     \b
     Examples:

@@ -16,9 +16,11 @@ from pupper_analysis.cli.stance_options import AS_IS, FOUND, files_given, stance
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
 @stance_options(FOUND)
-@click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF has it.")
+@click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF places it.")
 @AS_IS
-@click.option("--explain", is_flag=True, help="Print each pass that was run, and what it did.")
+@click.option(
+    "--explain", is_flag=True, help="Print each preparation pass that ran and what it did."
+)
 @shared.look_option
 @shared.verbose_option
 @shared.json_option
@@ -36,10 +38,10 @@ def load(
     everything: bool,
     json_path: Path | None,
 ) -> None:
-    """Load a robot of your own, and print what its files lack to stand.
+    """Load a robot of your own, and print what was added so that it can stand.
 
-    A free base, a level ground, feet, a start pose and position servos are found, or added, in
-    memory: no file is changed. Each is done by a pass; --explain prints them in their order.
+    A free base, level ground, feet, a start pose and position servos are detected, or added in
+    memory; no file is changed. --explain prints the preparation passes in the order they ran.
 
     \b
     Examples:
@@ -47,7 +49,7 @@ def load(
       pupper-analysis load g1.urdf g1.xml --foot left_ankle_roll_link --foot right_ankle_roll_link
 
     \b
-    Exit status: 0 it was loaded, 2 it cannot be, or bad input.
+    Exit status: 0 the robot was loaded, 2 it cannot be loaded, or bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.models.mjcf import silence_mujoco
     from pupper_analysis.models.mjcf_file import read_mjcf

@@ -19,11 +19,11 @@ map_option = click.option(
     "pairs",
     multiple=True,
     metavar="URDF=MJCF",
-    help="A joint's or frame's name in the URDF, and in the MJCF. May be repeated.",
+    help="A joint's or frame's name in the URDF and in the MJCF; e.g. lf_haa=FL_hip. Repeatable.",
 )
 map_file_option = shared.file_option(
     "--map-file",
-    help='TOML file of such names: a line "name in the URDF" = "name in the MJCF" each.',
+    help='TOML file with one such pair per line: "name in the URDF" = "name in the MJCF".',
 )
 
 
@@ -32,7 +32,8 @@ frame_option = click.option(
     "feet",
     multiple=True,
     metavar="FRAME",
-    help="Compare this frame. Repeatable; else all that both files have.",
+    help="Compare only this frame; e.g. FL_foot. Repeatable. By default all frames that both "
+    "files have are compared.",
 )
 
 
@@ -41,7 +42,7 @@ fine_tolerance_option = click.option(
     "changes",
     multiple=True,
     metavar="KIND=VALUE",
-    help="What is let be, as of crosscheck. May be repeated.",
+    help="Largest difference to ignore, as for crosscheck; e.g. mass=1e-3. Repeatable.",
 )
 
 
@@ -66,24 +67,26 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     "changes",
     multiple=True,
     metavar="KIND=VALUE",
-    help="Of mass, com, inertia, position, rotation, axis, limit, effort, velocity, damping, "
-    "friction, gravity or dynamics. May be repeated.",
+    help="Largest difference to ignore; e.g. mass=1e-3. KIND is mass, com, inertia, position, "
+    "rotation, axis, limit, effort, velocity, damping, friction, gravity or dynamics. "
+    "Repeatable.",
 )
 @click.option(
     "--strict",
     is_flag=True,
-    help="Tolerate rounding errors alone (1e-9): not digits, names, or damping the URDF lacks.",
+    help="Report everything above rounding errors (1e-9): differences in printed digits, in "
+    "names, and damping that the URDF lacks.",
 )
 @click.option(
     "--any-coordinates",
     is_flag=True,
-    help="Let joints' zeros, and a free base's frame, be elsewhere: notes tell of them.",
+    help="Accept other zero angles of joints and another frame of a free base; notes list them.",
 )
 @click.option(
     "--same-mount",
     is_flag=True,
-    help="A fixed base that is tilted against the URDF's is a difference, as with --strict: "
-    "gravity torques are others.",
+    help="Count a fixed base that is tilted against the URDF's as a difference (as --strict "
+    "does), since it changes the gravity torques.",
 )
 @shared.all_option
 @shared.json_option
@@ -107,14 +110,14 @@ def crosscheck(
 ) -> None:
     """Find which number in which file makes a robot's URDF and MJCF disagree.
 
-    Both models are compared in both engines, and body by body; each difference is shown with its
-    place in both files and its effect, what is to be mended first, first, and the list is proven
-    complete. Where a link's frame is does not count. Joints are matched by --map, by name, by name
-    without prefixes and suffixes, and the rest by structure (which is then printed).
+    Both models are compared in both engines, and body by body. Each difference is shown with its
+    line in both files and its effect on the dynamics, the most important first, and the list is
+    proven complete. The placement of link frames does not count. Joints are matched by --map, by
+    name, by name without prefixes and suffixes, and finally by structure (which is then printed).
 
-    SAME ROBOT, DIFFERENT CONVENTIONS means that only zeros of joints, or the frame of a free base,
-    are elsewhere: the same numbers are another pose. That is exit status 1, but with
-    --any-coordinates.
+    SAME ROBOT, DIFFERENT CONVENTIONS means that only the zero angles of joints, or the frame of a
+    free base, differ, so that the same joint angles are another pose. The exit status is then 1, or
+    0 with --any-coordinates.
 
     \b
     Examples:
@@ -166,15 +169,19 @@ def crosscheck(
 @click.argument("file", required=False, type=shared.MODEL_FILE)
 @shared.package_option
 @click.option(
-    "--disable", "disabled", multiple=True, metavar="RULE", help="Do not run this rule. Repeatable."
+    "--disable",
+    "disabled",
+    multiple=True,
+    metavar="RULE",
+    help="Skip this rule; e.g. armature-zero. Repeatable.",
 )
-@click.option("--list-rules", is_flag=True, help="List the rules, and stop.")
+@click.option("--list-rules", is_flag=True, help="List the rules and exit.")
 @click.option(
     "--fail-on",
     type=click.Choice(["error", "warning", "note", "info"]),
     default="error",
     show_default=True,
-    help="The least severity that makes the exit status 1; info is the same as note.",
+    help="Lowest severity that makes the exit status 1; info is the same as note.",
 )
 @shared.verbose_option
 @shared.json_option
@@ -193,9 +200,9 @@ def audit_command(
 ) -> None:
     """Find what is physically or practically wrong in one model file, URDF, MJCF or USD.
 
-    Masses and inertias that no body can have, legs that are no mirror images, shapes that end
-    beside their joints, limits in degrees, servos that jitter, feet that begin in the floor, and
-    more: each finding has its place, why it matters, and what to do.
+    Impossible masses and inertias, legs that are not mirror images, shapes that do not reach their
+    joints, limits in degrees, servos that jitter, feet that start inside the floor, and more. Each
+    finding says where it is, why it matters, and what to do.
 
     \b
     Examples:
@@ -206,7 +213,7 @@ def audit_command(
       xacro robot.urdf.xacro | pupper-analysis audit -
 
     \b
-    Exit status: 0 nothing as bad as --fail-on was found, 1 something was, 2 bad input.
+    Exit status: 0 no finding as severe as --fail-on, 1 there is one, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.checks.audit import audit_model
     from pupper_analysis.report import audit as audit_report

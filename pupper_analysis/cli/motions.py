@@ -16,13 +16,17 @@ from pupper_analysis.errors import ConfigurationError
     context_settings=shared.CONTEXT, short_help="Move to a stance, in balance all the way."
 )
 @name_argument
-@click.option("--seconds", type=float, metavar="S", help="How long it takes (s).")
-@click.option("--fastest", is_flag=True, help="The least time within limits, smoothly.")
+@click.option("--seconds", type=float, metavar="S", help="Duration of the path (s); e.g. 4.")
+@click.option(
+    "--fastest",
+    is_flag=True,
+    help="Find the shortest duration within all limits, with bounded jerk.",
+)
 @shared.file_option(
     "--csv",
-    help="Write the path's commands here, or to -.",
+    help="Write the commands of the path as CSV to this file, or to standard output (-).",
 )
-@shared.file_option("--npz", help="Write the path's arrays here.")
+@shared.file_option("--npz", help="Write the arrays of the path to this NumPy file (.npz).")
 @robot_and_task
 @shared.json_option
 @shared.report_option
@@ -36,13 +40,13 @@ def path(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Move from the nominal stand to a stance, and simulate that.
+    """Plan a path from the nominal stand to a stance, and simulate it.
 
-    The feet are from the start where the stance has them; before one is lifted, the weight is
-    shifted on to the others. Every sample is a stand in balance, inertia included. Robot and stance
-    are given as for `stand`; the time by --seconds, or as the least by --fastest: that of motors,
-    friction and feet that keep a fifth of their load, with an acceleration that rises no faster
-    than soft ground follows. What it would be without that is printed beside it.
+    The feet start where the stance has them; before one is lifted, the weight is shifted onto the
+    others. Every sample is a stand in dynamic balance. Robot and stance are given as for `stand`.
+    The duration is given by --seconds, or found by --fastest: the shortest that motors and friction
+    allow while each foot keeps a fifth of its load, with jerk bounded so that soft ground can
+    follow. The duration with unbounded jerk is printed beside it, as the lower bound.
 
     \b
     Examples:
@@ -51,7 +55,8 @@ def path(
       pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --npz pitch.npz
 
     \b
-    Exit status: 0 it is followed, 1 it is not, 2 out of reach, not holdable or bad input.
+    Exit status: 0 the robot follows the path, 1 it does not, 2 out of reach, not holdable or
+    bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.path import study_path
 
@@ -76,9 +81,18 @@ def path(
 
 @click.command(context_settings=shared.CONTEXT, short_help="Push robots over: how hard, which way?")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--directions", default=12, show_default=True, help="How many, evenly spaced.")
 @click.option(
-    "--resolution", default=0.02, show_default=True, metavar="NS", help="Of the impulses (N s)."
+    "--directions",
+    default=12,
+    show_default=True,
+    help="Number of push directions, evenly spaced; e.g. 4.",
+)
+@click.option(
+    "--resolution",
+    default=0.02,
+    show_default=True,
+    metavar="NS",
+    help="Resolution of the impulses (N s); e.g. 0.1.",
 )
 @robot_and_task
 @shared.figure_option
@@ -93,13 +107,13 @@ def push(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Find the largest horizontal push, in each direction, that robots survive as they stand.
+    """Find the largest horizontal push, in each direction, that standing robots survive.
 
-    Each NAME is a variant; without any, and no other robot, all six are pushed (some three seconds
-    each). Robot and stance are given as for `stand`. A push lasts 20 ms, at the com of the base; a
-    robot that survives it is upright and at rest after 6 s, and nothing but its feet ever touched
-    the ground. What is pushed is the stance with its legs longer by what the feet sink into
-    MuJoCo's soft ground.
+    Each NAME is a variant. By default all six are pushed (about three seconds each). Robot and
+    stance are given as for `stand`. A push lasts 20 ms and acts at the CoM of the base. A robot
+    survives it if it is upright and at rest after 6 s and only its feet ever touched the
+    ground. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
+    ground.
 
     \b
     Examples:
@@ -109,7 +123,7 @@ def push(
       pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
 
     \b
-    Exit status: 0 done, 1 a stand does not last even unpushed, 2 bad input.
+    Exit status: 0 done, 1 a robot falls even without a push, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.push import study_pushes
     from pupper_analysis.pupper.variants import VARIANTS

@@ -32,8 +32,8 @@ package_option = click.option(
     "packages",
     multiple=True,
     metavar="NAME=DIR",
-    help="Where package://NAME/ is; else ROS_PACKAGE_PATH, then the folders above the URDF. "
-    "May be repeated.",
+    help="Folder of package://NAME/. Repeatable. By default ROS_PACKAGE_PATH and the folders "
+    "above the URDF are searched.",
 )
 
 
@@ -44,22 +44,22 @@ def file_option(*names: str, help: str, required: bool = False) -> Callable[[F],
 
 
 json_option = file_option(
-    "--json", "json_path", help="Write all results here, or to -: standard output."
+    "--json", "json_path", help="Write all results as JSON to this file, or to standard output (-)."
 )
 report_option = file_option(
     "--report",
     "report_path",
-    help="Write a page with tables, plots and a 3-D view here: one HTML file.",
+    help="Write an HTML report with tables, plots and a 3-D view to this file.",
 )
-figure_option = file_option("--figure", help="Draw it: a PNG.")
+figure_option = file_option("--figure", help="Draw the result to this PNG file.")
 format_option = click.option(
     "--format",
     "style",
     type=click.Choice(["text", "markdown", "github", "junit", "sarif"]),
     default="text",
     show_default=True,
-    help="For people, as Markdown for a comment, as GitHub annotations, as JUnit XML, or as SARIF "
-    "for code scanning.",
+    help="Output format: text, Markdown, GitHub annotations, JUnit XML, or SARIF for code "
+    "scanning.",
 )
 look_option = click.option(
     "--format",
@@ -67,10 +67,10 @@ look_option = click.option(
     type=click.Choice(["text", "markdown"]),
     default="text",
     show_default=True,
-    help="For a terminal, or as Markdown for a comment on a pull request.",
+    help="Output format: text for a terminal, or Markdown, e.g. for a pull request.",
 )
 verbose_option = click.option(
-    "-v", "--verbose", "everything", is_flag=True, help="Print every table and every note."
+    "-v", "--verbose", "everything", is_flag=True, help="Print all tables and notes."
 )
 all_option = click.option(
     "-v",
@@ -78,7 +78,7 @@ all_option = click.option(
     "--all",
     "everything",
     is_flag=True,
-    help="Print all that was found, and every table.",
+    help="Print all findings and all tables.",
 )
 
 

@@ -27,11 +27,18 @@ if TYPE_CHECKING:
 Command = Callable[..., None]
 
 VARIANT = (
-    click.option("--base", metavar="BASE", help="A variant of this base: skeleton or v3."),
     click.option(
-        "--leg-scale", type=float, metavar="S", help="Its legs, times S in length and mass."
+        "--base", metavar="BASE", help="Base model of a variant of your own: skeleton or v3."
     ),
-    click.option("--torso-mass-scale", type=float, metavar="T", help="Its torso's mass, times T."),
+    click.option(
+        "--leg-scale",
+        type=float,
+        metavar="S",
+        help="Scale the legs' length and mass by S; e.g. 1.2.",
+    ),
+    click.option(
+        "--torso-mass-scale", type=float, metavar="T", help="Scale the torso's mass by T; e.g. 1.5."
+    ),
 )
 FOUND = (
     click.option(
@@ -39,34 +46,37 @@ FOUND = (
         "feet",
         multiple=True,
         metavar="[NAME=]FRAME",
-        help="A foot: a link, geom, site or body, or LINK:FRAME. Repeatable; else they are found.",
+        help="A foot: a link, geom, site or body, or LINK:FRAME; e.g. FL=FL_foot. Repeatable. By "
+        "default the feet are detected.",
     ),
     click.option(
         "--map",
         "pairs",
         multiple=True,
         metavar="URDF=MJCF",
-        help="A joint's names. Repeatable.",
+        help="A joint's name in the URDF and in the MJCF; e.g. lf_haa=FL_hip. Repeatable.",
     ),
-    click.option("--keyframe", metavar="NAME", help="The MJCF's keyframe to start from."),
+    click.option(
+        "--keyframe", metavar="NAME", help="Keyframe of the MJCF to start from; e.g. home."
+    ),
     shared.package_option,
 )
 """What is found in two files, unless it is said."""
 
 OWN = (
-    shared.file_option("--urdf", help="A robot of your own: its URDF,"),
-    shared.file_option("--mjcf", help="and its MJCF."),
+    shared.file_option("--urdf", help="URDF of your own robot (with --mjcf)."),
+    shared.file_option("--mjcf", help="MJCF of your own robot (with --urdf)."),
     *FOUND,
 )
 AS_IS = click.option(
-    "--as-is", is_flag=True, help="Add no servos to the MJCF, and alter no shapes."
+    "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
 )
 AS_PUBLISHED = (
     AS_IS,
     click.option(
         "--self-check/--no-self-check",
         default=True,
-        help="Simulate the MJCF as it was published, too (default).",
+        help="Also simulate the MJCF as published, unedited. [default: on]",
     ),
 )
 LOAD = tuple(option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at"))
@@ -81,7 +91,7 @@ SERVOS = (
     click.option(
         "--integrator",
         type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
-        help="MuJoCo's, not the model's.",
+        help="MuJoCo integrator, in place of the model's; e.g. implicitfast.",
     ),
 )
 

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 at_option = click.option(
-    "--at", default="0,0,0", metavar="X,Y,Z", help="Of the payload, in the base's frame (m)."
+    "--at",
+    default="0,0,0",
+    metavar="X,Y,Z",
+    help="Position of the payload in the base frame (m); e.g. 0,0,8cm.",
 )
 
 
@@ -23,7 +26,9 @@ at_option = click.option(
     context_settings=shared.CONTEXT, short_help="Solve a stance: its cost, and if it holds."
 )
 @name_argument
-@click.option("--minimum-stiffness", is_flag=True, help="Also the least kp that carries it.")
+@click.option(
+    "--minimum-stiffness", is_flag=True, help="Also find the lowest kp that carries the robot."
+)
 @robot_and_task
 @shared.figure_option
 @shared.json_option
@@ -36,21 +41,22 @@ def stand(
     json_path: Path | None,
     report_path: Path | None,
 ) -> None:
-    """Solve a stance; print joint angles, what the motors hold, and whether it lasts.
+    """Solve a stance: joint angles, motor torques, and whether the robot stays upright in it.
 
-    NAME is a variant (v3 by default); --base, --leg-scale and --torso-mass-scale make others. A
-    robot of your own is a URDF and an MJCF: feet, floor, servos and start pose are found, or
-    added where the files lack them, and every such thing is printed as a note.
+    NAME is a variant (v3 by default); --base, --leg-scale and --torso-mass-scale define others. A
+    robot of your own is a URDF and an MJCF. Its feet are detected; a floor, servos and a start pose
+    are added where the files lack them, and a note says so.
 
-    Lengths are in m and angles in rad, or have a unit: 20mm, 2cm, 5deg.
+    Lengths are in m and angles in rad, unless they have a unit: 20mm, 2cm, 5deg.
 
-    A stance that is out of reach is refused with what would be possible. One that is reached but
-    cannot be held (it slides or tips) is told apart. What is simulated is the stance with its legs
-    longer by what the feet sink into MuJoCo's soft ground.
+    A stance that is out of reach is refused, and the message says what is possible. A stance
+    that is reached but cannot be held (the robot slides or tips) is reported as such. In
+    simulation the legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
+    ground.
 
-    How far the base can go from the stance, what it can carry, how hard it can be pushed, a better
-    one and the path to it are commands of their own, with the same options of robot and stance:
-    workspace, payload, push, best, path.
+    Other commands take the same options of robot and stance: workspace (how far the base can move),
+    payload (how much it can carry), push (how hard it can be pushed), best (a better stance) and
+    path (how to get there).
 
     \b
     Examples:
@@ -89,9 +95,9 @@ def stand(
 def workspace(
     asked: RobotAndTask, name: str | None, figure: Path | None, json_path: Path | None
 ) -> None:
-    """Find how far the base can rise, roll, pitch, yaw and shift from a stance.
+    """Find how far the base can rise, shift, roll, pitch and yaw from a stance.
 
-    The feet stay planted, and each direction is searched on its own, to where a stand is first out
+    The feet stay planted. Each direction is searched separately, up to the first pose that is out
     of reach. Robot and stance are given as for `stand`.
 
     \b
@@ -127,11 +133,11 @@ def workspace(
 @robot_and_task
 @shared.json_option
 def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | None) -> None:
-    """Find the greatest mass that a stance carries, and what gives way beyond it.
+    """Find the largest payload of a stance, and what fails beyond it.
 
-    Motors, the servos' stiffness and the contacts each set a limit; the least is the payload. The
-    robot is then simulated with 95 % of it, and nudged from all sides. Robot and stance are given
-    as for `stand`.
+    Motor torques, servo stiffness and contacts each set a limit; the lowest one is the payload. The
+    robot is then simulated with 95 % of it while it is nudged from all sides. Robot and stance are
+    given as for `stand`.
 
     \b
     Examples:
@@ -172,10 +178,10 @@ def best(
 ) -> None:
     """Search for the best stance: the base's pose and the place of each foot are free.
 
-    OBJECTIVE is what shall be best: utilisation (the least peak of torque / limit), margin (the com
-    deepest inside the support polygon) or payload (the greatest, at --at). The search begins at the
-    stance that is given, as for `stand`, and keeps its ground, swing feet and margins. It takes
-    some seconds. What it finds is then printed and simulated as `stand` does it.
+    OBJECTIVE is utilisation (lowest peak of torque / limit), margin (CoM deepest inside the support
+    polygon) or payload (largest, at --at). The search starts from the given stance (as for `stand`)
+    and keeps its ground, swing feet and margins. It takes a few seconds. The result is then printed
+    and simulated as by `stand`.
 
     \b
     Examples:

@@ -25,17 +25,33 @@ if TYPE_CHECKING:
     "--output",
     "folder",
     required=True,
-    help="Keeps the results; a run that was ended goes on there.",
+    help="Folder of the results; a run that was interrupted is resumed.",
 )
-@click.option("--dry-run", is_flag=True, help="Only say how many designs, and about how long.")
-@click.option("--workers", type=click.IntRange(min=1), help="Processes; by default one per core.")
-@click.option("--dask", is_flag=True, help="Run on a local Dask cluster.")
-@click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster: tcp://HOST:PORT.")
-@click.option("--figures", is_flag=True, help="Draw the results, into the same folder.")
 @click.option(
-    "--minimise", multiple=True, metavar="NAME", help="Of the front: what is to be least."
+    "--dry-run", is_flag=True, help="Only print the number of designs and the estimated time."
 )
-@click.option("--maximise", multiple=True, metavar="NAME", help="Likewise greatest.")
+@click.option(
+    "--workers", type=click.IntRange(min=1), help="Number of processes. By default one per core."
+)
+@click.option("--dask", is_flag=True, help="Run on a local Dask cluster.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Run on the Dask cluster at this address; e.g. tcp://head:8786.",
+)
+@click.option("--figures", is_flag=True, help="Draw figures of the results into the output folder.")
+@click.option(
+    "--minimise",
+    multiple=True,
+    metavar="NAME",
+    help="Metric to minimise on the Pareto front; e.g. servo_sag. Repeatable.",
+)
+@click.option(
+    "--maximise",
+    multiple=True,
+    metavar="NAME",
+    help="Metric or parameter to maximise on the Pareto front; e.g. leg_scale. Repeatable.",
+)
 @shared.report_option
 @shared.json_option
 @shared.look_option
@@ -57,10 +73,10 @@ def study_command(
 ) -> None:
     """Measure the designs that a TOML file describes, on all cores or on a cluster.
 
-    Results are kept in a folder, as Parquet. It may be ended at any time, and goes on where it was;
-    of a changed study only new designs are measured. A design that fails is a row with its reason.
-    A measure that is module:function is imported from beside the file, and so its code is run;
-    --dry-run imports none.
+    Results are stored in a folder, as Parquet. A study can be interrupted at any time and
+    resumes where it stopped; after the file is changed, only new designs are measured. A design
+    that fails is a row with the reason. A metric written as module:function is imported from
+    the file's folder, so its code is executed; --dry-run imports nothing.
 
     \b
     Example of a file:
@@ -79,7 +95,7 @@ def study_command(
       pupper-analysis study legs.toml -o legs/ --scheduler tcp://head:8786
 
     \b
-    Exit status: 0 all designs are measured, 2 bad input, 130 interrupted.
+    Exit status: 0 all designs were measured, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.files import check_folder
     from pupper_analysis.pupper.studies import Study

@@ -22,26 +22,28 @@ if TYPE_CHECKING:
     "--take",
     multiple=True,
     metavar="SIDE[:WHICH]",
-    help="Whose value is taken, urdf or mjcf: for all, or for WHICH: a number of the list (3, "
-    "1,4-6), a kind (mass), a link or joint (link base, joint FL_hip), or one difference (link "
-    "base: mass). May be repeated; the more particular counts.",
+    help="Take the values of urdf or mjcf: all of them, or those of WHICH: numbers in the list "
+    "(3, or 1,4-6), a kind (mass), a link or joint (link base, joint FL_hip) or one "
+    "difference (link base: mass). Repeatable; the most specific one counts.",
 )
-@click.option("--dry-run", is_flag=True, help="Write nothing; show what would change.")
+@click.option("--dry-run", is_flag=True, help="Write nothing; only show what would change.")
 @click.option(
     "--take-absent",
     is_flag=True,
-    help="Take also that a file states no value: limits are switched off, damping becomes 0.",
+    help="Also take over that a value is absent: limits are removed, damping becomes 0.",
 )
-@click.option("--partial", is_flag=True, help="Write what can be, if not all that was chosen can.")
-@click.option("--backup", is_flag=True, help="Keep the old files, as NAME.bak.")
-@click.option("--force", is_flag=True, help="Write to files with changes that are not committed.")
+@click.option(
+    "--partial",
+    is_flag=True,
+    help="Write the values that can be written, even if some of the chosen ones cannot.",
+)
+@click.option("--backup", is_flag=True, help="Keep the old files as NAME.bak.")
+@click.option("--force", is_flag=True, help="Write even to files with uncommitted changes.")
 @models.map_option
 @models.map_file_option
 @shared.package_option
 @models.frame_option
-@click.option(
-    "--fine", is_flag=True, help="Mend rounding, too: all that differs by more than 1e-9."
-)
+@click.option("--fine", is_flag=True, help="Also sync rounding differences, down to 1e-9.")
 @models.fine_tolerance_option
 @shared.json_option
 @shared.look_option
@@ -68,8 +70,8 @@ def sync_command(
     """Make a robot's URDF and MJCF agree: write the numbers of one into the other, in place.
 
     Only attributes whose numbers differ are written; comments, order and line ends stay as they
-    are. Without --take it lists the differences with their numbers, and changes nothing; in a
-    terminal it asks for each. What one format cannot state is listed as left.
+    are. Without --take the differences are listed with their numbers and nothing is changed; in a
+    terminal you are asked about each. Values that the other format cannot express are listed too.
 
     \b
     Examples:
@@ -79,7 +81,7 @@ def sync_command(
       pupper-analysis sync robot.urdf robot.xml --take mjcf:effort --take urdf:2,5-7 --backup
 
     \b
-    Exit status: 0 they agree afterwards (with --dry-run: would), 1 something is left, 2 bad input.
+    Exit status: 0 the files agree (with --dry-run: would agree), 1 differences remain, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.matching.tolerances import Tolerances
     from pupper_analysis.report.document import Report

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     short_help="Take variants from two model files to a verified stand.",
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--list", "list_only", is_flag=True, help="List the variants, and stop.")
+@click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
 @stance_options(VARIANT, options_of("Base"))
 @click.option(
     "-o",
@@ -34,19 +34,19 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("output"),
     show_default=True,
-    help="Folder for the figures; made if need be.",
+    help="Write the figures into this folder; it is created if needed.",
 )
 @shared.json_option
 @shared.report_option
-@click.option("--no-figures", is_flag=True, help="Print only.")
+@click.option("--no-figures", is_flag=True, help="Draw no figures.")
 @shared.look_option
 @shared.verbose_option
-@click.option("-q", "--quiet", is_flag=True, help="Print the last verdict only.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only the overall verdict.")
 @click.option(
     "--write",
     "write_folder",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Write the variants' URDF, MJCF and meshes into this folder.",
+    help="Write the variants' URDFs, MJCFs and meshes into this folder.",
 )
 def analyze(
     names: tuple[str, ...],
@@ -66,14 +66,14 @@ def analyze(
 ) -> None:
     """Take variants of Pupper from their two model files to a verified stand.
 
-    Each NAME is a variant (see --list); without any, all six are analysed. A variant of your own
-    is given by --base, --leg-scale and --torso-mass-scale.
+    Each NAME is a variant (see --list). By default all six are analysed. Define a variant of your
+    own with --base, --leg-scale and --torso-mass-scale.
 
     \b
-    Printed is a verdict and two lines per variant, and a table that compares them. With -v it is
-    all: joints and what their axes really do, masses and com, the stand (PlaCo), foot Jacobians,
-    motor torques and contact forces (Pinocchio), the simulated stand and the gain sweep (MuJoCo),
-    and the cross-check of URDF and MJCF.
+    The output is a verdict and two lines per variant, and a table that compares them. With -v,
+    everything is printed: the joints and the directions in which they turn, masses and CoM, the
+    stand (PlaCo), foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand
+    and the gain sweep (MuJoCo), and the cross-check of URDF and MJCF.
 
     \b
     Examples:
@@ -84,7 +84,7 @@ def analyze(
 
     \b
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
-    2 bad input (an unknown name, a scale that is no scale, a stance out of reach).
+    2 bad input (an unknown name, an invalid scale, a stance out of reach).
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec

@@ -25,9 +25,11 @@ if TYPE_CHECKING:
 @name_argument
 @stance_options(VARIANT)
 @click.option(
-    "--fixed-base", is_flag=True, help="Fix the base in the air; else it falls and lands."
+    "--fixed-base",
+    is_flag=True,
+    help="Fix the base in the air. By default the robot falls and lands.",
 )
-@click.option("--headless", is_flag=True, help="Open no window: print the model and its IMU.")
+@click.option("--headless", is_flag=True, help="Open no window; print the model and its IMU.")
 def view(
     name: str | None,
     base: str | None,
@@ -36,7 +38,7 @@ def view(
     fixed_base: bool,
     headless: bool,
 ) -> None:
-    """Show a variant in MuJoCo's viewer: v3, or NAME (on macOS, run this with mjpython).
+    """Show a variant (v3 by default) in MuJoCo's viewer; on macOS, run it with mjpython.
 
     \b
     Examples:
@@ -55,12 +57,14 @@ def view(
 )
 @name_argument
 @stance_options(VARIANT)
-@click.option("--headless", is_flag=True, help="Open no window: simulate, and print the result.")
-@click.option("--seconds", type=float, help="Simulated time of the drop (s).  [default: 6]")
-@click.option("--demo", type=click.Choice(["squat", "sway", "lift"]), help="Let it move instead.")
+@click.option("--headless", is_flag=True, help="Open no window; simulate and print the result.")
+@click.option("--seconds", type=float, help="Simulated time of the drop (s). [default: 6]")
+@click.option(
+    "--demo", type=click.Choice(["squat", "sway", "lift"]), help="Run a motion instead of a drop."
+)
 @shared.file_option(
     "--csv",
-    help="Write the path of a demo here, or to -.",
+    help="Write the path of the demo as CSV to this file, or to standard output (-).",
 )
 def drop(
     name: str | None,
@@ -72,13 +76,13 @@ def drop(
     demo: str | None,
     csv: Path | None,
 ) -> None:
-    """Drop v3, or NAME, from its home pose, and see that it stands (on macOS, with mjpython).
+    """Drop a variant (v3 by default) from its home pose; on macOS, run it with mjpython.
 
-    With --demo it moves instead: squat, sway from side to side, or shift its weight and lift a
-    foot. Every sample of the path is a stand in balance, solved on the whole body.
+    With --demo it moves instead: it squats, sways from side to side, or shifts its weight and lifts
+    a foot. Every sample of the path is a whole-body stand in balance.
 
     \b
-    Exit status: 0 it stands, or follows the path; 1 it does not; 2 bad input.
+    Exit status: 0 the robot stands or follows the path, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
     variant = _variant(name, base, leg_scale, torso_mass_scale)
     if demo is None:
