@@ -140,7 +140,7 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
-def test_it_stands_the_same(variant: str) -> None:
+def test_a_pickled_robot_stands_the_same(variant: str) -> None:
     robot = load(variant)
     back = pickled(robot)
     task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.feet[0]: 0.01}))

@@ -52,7 +52,7 @@ def test_arrays_become_lists() -> None:
         np.zeros((0, 3)),
     ],
 )
-def test_any_array(array: np.ndarray) -> None:
+def test_any_array_becomes_json(array: np.ndarray) -> None:
     assert json.loads(pa.results.to_json({"x": array}))["x"] == array.tolist()
 
 
@@ -70,7 +70,7 @@ def test_any_array(array: np.ndarray) -> None:
         (None, None),
     ],
 )
-def test_other_values(value: object, expected: object) -> None:
+def test_values_of_other_types_become_json(value: object, expected: object) -> None:
     assert json.loads(pa.results.to_json(value)) == expected
 
 

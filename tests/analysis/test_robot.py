@@ -58,7 +58,7 @@ def test_a_prismatic_joint_slides(tiny: pa.Robot, tmp_path: Path) -> None:
     assert found["push"] == "oblique slide"
 
 
-def test_leg_joints() -> None:
+def test_the_joints_of_a_leg_are_those_between_base_and_foot() -> None:
     robot = pa.load_variant("v3")
     assert leg_joints(robot, "RL") == ("leg_back_l_1", "leg_back_l_2", "leg_back_l_3")
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
@@ -74,7 +74,7 @@ def test_leg_joints() -> None:
         ("v3-long-leg", 1.5 * np.hypot(0.0494, 0.0685), 1.5 * np.hypot(0.06231, 0.06216)),
     ],
 )
-def test_leg_lengths(name: str, thigh: float, calf: float) -> None:
+def test_leg_lengths_are_those_of_the_file(name: str, thigh: float, calf: float) -> None:
     assert leg_lengths(pa.load_variant(name)) == pytest.approx((thigh, calf), rel=1e-12)
 
 

@@ -507,7 +507,7 @@ def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "note"), ("-1 -1 -1", "warning")])
-def test_mirrored_meshes(scale: str, severity: str, tmp_path: Path) -> None:
+def test_a_mirrored_mesh_is_found(scale: str, severity: str, tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n")
     edit = Edit(
         FL_CALF,

@@ -200,7 +200,7 @@ def test_places_when_joints_are_mapped(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- verdict
 
 
-def test_what_agrees(tmp_path: Path) -> None:
+def test_files_that_agree_have_no_findings(tmp_path: Path) -> None:
     comparison = compared(write_parts(tmp_path, quadruped(), quadruped()))
     assert comparison.agree
     assert comparison.complete

@@ -145,19 +145,19 @@ def test_is_deterministic_and_depends_on_the_seed() -> None:
     assert one.to_json() != other.to_json()
 
 
-def test_tolerance_decides() -> None:
+def test_engines_agree_within_the_tolerance_alone() -> None:
     robot = _with_urdf(pa.load_variant("v3"), 'value="1.506"', 'value="1.5060001"')
     assert not cross_check(robot).passed
     assert cross_check(robot, tolerance=1e-3).passed
 
 
 @pytest.mark.parametrize("options", [{"configurations": 0}, {"tolerance": 0.0}, {"tolerance": -1}])
-def test_bad_arguments(options: dict[str, float]) -> None:
+def test_cross_check_refuses_bad_arguments(options: dict[str, float]) -> None:
     with pytest.raises(pa.ConfigurationError, match=next(iter(options))):
         cross_check(pa.load_variant("v3"), **options)  # type: ignore[arg-type]
 
 
-def test_armature_matters() -> None:
+def test_mass_matrices_differ_without_armature() -> None:
     """Without the armature Pinocchio's mass matrix would differ: the check would see it."""
     robot = pa.load_variant("v3")
     model = copy.copy(robot.mj_model)

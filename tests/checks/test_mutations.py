@@ -796,7 +796,7 @@ def test_a_change_is_found_named_first_and_explained(kind: str, tmp_path: Path) 
     assert tried >= PLACES, f"{kind} was tried at {tried} places"
 
 
-def test_there_are_many_kinds() -> None:
+def test_mutations_are_of_many_kinds() -> None:
     assert len(MUTATIONS) >= 70
 
 

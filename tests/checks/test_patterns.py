@@ -114,7 +114,7 @@ def scaled(parts: Parts, mass: float = 1.0, length: float = 1.0, inertia: float 
         ({"inertia": 1e6}, "all inertias of the MJCF are 1e+06 times those of the URDF: kg mm^2"),
     ],
 )
-def test_units(tmp_path: Path, factors: dict[str, float], words: str) -> None:
+def test_a_ratio_of_a_unit_is_named(tmp_path: Path, factors: dict[str, float], words: str) -> None:
     assert words in first_line(pair(tmp_path, scaled(quadruped(), **factors)))
 
 

@@ -115,7 +115,7 @@ def test_a_change_is_found_at_its_lines(tmp_path: Path, name: str, kind: str) ->
 
 
 @pytest.mark.parametrize("kind", ["urdf", "xml"])
-def test_efforts(tmp_path: Path, kind: str) -> None:
+def test_effort_limits_are_compared(tmp_path: Path, kind: str) -> None:
     diff = diff_of(tmp_path, ROBOT, changed(ROBOT, "thigh1", effort=30.0), kind)
     found = {change.kind: change for change in diff.changes}
     assert (found["effort"].old, found["effort"].new) == (21.0, 30.0)
@@ -164,7 +164,7 @@ def test_moved_lines_and_other_digits_are_no_change(tmp_path: Path) -> None:
     assert pa.diff_models(*written(tmp_path, text, other, "urdf")).same
 
 
-def test_tolerances(tmp_path: Path) -> None:
+def test_tolerances_are_those_of_crosscheck(tmp_path: Path) -> None:
     new = changed(ROBOT, "base", mass=6.0006)
     assert not diff_of(tmp_path, ROBOT, new, "urdf").same
     assert diff_of(tmp_path, ROBOT, new, "urdf", tolerances=pa.matching.Tolerances(mass=1e-3)).same
@@ -454,7 +454,7 @@ def test_what_comes_from_a_revision_is_told_by_it(
 
 
 @pytest.mark.parametrize("given", ["HEAD:robots/robot.urdf", "HEAD:./robot.urdf"])
-def test_a_revision(repository: Path, given: str) -> None:
+def test_a_revision_is_read_from_git(repository: Path, given: str) -> None:
     assert run(repository, given, "robot.urdf").returncode == 0
     text = (repository / "robot.urdf").read_text()
     (repository / "robot.urdf").write_text(text.replace('value="6.0"', 'value="6.5"'))
@@ -516,7 +516,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("given", "said"), REFUSED.values(), ids=REFUSED)
-def test_what_is_refused(repository: Path, given: str, said: str) -> None:
+def test_diff_refuses_what_is_no_version(repository: Path, given: str, said: str) -> None:
     result = run(repository, given, "robot.urdf")
     assert result.returncode == cli.BAD_INPUT
     assert result.stdout == ""
@@ -587,7 +587,7 @@ def test_nothing_of_a_repository_is_run(repository: Path, tmp_path: Path) -> Non
     assert not proof.exists()
 
 
-def test_what_is_committed(repository: Path) -> None:
+def test_a_file_with_uncommitted_changes_is_refused(repository: Path) -> None:
     urdf = repository / "robot.urdf"
     text = urdf.read_bytes()
     urdf.write_bytes(text.replace(b"\n", b"\r\n"))  # as a checkout on Windows has it
@@ -623,7 +623,7 @@ def test_a_file_of_git_lfs(repository: Path) -> None:
 # ------------------------------------------------------------------------------------- command
 
 
-def test_what_is_printed(tmp_path: Path) -> None:
+def test_diff_prints_its_changes(tmp_path: Path) -> None:
     new = changed(changed(ROBOT, "shank0", mass=0.4), "thigh3", upper=0.8)
     written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
     result = run(tmp_path, "old.urdf", "new.urdf", "--json", "diff.json")
@@ -643,14 +643,14 @@ def test_what_is_printed(tmp_path: Path) -> None:
     assert content["same"] is False
 
 
-def test_the_same(tmp_path: Path) -> None:
+def test_equal_versions_have_no_changes(tmp_path: Path) -> None:
     written(tmp_path, urdf_text(ROBOT), urdf_text(ROBOT), "urdf")
     result = run(tmp_path, "old.urdf", "new.urdf")
     assert result.returncode == 0
     assert result.stdout == "SAME old.urdf and new.urdf: no change\n"
 
 
-def test_options(tmp_path: Path) -> None:
+def test_options_of_diff_are_heeded_and_checked(tmp_path: Path) -> None:
     new = changed(ROBOT, "base", mass=6.0006)
     written(tmp_path, urdf_text(ROBOT), urdf_text(new), "urdf")
     assert run(tmp_path, "old.urdf", "new.urdf", "--tolerance", "mass=1e-3").returncode == 0

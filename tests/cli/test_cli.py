@@ -125,7 +125,7 @@ def test_write_makes_files_that_load(tmp_path: Path) -> None:
     assert model.body_mass.sum() == pytest.approx(3.642)
 
 
-def test_list() -> None:
+def test_analyze_lists_the_variants() -> None:
     result = run("analyze_variant.py", "--list")
     assert result.returncode == 0
     for text in ("original", "long-leg", "heavy", "v3", "v3-long-leg", "v3-heavy", "4.676"):
@@ -133,7 +133,7 @@ def test_list() -> None:
 
 
 @pytest.mark.parametrize("script", ["analyze_variant.py", "view_pupper.py", "stand_pupper.py"])
-def test_help_teaches(script: str) -> None:
+def test_help_of_each_command_teaches(script: str) -> None:
     result = run(script, "--help")
     assert result.returncode == 0
     assert "Usage:" in result.stdout
@@ -194,14 +194,14 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
     assert "0 of 1 verified" in result.stdout
 
 
-def test_view_headless() -> None:
+def test_view_prints_the_model_without_a_window() -> None:
     result = run("view_pupper.py", "--fixed-base", "--headless")
     assert result.returncode == 0, result.stderr
     assert "nq=12, nv=12, nu=12" in result.stdout
     assert 'data.sensor("body_gyro")' in result.stdout
 
 
-def test_stand_headless() -> None:
+def test_drop_prints_its_result_without_a_window() -> None:
     result = run("stand_pupper.py", "--headless")
     assert result.returncode == 0, result.stderr
     assert "final z=0.120 m, last-1s std=0.00 mm (< 5 mm = stable)" in result.stdout

@@ -59,7 +59,7 @@ def test_models_that_differ_are_exit_status_1(models: Path, tmp_path: Path) -> N
     assert len(content["differences"]) == 9
 
 
-def test_github(models: Path) -> None:
+def test_findings_are_github_annotations(models: Path) -> None:
     result = run(models, "robot.urdf", "heavier.xml", "--format", "github")
     assert result.returncode == 1
     commands = result.stdout.splitlines()
@@ -71,7 +71,7 @@ def test_github(models: Path) -> None:
     assert (quiet.returncode, quiet.stdout.strip()) == (0, "")
 
 
-def test_junit(models: Path) -> None:
+def test_findings_are_junit_xml(models: Path) -> None:
     result = run(models, "robot.urdf", "heavier.xml", "--format", "junit")
     assert result.returncode == 1
     root = ElementTree.fromstring(result.stdout.encode())
@@ -119,7 +119,7 @@ def test_names_are_mapped(models: Path, option: tuple[str, str]) -> None:
     assert "matched by structure" not in mapped.stdout
 
 
-def test_all_prints_more(models: Path) -> None:
+def test_verbose_prints_more_findings(models: Path) -> None:
     short = run(models, "robot.urdf", "heavier.xml").stdout
     full = run(models, "robot.urdf", "heavier.xml", "--all").stdout
     assert "hip2" in full
@@ -131,7 +131,7 @@ def test_a_package_may_be_given(models: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_help_teaches(models: Path) -> None:
+def test_help_of_audit_and_crosscheck_teaches(models: Path) -> None:
     result = run(models, "--help")
     assert result.returncode == 0
     for word in ("--map", "--tolerance", "--format", "Exit status: 0", "Examples:"):

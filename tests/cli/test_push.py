@@ -18,7 +18,7 @@ COARSE = ("--directions", "4", "--resolution", "0.3")
 
 
 @pytest.mark.longest
-def test_two_robots(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_two_robots_are_pushed(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "push.png"
     output = ("--figure", str(figure), "--json", str(path))
     status, out, err = run_command(capfd, "push", "original", "heavy", *COARSE, *output)

@@ -32,7 +32,7 @@ OURS = ("stand", "workspace", "payload", "best", "path", "push")
 
 
 @pytest.mark.longest
-def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_workspace_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "workspace.png"
     output = ("--json", str(path), "--figure", str(figure))
     status, out, err = run_command(capfd, "workspace", "original", "--offset", "0.01,0", *output)
@@ -49,7 +49,7 @@ def test_workspace(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
-def test_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("original", "--at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")
     status, out, err = run_command(capfd, "payload", *arguments, "--json", str(path))
@@ -73,7 +73,7 @@ def test_servos_that_carry_nothing_are_exit_status_1(capfd: pytest.CaptureFixtur
 
 
 @pytest.mark.longest
-def test_best_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_best_finds_the_largest_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path, figure = tmp_path / "all.json", tmp_path / "best.png"
     output = ("--json", str(path), "--figure", str(figure))
     status, out, err = run_command(
@@ -98,7 +98,7 @@ def test_best_margin(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
 
 
 @pytest.mark.longest
-def test_best_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_best_finds_the_largest_payload(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     status, out, err = run_command(
         capfd, "best", "payload", "v3", "--at", "0,0,0.08", "--json", str(path)
@@ -134,7 +134,9 @@ def test_path_in_a_given_time(capfd: pytest.CaptureFixture[str], tmp_path: Path)
 
 
 @pytest.mark.longest
-def test_fastest_path(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_path_finds_the_shortest_duration(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     file = tmp_path / "all.json"
     arguments = ("original", "--height", "0.14", "--fastest", "--json", str(file))
     status, out, err = run_command(capfd, "path", *arguments)

@@ -121,7 +121,9 @@ def test_in_a_terminal_each_difference_is_asked_for(
 @pytest.mark.parametrize(
     ("keys", "written"), [("sq", 0), ("q", 0), ("M", 2), ("sU", 1), ("us", 1), ("ss", 0)]
 )
-def test_keys(folder: Path, monkeypatch: pytest.MonkeyPatch, keys: str, written: int) -> None:
+def test_differences_are_taken_by_their_keys(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, keys: str, written: int
+) -> None:
     result = asked(folder, keys, monkeypatch)
     assert result.returncode == (0 if written == 2 else 1)
     assert result.stdout.count(" -> ") == written
@@ -151,6 +153,6 @@ def test_bad_input_is_exit_status_2(folder: Path, arguments: list[str], said: st
 def test_help_has_examples_and_statuses() -> None:
     text = answer("sync", "--help").stdout
     assert "Examples:" in text
-    assert "Exit status: 0 they agree afterwards" in text
+    assert "Exit status: 0 the files agree" in text
     assert "sync" in answer("--help").stdout
     assert "sync" in cli.group.commands

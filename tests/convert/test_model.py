@@ -450,7 +450,7 @@ def test_anchors_zeros_and_several_joints_of_a_body(tmp_path: Path) -> None:
     assert [shape.tag for shape in shapes] == ["cylinder", "sphere", "sphere"]
 
 
-def test_there_and_back_nothing_is_lost(tmp_path: Path) -> None:
+def test_conversion_there_and_back_loses_nothing(tmp_path: Path) -> None:
     parts = quadruped()
     mjcf = tmp_path / "machine.xml"
     mjcf.write_text(mjcf_text(parts))

@@ -209,7 +209,9 @@ def test_refusals_are_diagnostics_and_no_sentences() -> None:
         ("{name}", {"name": "{mass} [limit? x]"}, "{mass} [limit? x]"),
     ],
 )
-def test_templates(template: str, values: dict[str, object], english: str) -> None:
+def test_templates_are_filled_with_values(
+    template: str, values: dict[str, object], english: str
+) -> None:
     assert fill_template(template, values, "en") == english
 
 
@@ -250,7 +252,7 @@ def told() -> Diagnostic:
     )
 
 
-def test_it_survives_pickling_and_can_be_compared() -> None:
+def test_a_diagnostic_survives_pickling_and_can_be_compared() -> None:
     assert pickle.loads(pickle.dumps(told())) == told()
     assert len({told(), told()}) == 1
     other = diagnose("foot-misses-target", subject=("foot", "FR"), gap=Quantity(0.002, "m"))

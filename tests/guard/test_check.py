@@ -235,7 +235,7 @@ def test_a_file_of_several_pairs_is_audited_once(folder: Path) -> None:
     assert [(pair.name, pair.agree) for pair in check.pairs] == [("hopper", False), ("alone", None)]
 
 
-def test_each_model_has_its_verdict(folder: Path) -> None:
+def test_each_model_of_a_check_has_its_verdict(folder: Path) -> None:
     with (folder / "pupper-analysis.toml").open("a") as file:
         file.write('[[pair]]\nname = "alone"\nurdf = "hopper.urdf"\n')
     change(folder / "hopper.xml", 'mass="0.22"', 'mass="0.3"')
@@ -331,7 +331,7 @@ def test_paths_are_those_of_the_checkout(folder: Path, monkeypatch: pytest.Monke
     assert place["artifactLocation"]["uri"] == "repository/hopper.urdf"
 
 
-def test_for_machines(folder: Path) -> None:
+def test_check_writes_formats_for_machines(folder: Path) -> None:
     change(folder / "hopper.xml", 'range="-1.5 1.5"', 'range="-1.5 1.2"')
     log = json.loads(run(folder, "--format", "sarif").stdout)
     states = {r["ruleId"]: r["baselineState"] for r in log["runs"][0]["results"]}

@@ -134,7 +134,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("text", "line", "said"), REFUSED.values(), ids=REFUSED)
-def test_what_is_refused(folder: Path, text: str, line: int, said: str) -> None:
+def test_a_wrong_config_is_refused(folder: Path, text: str, line: int, said: str) -> None:
     path = written(folder, text)
     with pytest.raises(ModelError) as caught:
         read_config(path)
@@ -173,7 +173,9 @@ def test_a_file_that_cannot_be_read(folder: Path) -> None:
         read_config(folder / "latin.toml")
 
 
-def test_it_is_found_upwards(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_config_is_found_in_a_folder_above(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, below = written(folder, LEAST), folder / "x" / "y"
     below.mkdir(parents=True)
     assert find_config(below) == path
@@ -183,7 +185,7 @@ def test_it_is_found_upwards(folder: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert find_config() == path
 
 
-def test_none_is_found(tmp_path: Path) -> None:
+def test_a_missing_config_is_said(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=re.escape(os.fspath(tmp_path))):
         find_config(tmp_path)
 

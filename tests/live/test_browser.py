@@ -360,7 +360,7 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
 
 
 @pytest.mark.slow
-def test_it_goes_on_in_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
+def test_the_page_changes_to_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, write_link(address, State(roll=4.0), "zh"))
     stand = pa.stance.solve_stand_on_soft_ground(load("v3"), pa.StandTask(roll=np.radians(4.0)))

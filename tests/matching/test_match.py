@@ -472,7 +472,7 @@ def test_sides_in_names_decide_between_turns(tmp_path: Path) -> None:
         compared(text)
 
 
-def test_each_is_to_be_the_nearest_of_the_other(tmp_path: Path) -> None:
+def test_joints_match_that_are_each_others_nearest(tmp_path: Path) -> None:
     """A joint of the URDF alone, near a renamed one, does not take its place."""
     hip = quadruped()["thigh0"]
     near = tuple(np.array(hip.position) + np.array([0.03, 0.0, 0.0]))
@@ -790,7 +790,7 @@ def test_feet_choose_the_frames(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- continuous
 
 
-def test_continuous_joints(tmp_path: Path) -> None:
+def test_a_continuous_joint_lacks_the_limits_of_a_revolute_one(tmp_path: Path) -> None:
     comparison = compared(write_parts(tmp_path, arm(), arm()))
     assert comparison.agree
     free = quadruped() | {"thigh0": replace(quadruped()["thigh0"], kind="continuous")}

@@ -69,7 +69,7 @@ def _meets(model: mujoco.MjModel, start: np.ndarray, way: np.ndarray) -> float:
     return float(mujoco.mj_ray(model, data, start, way, None, 1, -1, np.zeros(1, np.int32), None))
 
 
-def test_they_count_in_clearances_without_a_word(
+def test_capsules_count_in_clearances(
     pair: tuple[Path, Path], capfd: pytest.CaptureFixture[str]
 ) -> None:
     stand = pa.solve_stand(pa.load_robot(urdf=pair[0], mjcf=pair[1]))

@@ -87,7 +87,7 @@ def test_wrong_kind_is_named(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- URDF
 
 
-def test_urdf_places(tmp_path: Path) -> None:
+def test_elements_of_a_urdf_have_their_lines(tmp_path: Path) -> None:
     path = tmp_path / "r.urdf"
     path.write_text(
         '<robot name="r">\n<!-- two\nlines -->\n<link name="a">\n<inertial>\n<mass value="1"/>\n'
@@ -242,7 +242,7 @@ def test_a_limit_without_effort_or_velocity_has_none(tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------- MJCF
 
 
-def test_mjcf_places(tmp_path: Path) -> None:
+def test_elements_of_an_mjcf_have_their_lines(tmp_path: Path) -> None:
     path = write(
         tmp_path,
         m=mjcf(
@@ -310,7 +310,7 @@ def test_includes_that_never_end(tmp_path: Path) -> None:
     assert "e.xml:1: it has a DOCTYPE" in refused(lambda: read_mjcf(path))
 
 
-def test_attached_models(tmp_path: Path) -> None:
+def test_attached_models_are_loaded(tmp_path: Path) -> None:
     child = mjcf(
         '<compiler meshdir="meshes"/>',
         MESH,

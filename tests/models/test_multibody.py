@@ -75,7 +75,9 @@ def assert_same_robot(one: pa.Robot, two: pa.Robot, qpos: np.ndarray, qvel: np.n
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
-def test_there_and_back_keeps_the_dynamics_of_every_variant(name: str, data: st.DataObject) -> None:
+def test_conversion_there_and_back_keeps_the_dynamics_of_every_variant(
+    name: str, data: st.DataObject
+) -> None:
     robot = load(name)
     qpos, qvel = data.draw(positions(robot)), data.draw(velocities(robot))
     assert_same_robot(robot, rebuilt(robot), qpos, qvel)
@@ -83,13 +85,13 @@ def test_there_and_back_keeps_the_dynamics_of_every_variant(name: str, data: st.
 
 @pytest.mark.parametrize("name", ["original", "v3"])
 @given(data=st.data())
-def test_there_and_back_keeps_a_fixed_base(name: str, data: st.DataObject) -> None:
+def test_conversion_there_and_back_keeps_a_fixed_base(name: str, data: st.DataObject) -> None:
     robot = load(name, fixed_base=True)
     qpos, qvel = data.draw(positions(robot)), data.draw(velocities(robot))
     assert_same_robot(robot, rebuilt(robot), qpos, qvel)
 
 
-def test_there_and_back_keeps_every_number_of_the_model(tiny: pa.Robot) -> None:
+def test_conversion_there_and_back_keeps_every_number_of_the_model(tiny: pa.Robot) -> None:
     """A continuous joint, a slide and branches: joints, limits and inertias as they were."""
     model, again = tiny.pin_model, rebuilt(tiny).pin_model
     assert set(again.names) - {"__free__"} == set(model.names) - {"root_joint"}

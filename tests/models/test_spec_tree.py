@@ -22,7 +22,7 @@ def tree() -> SpecTree:
     return SpecTree(mujoco.MjSpec.from_string(MJCF))
 
 
-def test_structure() -> None:
+def test_a_spec_tree_has_the_structure_of_the_model() -> None:
     one = tree()
     assert one.names == ("base", "arm", "tip")
     assert [one.parent(name) for name in one.names] == [None, "base", "arm"]

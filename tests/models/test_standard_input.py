@@ -47,7 +47,7 @@ def results(capfd: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, st
 
 
 @pytest.mark.parametrize("format", ["urdf", "xml"])
-def test_audit(capfd, given, format: str) -> None:
+def test_audit_reads_standard_input(capfd, given, format: str) -> None:
     text = (urdf_text if format == "urdf" else mjcf_text)(arm()).replace('"1.0"', '"0.0001"')
     path = Path(f"robot.{format}")
     path.write_text(text)
@@ -59,7 +59,7 @@ def test_audit(capfd, given, format: str) -> None:
 
 
 @pytest.mark.parametrize("format", ["urdf", "xml"])
-def test_crosscheck(capfd, given, format: str) -> None:
+def test_crosscheck_reads_standard_input(capfd, given, format: str) -> None:
     text = {"urdf": urdf_text(quadruped()), "xml": mjcf_text(quadruped())}
     text["xml"] = text["xml"].replace('mass="0.5"', 'mass="0.6"', 1)
     for name, content in text.items():
@@ -125,7 +125,7 @@ def test_one_model_alone(capfd, given) -> None:
     assert not standard_input.is_held(standard_input.NAME)
 
 
-def test_there_is_none(capfd, monkeypatch) -> None:
+def test_missing_standard_input_is_refused(capfd, monkeypatch) -> None:
     monkeypatch.setattr(sys, "stdin", None)
     status, _, err = run_command(capfd, "audit", "-")
     assert status == 2
@@ -139,7 +139,7 @@ def test_a_file_of_that_name_is_a_file(capfd) -> None:
 
 
 @pytest.mark.slow
-def test_convert(capfd, given) -> None:
+def test_convert_reads_standard_input(capfd, given) -> None:
     text = urdf_text(arm())
     Path("robot.urdf").write_text(text)
     run_command(capfd, "convert", "robot.urdf", "-o", "one.xml")

@@ -220,7 +220,7 @@ def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_none_that_falls_is_said_to_hold(tmp_path: Path, seed: int) -> None:
+def test_no_robot_that_falls_is_said_to_hold(tmp_path: Path, seed: int) -> None:
     name = str(np.random.default_rng(seed).choice(list(SLIPS)))
     lost, holds, said = slip_holds(tmp_path, name, seed)
     assert not (lost > FALLS and holds), (name, lost, said)

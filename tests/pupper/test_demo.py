@@ -18,7 +18,7 @@ from tests.support.variants import load
 
 
 @pytest.mark.slow
-def test_what_they_do() -> None:
+def test_demos_move_as_they_are_named() -> None:
     robot = load("v3")
     squat, sway, lift = (demo.demo_path(robot, name) for name in demo.DEMOS)
     height = robot.stand_height
@@ -36,7 +36,9 @@ def test_what_they_do() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", demo.DEMOS)
-def test_mujoco_follows(name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_mujoco_follows_the_demos(
+    name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path = tmp_path / "path.csv"
     status, out, err = run_command(capfd, "drop", "--headless", "--demo", name, "--csv", str(path))
     assert status == 0, err

@@ -65,7 +65,7 @@ def test_mjcf_sizes_and_mass(file: str, sizes: tuple[int, ...], mass: float) -> 
 
 
 @pytest.mark.parametrize(("base", "mass"), [("v3", 3.170), ("original", 2.710)])
-def test_urdf_mass(base: str, mass: float) -> None:
+def test_masses_of_the_urdf_are_the_robots(base: str, mass: float) -> None:
     masses = [float(node.attrib["value"]) for node in urdf_of(base).iter("mass")]
     assert sum(masses) == pytest.approx(mass, abs=1e-12)
 
@@ -159,7 +159,9 @@ def test_actuators_are_in_the_tutorials_order() -> None:
         ),
     ],
 )
-def test_home_keyframe(file: str, qpos: list[float], ctrl: list[float]) -> None:
+def test_the_home_keyframe_is_the_robots_pose(
+    file: str, qpos: list[float], ctrl: list[float]
+) -> None:
     key = compiled(file).key("home")
     np.testing.assert_allclose(key.qpos, qpos)
     np.testing.assert_allclose(key.ctrl, ctrl)
@@ -307,7 +309,9 @@ def test_limits_and_friction_agree(base: str) -> None:
     ("base", "armature", "damping", "friction"),
     [("v3", 0.0016, 0.01, 0.01), ("original", 0.003, 0.04, 0.002)],
 )
-def test_joint_constants(base: str, armature: float, damping: float, friction: float) -> None:
+def test_joints_have_the_robots_constants(
+    base: str, armature: float, damping: float, friction: float
+) -> None:
     model = compiled(f"{BASES[base]}.xml")
     np.testing.assert_allclose(model.dof_armature, [0] * 6 + [armature] * 12)
     np.testing.assert_allclose(np.ravel(model.dof_frictionloss), [0] * 6 + [friction] * 12)
@@ -349,7 +353,9 @@ def test_sites_are_links(base: str) -> None:
     ("base", "kp", "kd", "limit"), [("v3", 5.0, 0.1, 3.0), ("original", 60.0, 1.0, 18.0)]
 )
 @given(data=st.data())
-def test_servo_law(base: str, kp: float, kd: float, limit: float, data: st.DataObject) -> None:
+def test_servos_have_the_robots_gains(
+    base: str, kp: float, kd: float, limit: float, data: st.DataObject
+) -> None:
     robot = load(base)
     qpos = data.draw(positions(robot))
     rates, ctrl = data.draw(numbers(12, 9.0)), data.draw(numbers(12, 2.0))
@@ -424,7 +430,7 @@ def test_meshes_neither_collide_nor_weigh() -> None:
         ("original", 0.018, None, (1.2, 0.04, 0.01)),
     ],
 )
-def test_foot_spheres(
+def test_feet_are_spheres_of_the_robots_radius(
     base: str, radius: float, solimp: tuple[float, ...] | None, friction: tuple[float, ...]
 ) -> None:
     robot = load(base)
@@ -462,7 +468,7 @@ def test_the_robot_does_not_touch_itself(robot: pa.Robot, stand: pa.Stand) -> No
         ("pupper_skeleton.xml", 0.004, 50),
     ],
 )
-def test_options(file: str, timestep: float, impratio: float) -> None:
+def test_simulation_options_are_the_robots(file: str, timestep: float, impratio: float) -> None:
     option = compiled(file).opt
     assert (option.timestep, option.impratio) == (timestep, impratio)
     assert option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value

@@ -24,19 +24,19 @@ MASSES = {
 KNEES = {"original": ("FL_HFE", "FL_KFE"), "v3": ("leg_front_l_2", "leg_front_l_3")}
 
 
-def test_the_variants() -> None:
+def test_every_variant_is_listed_by_its_name() -> None:
     assert tuple(MASSES) == NAMES
     assert all(pa.VARIANTS[name].name == name for name in NAMES)
 
 
 @pytest.mark.parametrize("source", BODIES)
-def test_total_mass(variant: str, source: str) -> None:
+def test_variants_have_their_total_mass(variant: str, source: str) -> None:
     bodies = BODIES[source](load(variant))
     assert sum(body.mass for body in bodies.values()) == pytest.approx(MASSES[variant], abs=1e-12)
     assert load(variant).total_mass == pytest.approx(MASSES[variant], abs=1e-12)
 
 
-def test_variant_sizes(robot: pa.Robot) -> None:
+def test_variants_have_their_sizes(robot: pa.Robot) -> None:
     assert (robot.nq, robot.nv, robot.nu) == (19, 18, 12)
     assert (robot.mj_model.nq, robot.mj_model.nv, robot.mj_model.nu) == (19, 18, 12)
     assert (robot.pin_model.nq, robot.pin_model.nv) == (19, 18)

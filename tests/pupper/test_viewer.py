@@ -35,7 +35,7 @@ def home(file: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
 # ------------------------------------------------------------------------------------- the drop
 
 
-def test_it_falls_lands_and_holds(dropped: drop.Drop) -> None:
+def test_a_dropped_robot_falls_lands_and_holds(dropped: drop.Drop) -> None:
     assert dropped.height[0] == 0.28
     assert dropped.time[-1] == pytest.approx(drop.DEFAULT_SECONDS)
     assert len(dropped.time) == len(dropped.height)
@@ -44,7 +44,7 @@ def test_it_falls_lands_and_holds(dropped: drop.Drop) -> None:
     assert dropped.stable
 
 
-def test_it_falls_freely_until_it_lands(dropped: drop.Drop) -> None:
+def test_a_dropped_robot_falls_freely_until_it_lands(dropped: drop.Drop) -> None:
     touchdown = dropped.readings[1].time
     falling = dropped.time < touchdown - 0.01
     expected = 0.28 - GRAVITY / 2 * dropped.time[falling] ** 2

@@ -71,7 +71,7 @@ def test_disabled_rules_and_the_least_severity_that_fails(broken: Path) -> None:
     assert "mass-not-positive" not in warned.stdout
 
 
-def test_list_rules() -> None:
+def test_audit_lists_its_rules() -> None:
     result = run("--list-rules")
     assert result.returncode == 0
     lines = result.stdout.splitlines()
@@ -79,7 +79,7 @@ def test_list_rules() -> None:
     assert [line.split()[0] for line in lines[4:] if line[0] != " "] == list(RULES)
 
 
-def test_formats(broken: Path) -> None:
+def test_audit_writes_every_format(broken: Path) -> None:
     audit = audit_model(broken)
     github = run(str(broken), "--format", "github").stdout
     assert github.startswith(f"::error file={broken},line=")

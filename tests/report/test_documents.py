@@ -99,7 +99,7 @@ def without_lines(rows: Rows) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("name", REPORTS)
-def test_golden_documents(name: str) -> None:
+def test_documents_are_the_golden_ones(name: str) -> None:
     assert write_markdown(report(name)) == (GOLDEN / f"{name}.md").read_text(encoding="utf-8")
 
 

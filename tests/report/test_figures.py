@@ -128,7 +128,7 @@ def test_a_fixed_base_can_be_drawn() -> None:
     assert draw_skeleton(robot, robot.home).legs["FL"].shape == (4, 3)
 
 
-def test_support_polygon() -> None:
+def test_corners_of_a_support_polygon_are_those_of_its_hull() -> None:
     points = [np.array(point, float) for point in ((0, 0, 1), (2, 0, 0), (2, 2, 0), (1, 0.5, 0))]
     corners = hull_corners(points)
     assert {tuple(corner) for corner in corners} == {(0, 0), (2, 0), (2, 2)}
@@ -145,7 +145,7 @@ def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
     assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
 
 
-def test_utilisation() -> None:
+def test_shares_of_a_bar_are_of_its_limit() -> None:
     values = zip((-1.0, 1.0, 1.0, 1.0, 1.0), (2.0, 4.0, 0.0, np.inf, None), strict=True)
     bars = [Bar(Name("m"), value, -0.5 * value, limit) for value, limit in values]
     named = (Name("value"), Name("other"), Name("limit"))
@@ -159,7 +159,7 @@ def test_utilisation() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_pose_figure(name: str, tmp_path: Path) -> None:
+def test_the_pose_figure_has_the_pose(name: str, tmp_path: Path) -> None:
     analysis = analysis_of(name)
     pose_figure(load(name), analysis.stand, analysis.statics, tmp_path / "pose.png")
     check_picture(tmp_path / "pose.png")
@@ -215,7 +215,9 @@ def test_a_failed_run_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
 @pytest.mark.parametrize("count", [1, 2, 4])
-def test_panels(draw: Callable[[Any, Path], None], count: int, tmp_path: Path) -> None:
+def test_figures_of_several_robots_are_drawn(
+    draw: Callable[[Any, Path], None], count: int, tmp_path: Path
+) -> None:
     analyses = [analysis_of(NAMES[index % 2]) for index in range(count)]
     draw(analyses, tmp_path / "figure.png")
     check_picture(tmp_path / "figure.png")

@@ -71,11 +71,11 @@ def test_a_place_with_a_line() -> None:
         ("50%.urdf:7", "file=50%25.urdf,line=7,title=t"),
     ],
 )
-def test_places(place: str | None, parameters: str) -> None:
+def test_places_of_annotations_are_file_and_line(place: str | None, parameters: str) -> None:
     assert write_github([Annotation("warning", "t", "m", place)]) == f"::warning {parameters}::m"
 
 
-def test_what_is_escaped() -> None:
+def test_control_characters_are_escaped() -> None:
     line = write_github([Annotation("notice", "a: b, c %\nd", "5 %: a, b\r\n100 %25", None)])
     assert line == "::notice title=a%3A b%2C c %25%0Ad::5 %25: a, b%0D%0A100 %2525"
     assert "\n" not in line
@@ -114,7 +114,7 @@ def test_whatever_is_written_is_read_back(title: str, message: str) -> None:
         assert read == shown(message)
 
 
-def test_junit_counts() -> None:
+def test_junit_counts_failures() -> None:
     cases = [
         CheckedItem("masses"),
         CheckedItem("limits", "0.9 rad\nand 1.1 rad"),

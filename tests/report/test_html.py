@@ -177,7 +177,7 @@ def pushed() -> PushRecovery:
 
 
 @pytest.mark.slow
-def test_it_is_well_formed_and_asks_for_nothing() -> None:
+def test_a_page_is_well_formed_and_loads_nothing() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
     policy = next(a for tag, a in page.strict.tags if "http-equiv" in a)
@@ -330,7 +330,7 @@ def test_pushes_are_told_and_compared() -> None:
     assert y == pytest.approx(210)
 
 
-def test_both_files_lines_are_side_by_side() -> None:
+def test_lines_of_both_files_are_side_by_side() -> None:
     page = page_of(comparison())
     first = page.root.find(".//div[@class='sides']")
     lines = [pre.text_content() for pre in first.iter("pre")]
@@ -740,7 +740,7 @@ def test_bad_arguments_are_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_it_opens_in_chinese_if_asked() -> None:
+def test_a_page_opens_in_chinese_if_asked() -> None:
     page = Page(written(audit(), language="zh"))
     assert page.root.get("lang") == "zh-Hans"
     assert page.root.find(".//button[@id='language']").text == "English"

@@ -121,7 +121,7 @@ def test_views_that_nobody_has_scrolled_to_are_on_paper_too(browser: Any, file: 
     one.context.close()
 
 
-def test_it_is_whole_beneath_the_navigation(opened: Opened) -> None:
+def test_a_page_is_whole_beneath_the_navigation(opened: Opened) -> None:
     canvas = stage(opened)
     opened.page.evaluate(
         """() => { const top = document.querySelector(".canvas").getBoundingClientRect().top;
@@ -279,7 +279,7 @@ def test_the_language_switches_everything(opened: Opened) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_it_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
+def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, scheme: str) -> None:
     one = Opened(browser, file, viewport={"width": 360, "height": 740}, color_scheme=scheme)
     wide = one.page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
     assert wide[0] <= wide[1]

@@ -63,7 +63,7 @@ DOCUMENT = Document(
 )
 
 
-def test_a_document() -> None:
+def test_a_document_is_markdown() -> None:
     report = Report(text("report"), (DOCUMENT,))
     assert (
         write_markdown(report)
@@ -185,7 +185,7 @@ def test_every_command_with_a_result_has_it() -> None:
             assert "everything" in options
 
 
-def test_it_is_all_that_stands_on_standard_output(tmp_path: Path) -> None:
+def test_markdown_is_all_that_stands_on_standard_output(tmp_path: Path) -> None:
     """Files are confirmed beside it."""
     path, page = tmp_path / "a.json", tmp_path / "a.html"
     file = str(ROOT / "urdf" / "pupper_v3.urdf")

@@ -102,7 +102,7 @@ def test_one_builder_shows_it_everywhere(wear: FootWear, tmp_path: Path) -> None
     assert lines[1] == "0 h, 0.00 mm|10 h, 7.50 mm|20 h, 15.00 mm"
 
 
-def test_its_plot_is_a_figure_too(wear: FootWear, tmp_path: Path) -> None:
+def test_the_plot_of_a_new_result_is_a_figure_too(wear: FootWear, tmp_path: Path) -> None:
     (plot,) = (one for one in document(wear).blocks if isinstance(one, LinePlot))
     plot_figure(plot, tmp_path / "wear.png")
     drawn = imread(tmp_path / "wear.png")[..., :3].min(axis=-1) < 0.9

@@ -127,7 +127,7 @@ def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
     assert "nudged: at 3.46 s the robot tips (FL)" in text
 
 
-def test_the_fastest_path() -> None:
+def test_the_fastest_path_is_printed_with_its_bound() -> None:
     least = there(
         binding=BindingLimit(PathLimit.FRICTION, ("FR",), 2, 0.37, 0.5),
         reserve=0.21,

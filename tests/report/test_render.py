@@ -96,7 +96,7 @@ def test_rows_and_scale(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fixed_base", [False, True])
-def test_one_robot(fixed_base: bool, tmp_path: Path) -> None:
+def test_one_robot_is_rendered(fixed_base: bool, tmp_path: Path) -> None:
     robot = load("v3", fixed_base=fixed_base)
     picture = render.render_robot(robot, robot.home, tmp_path / "a.png", width=WIDTH)
     assert pixels(picture.path).shape[1] == WIDTH
@@ -214,7 +214,7 @@ def test_the_next_backend_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
         ({}, "Windows", ("glfw",)),
     ],
 )
-def test_backends(
+def test_rendering_backends_depend_on_system_and_environment(
     variables: dict[str, str],
     system: str,
     expected: tuple[str, ...],

@@ -61,7 +61,7 @@ def result(**values: Any) -> SarifResult:
     return SarifResult(**{**usual, **values})
 
 
-def test_a_result() -> None:
+def test_a_finding_is_a_sarif_result() -> None:
     run = checked_log(write_sarif([result(rule=SarifRule("audit/mass", "A mass"), known=True)]))
     assert run["tool"]["driver"]["rules"] == [
         {"id": "audit/mass", "shortDescription": {"text": "A mass"}}

@@ -60,7 +60,7 @@ def full() -> pa.study.StudyOutcome:
 # What came of it
 
 
-def test_it_counts_what_the_table_has() -> None:
+def test_the_report_counts_what_the_table_has() -> None:
     found = outcome()
     table = found.table
     assert len(table) == found.designs == 18

@@ -95,14 +95,14 @@ def test_the_action_is_one() -> None:
 
 
 @pytest.mark.slow
-def test_it_passes_on_the_sample(installed: Path) -> None:
+def test_the_action_passes_on_the_sample(installed: Path) -> None:
     result = step("Check", installed)
     assert result.returncode == 0, result.stderr
     assert result.stdout == "passed: 0 to mend, 1 known\n"
 
 
 @pytest.mark.slow
-def test_it_fails_at_the_line_of_what_is_new(installed: Path) -> None:
+def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     text = (installed / "hopper.urdf").read_text()
     (installed / "hopper.urdf").write_text(text.replace('upper="1.5"', 'upper="1.2"'))
     line = text[: text.index('upper="1.5"')].count("\n") + 1
@@ -112,7 +112,7 @@ def test_it_fails_at_the_line_of_what_is_new(installed: Path) -> None:
 
 
 @pytest.mark.slow
-def test_its_inputs(installed: Path) -> None:
+def test_the_action_has_its_inputs(installed: Path) -> None:
     (installed / "robots and more").mkdir()
     for name in ("hopper.urdf", "hopper.xml", "pupper-analysis.toml"):
         shutil.move(installed / name, installed / "robots and more" / name)
@@ -128,7 +128,7 @@ def test_its_inputs(installed: Path) -> None:
 
 
 @pytest.mark.longest
-def test_it_installs_what_checking_needs(checkout: Path) -> None:
+def test_the_action_installs_what_checking_needs(checkout: Path) -> None:
     """From the package index, as on GitHub; without PlaCo and Matplotlib."""
     result = step("Install", checkout)
     if result.returncode and re.search(NETWORK, result.stderr):

@@ -71,7 +71,7 @@ def test_every_example_is_run_here_and_in_the_list() -> None:
     assert sorted(listed) == SCRIPTS
 
 
-def test_own_robot(shown: Shown) -> None:
+def test_example_own_robot_runs(shown: Shown) -> None:
     text = shown("own_robot")
     robot = pa.load_variant(pa.pupper.VariantSpec(base="v3", leg_scale=1.1))
     held = pa.stance.stand_statics(robot, pa.solve_stand(robot))
@@ -83,7 +83,7 @@ def test_own_robot(shown: Shown) -> None:
     assert "holds in MuJoCo: True" in text
 
 
-def test_compare_legs(shown: Shown) -> None:
+def test_example_compare_legs_runs(shown: Shown) -> None:
     rows = re.findall(r"^ +([\d.]+) +([\d.]+) +([\d.]+) +([\d.]+)%$", shown("compare_legs"), re.M)
     table = np.array(rows, dtype=float)
     np.testing.assert_allclose(table[:, 0], [0.8, 1.0, 1.2, 1.4, 1.6])
@@ -97,7 +97,7 @@ def test_compare_legs(shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_push(shown: Shown) -> None:
+def test_example_push_runs(shown: Shown) -> None:
     text = shown("push")
     rows = re.findall(r"(\d+) deg: ([\d.]+) N s \(([\d.]+) if rigid\), then: \S", text)
     table = np.array(rows, dtype=float)
@@ -144,7 +144,7 @@ def test_audit_in_ci(shown: Shown, tmp_path: Path) -> None:
     assert f"{bad}: FAILED" in text
 
 
-def test_cross_check(shown: Shown) -> None:
+def test_example_cross_check_runs(shown: Shown) -> None:
     text = shown("cross_check")
     assert "as written: agree = True" in text
     assert "with a slip: agree = False" in text
@@ -155,7 +155,7 @@ def test_cross_check(shown: Shown) -> None:
 
 
 @pytest.mark.slow
-def test_payload(shown: Shown) -> None:
+def test_example_payload_runs(shown: Shown) -> None:
     text = shown("payload")
     robot, mass = load("v3"), number("limit", text)
     assert number("servos", text) == mass
@@ -183,7 +183,7 @@ def test_slope_and_swing(shown: Shown) -> None:
     assert re.search(r"out of reach; possible: .*roll 19\.\d", text)
 
 
-def test_steady_state(shown: Shown) -> None:
+def test_example_steady_state_runs(shown: Shown) -> None:
     text = shown("steady_state")
     commanded, predicted = number("commanded", text), number("predicted", text)
     lost = number("lost in the servos", text), number("lost in the ground", text)

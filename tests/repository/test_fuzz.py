@@ -19,14 +19,14 @@ SEEDS = sorted((Path(fuzz.__file__).parent / "fuzz_seeds").glob("*.json"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SEEDS, ids=lambda path: path.stem)
-def test_what_was_mended(path: Path) -> None:
+def test_seeds_that_once_failed_pass(path: Path) -> None:
     assert fuzz.found_in(fuzz.Case.from_json(path.read_text())) == []
 
 
 @pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=list(HealthCheck))
 @given(fuzz.on_files())
-def test_spoilt_files(case: fuzz.Case) -> None:
+def test_spoilt_files_are_refused(case: fuzz.Case) -> None:
     assert fuzz.found_in(case) == []
 
 
@@ -50,7 +50,7 @@ def _found(monkeypatch: pytest.MonkeyPatch, command: object, *arguments: str) ->
     return "; ".join(fuzz.found_in(fuzz.Case(("audit", *arguments), FILES)))
 
 
-def test_it_finds_what_it_looks_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fuzzer_finds_a_planted_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(words: object) -> None:
         raise KeyError("x")
 
@@ -89,7 +89,7 @@ def test_it_finds_what_it_looks_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert _found(monkeypatch, lambda words: None) == ""
 
 
-def test_it_finds_what_mujoco_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fuzzer_finds_what_mujoco_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     dangling = FILES["robot.xml"].replace(
         b"</worldbody>", b'</worldbody><sensor><gyro site="nowhere"/></sensor>'
     )
@@ -99,7 +99,7 @@ def test_it_finds_what_mujoco_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "nowhere" in found
 
 
-def test_it_finds_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fuzzer_finds_what_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     def hangs(words: object) -> None:
         while True:
             pass

@@ -126,5 +126,5 @@ def test_docstrings_example_works(tmp_path: Path) -> None:
     assert run("\n".join([*lines, "print(report.passed, len(torques))"]), tmp_path) == "True 12"
 
 
-def test_version() -> None:
+def test_the_version_has_three_parts() -> None:
     assert pa.__version__.count(".") == 2

@@ -359,7 +359,7 @@ def test_a_fixed_bases_motors_hold_what_follows(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
-def test_they_stand_at_the_command_line(
+def test_robots_with_closed_loops_stand_at_the_command_line(
     pair, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     files = pair(tmp_path)

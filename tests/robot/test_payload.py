@@ -21,7 +21,7 @@ POINT = (0.05, -0.02, 0.08)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_both_models_carry_the_same(name: str) -> None:
+def test_both_models_carry_the_same_payload(name: str) -> None:
     loaded = with_payload(load(name), 2.5, POINT)
     check = pa.cross_check(loaded)
     assert check.passed, check.worst
@@ -34,7 +34,7 @@ def test_both_models_carry_the_same(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_its_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
+def test_a_payloads_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
     """m g dz/dq, by finite differences of where the point is on a tilted base."""
     robot, mass = load(name), 3.0
     qpos, _ = random_state(robot, 2)
@@ -53,7 +53,7 @@ def test_its_weight_is_the_slope_of_its_potential_energy(name: str) -> None:
     np.testing.assert_allclose(more - less, slope, atol=1e-7)
 
 
-def test_all_else_stays() -> None:
+def test_a_payload_keeps_changed_effort_limits() -> None:
     robot = load("v3")
     model = robot.pin_model.copy()
     efforts = np.array(model.effortLimit)
@@ -93,7 +93,7 @@ def test_the_base_stays_as_the_feet_sink() -> None:
 
 
 @pytest.mark.parametrize("mass", [-1.0, np.nan, np.inf, "much", True])
-def test_bad_masses(mass: object) -> None:
+def test_a_payload_of_a_bad_mass_is_refused(mass: object) -> None:
     with pytest.raises(pa.ConfigurationError, match="mass"):
         with_payload(load("v3"), mass)  # type: ignore[arg-type]
 

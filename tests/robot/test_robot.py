@@ -63,7 +63,7 @@ def test_paths_may_be_strings(tiny_files: Files) -> None:
     assert pa.load_robot(urdf=files[0], mjcf=files[1], feet=["foot"]).nu == 3
 
 
-def test_sizes(tiny: pa.Robot, tiny_files: Files) -> None:
+def test_a_robot_knows_its_sizes(tiny: pa.Robot, tiny_files: Files) -> None:
     assert (tiny.nq, tiny.nv, tiny.nu, tiny.floating) == (10, 9, 3, True)
     fixed = load_files(tiny_files, fixed_base=True)
     assert (fixed.nq, fixed.nv, fixed.nu, fixed.floating) == (3, 3, 3, False)
@@ -166,7 +166,7 @@ def test_a_foot_may_be_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
     assert robot.foot_radius["foot"] == 0.02
 
 
-def test_shipped_robots(robot: pa.Robot, variant: str) -> None:
+def test_shipped_robots_are_loaded(robot: pa.Robot, variant: str) -> None:
     assert robot.name == variant
     assert robot.imu == "body_imu_site"
     assert robot.floating

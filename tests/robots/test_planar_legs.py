@@ -25,7 +25,7 @@ def holds(robot: Robot, task: pa.StandTask | None = None) -> pa.Stand:
     return stand
 
 
-def test_it_stands_with_the_com_two_micrometres_off_the_centre(tmp_path: Path) -> None:
+def test_a_planar_robot_stands_with_the_com_two_micrometres_off_the_centre(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))
     assert robot.nu == 8
     assert any(note.code == "com-anywhere-inside" for note in robot.notes)
@@ -54,7 +54,7 @@ def test_reachable_heights_are_those_at_which_it_stands(tmp_path: Path) -> None:
         pa.solve_stand(robot, pa.StandTask(height=heights.high + 1e-3), explain=False)
 
 
-def test_it_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
+def test_a_planar_robot_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     robot = load(planar(quadruped(tmp_path)))
     holds(robot, pa.StandTask(height=0.9 * robot.stand_height))
     stand = holds(robot, pa.StandTask(offset=(0.02, 0.0)))
@@ -62,7 +62,7 @@ def test_it_squats_shifts_and_lifts_a_foot(tmp_path: Path) -> None:
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
 
-def test_its_sag_is_mujocos(tmp_path: Path) -> None:
+def test_sag_of_a_planar_robot_is_mujocos(tmp_path: Path) -> None:
     """Its feet, pinned, say each other's places sideways twice: the equations must bear it."""
     robot = load(planar(quadruped(tmp_path)))
     stand = pa.solve_stand(robot)

@@ -102,7 +102,7 @@ def test_limit_in_a_plain_loop(name: str, index: int) -> None:
 
 
 @pytest.mark.longest
-def test_deterministic() -> None:
+def test_pushes_are_deterministic() -> None:
     arguments: dict[str, Any] = {**COARSE, "directions": 3, "resolution": 0.2}
     one, two = (push_recovery(load("v3"), stand_of("v3"), **arguments) for _ in range(2))
     assert one.to_json() == two.to_json()
@@ -283,7 +283,7 @@ def test_fixed_base_is_refused() -> None:
 # ------------------------------------------------------------------------------------- figure
 
 
-def test_figure(tmp_path: Path) -> None:
+def test_pushes_are_drawn(tmp_path: Path) -> None:
     path = tmp_path / "push.png"
     push_figure({name: pushed(name) for name in ("original", "v3")}, path, tipping="v3")
     pixels = imread(path)

@@ -23,7 +23,7 @@ def standing() -> tuple[pa.Robot, Stand]:
     ("kp", "kd", "feedforward"),
     [(5.0, 0.1, True), (20.0, 0.5, False), (0.05, 0.001, False), (5e4, 0.0, True)],
 )
-def test_it_agrees_with_the_verification(
+def test_settling_agrees_with_the_verification(
     standing: tuple[pa.Robot, Stand], kp: float, kd: float, feedforward: bool
 ) -> None:
     """Held, sagging a little, falling, and shaking to pieces."""
@@ -34,7 +34,7 @@ def test_it_agrees_with_the_verification(
     assert seen.stays == (5.0 <= kp <= 20.0)
 
 
-def test_it_simulates_no_longer_than_it_takes(
+def test_settling_simulates_no_longer_than_it_takes(
     standing: tuple[pa.Robot, Stand], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     robot, stand = standing

@@ -123,7 +123,7 @@ def test_a_verdict_is_never_better_than_what_it_rests_on(case: str) -> None:
         assert not in_words(verdict).startswith("HOLDS")
 
 
-def test_the_worst_decides() -> None:
+def test_the_worst_check_decides_the_verdict() -> None:
     verdict = judge_stance(
         run(), run(0.1, passed=False), made(Drive.MOTOR), published=published(0.65)
     )

@@ -214,7 +214,7 @@ def test_a_base_in_the_ground_needs_no_search(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_ground_clearance(name: str) -> None:
+def test_ground_clearance_is_kept(name: str) -> None:
     robot = load(name)
     near = pa.solve_stand(robot).ground_clearance
     assert near is not None
@@ -229,7 +229,7 @@ def test_ground_clearance(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_self_clearance(name: str) -> None:
+def test_self_clearance_is_kept(name: str) -> None:
     robot = load(name)
     near = pa.solve_stand(robot, pa.StandTask(self_clearance=0.0)).self_clearance
     assert near is not None

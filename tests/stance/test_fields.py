@@ -74,7 +74,7 @@ def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_is_in_the_task_its_json_and_its_words(field: Field) -> None:
+def test_each_field_is_in_the_task_its_json_and_its_words(field: Field) -> None:
     task = task_with(field)
     assert task.values()[field.name] == asked(field)
     content = json.loads(to_json(task))
@@ -91,7 +91,7 @@ def test_each_is_in_the_task_its_json_and_its_words(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_comes_back_from_json_and_alone(field: Field) -> None:
+def test_each_field_comes_back_from_json_and_alone(field: Field) -> None:
     task = task_with(field)
     assert pa.StandTask.of(json.loads(to_json(task))) == task
     alone = {name: value for name, value in task.values().items() if value != FIELDS[name].usual}
@@ -101,7 +101,7 @@ def test_each_comes_back_from_json_and_alone(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_refuses_what_makes_no_sense(field: Field) -> None:
+def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
     wrong: list[Any] = [math.nan, "much", True, (1.0,), (0.0, math.inf)]
     if not (field.axes or field.choices):
         wrong += [field.low - 1e-3] * math.isfinite(field.low)
@@ -125,7 +125,7 @@ def test_the_example_of_each_option_is_a_value_that_it_takes(field: Field) -> No
 
 
 @pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
-def test_each_is_an_option_of_the_same_value(field: Field) -> None:
+def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
     command = cli.group.commands["stand"]
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
     typed = {name: context.params[name] for name in TYPED}
@@ -145,7 +145,7 @@ def state_with(field: Field) -> State:
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_is_in_a_pages_state_and_its_address(field: Field) -> None:
+def test_each_field_is_in_a_pages_state_and_its_address(field: Field) -> None:
     state = state_with(field)
     assert near(state.task().values()[field.name], asked(field))
     assert state != State()
@@ -158,7 +158,7 @@ def test_each_is_in_a_pages_state_and_its_address(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_has_sliders_with_words_and_a_range(field: Field) -> None:
+def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
     own = {name: control for name, control in CONTROLS.items() if control.field is field}
     assert len(own) == max(1, len(field.axes))
     ranges = ranges_of(load("v3"), {})
@@ -173,7 +173,7 @@ def test_each_has_sliders_with_words_and_a_range(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
-def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
+def test_each_field_is_exported_as_python_and_as_a_command(field: Field) -> None:
     state = state_with(field)
     source = LiveVariants(pa.VARIANTS["v3"])
     task = next(
@@ -188,7 +188,7 @@ def test_each_is_exported_as_python_and_as_a_command(field: Field) -> None:
 
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
-def test_each_number_of_a_stand_is_one_of_a_study(field: Field) -> None:
+def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> None:
     own = {name: axis for name, (known, axis) in STANCE.items() if known is field}
     if field.per_foot or field.choices or field.name in MEASURES:
         assert not own  # a measure's column has the name

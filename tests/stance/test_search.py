@@ -266,7 +266,7 @@ def test_requests_that_no_robot_can_meet(task: pa.StandTask, named: str) -> None
 
 
 @pytest.mark.parametrize("field", ["feet", "foot_offsets", "swing"])
-def test_unknown_feet(field: str) -> None:
+def test_unknown_feet_are_refused(field: str) -> None:
     value = 0.01 if field == "swing" else (0.0, 0.0)
     with pytest.raises(pa.UnknownNameError, match="FR, FL, RR, RL"):
         pa.solve_stand(load("v3"), pa.StandTask(**{field: {"XX": value}}))

@@ -69,7 +69,9 @@ def test_feet_are_as_deep_as_their_load_takes_them(name: str) -> None:
 
 @pytest.mark.parametrize("what", ["steps", "off the centre", "three legs"])
 @pytest.mark.parametrize("name", ["heavy", "v3"])
-def test_it_is_the_equilibrium_that_feedforward_holds(name: str, what: str) -> None:
+def test_the_stand_on_soft_ground_is_the_equilibrium_that_feedforward_holds(
+    name: str, what: str
+) -> None:
     """By Newton's iteration on the soft ground, from the stand's torques."""
     robot = load(name)
     stand = solve_stand_on_soft_ground(robot, TASKS[what])

@@ -49,7 +49,7 @@ def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
         assert 0 <= getattr(stand, error) < 1e-9
 
 
-def test_default_stand(variant: str, robot: pa.Robot, stand: pa.Stand) -> None:
+def test_the_default_stand_meets_its_task(variant: str, robot: pa.Robot, stand: pa.Stand) -> None:
     assert stand.task.height == pytest.approx(HEIGHTS[variant], abs=1e-12)
     assert robot.stand_height == pytest.approx(HEIGHTS[variant], abs=1e-12)
     check(robot, stand, pa.StandTask(height=HEIGHTS[variant]))
@@ -206,7 +206,7 @@ def test_limits_are_named_when_they_are_in_the_way() -> None:
 
 @pytest.mark.parametrize("field", ["height", "roll", "pitch", "yaw"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, "0.1", True, [0.1], 1j])
-def test_bad_task_is_refused(field: str, value: object) -> None:
+def test_solve_stand_refuses_a_bad_task(field: str, value: object) -> None:
     with pytest.raises(pa.ConfigurationError, match=field) as caught:
         pa.StandTask(**{field: value})  # type: ignore[arg-type]
     assert caught.value.field == field

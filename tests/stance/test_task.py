@@ -35,7 +35,7 @@ def test_uphill_is_where_the_plane_rises(slope: float, uphill: float) -> None:
     assert ground.height(aside) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_level() -> None:
+def test_ground_is_level_without_slope_and_steps() -> None:
     assert pa.Ground().level
     assert pa.Ground(uphill=1.0, heights={"FL": 0.0}).level
     assert not pa.Ground(slope=0.1).level
@@ -64,13 +64,13 @@ def test_level() -> None:
         ({"ik_seed": ["straight"]}, "ik_seed"),
     ],
 )
-def test_bad_requests(arguments: dict[str, object], named: str) -> None:
+def test_a_task_refuses_bad_requests(arguments: dict[str, object], named: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=named):
         pa.StandTask(**arguments)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("slope", [-0.1, math.pi / 2, math.nan, "steep"])
-def test_bad_slopes(slope: object) -> None:
+def test_a_ground_refuses_bad_slopes(slope: object) -> None:
     with pytest.raises(pa.ConfigurationError, match="slope"):
         pa.Ground(slope=slope)  # type: ignore[arg-type]
 

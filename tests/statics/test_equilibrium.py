@@ -100,7 +100,9 @@ def mujoco_joint_torques(
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
 @settings(max_examples=60)
 @given(config=near_stands)
-def test_balance(distribution: pa.statics.ForceDistribution, config: pa.Configuration) -> None:
+def test_contact_forces_and_torques_balance_gravity(
+    distribution: pa.statics.ForceDistribution, config: pa.Configuration
+) -> None:
     try:
         result = pa.gravity_compensation(config, distribution=distribution)
     except pa.StaticsInfeasibleError:
@@ -121,7 +123,9 @@ def test_balance(distribution: pa.statics.ForceDistribution, config: pa.Configur
 
 
 @pytest.mark.parametrize("distribution", DISTRIBUTIONS)
-def test_stands_balance(variant: str, distribution: pa.statics.ForceDistribution) -> None:
+def test_contact_forces_of_a_stand_balance_gravity(
+    variant: str, distribution: pa.statics.ForceDistribution
+) -> None:
     config = at_stand(variant)
     result = pa.gravity_compensation(config, distribution=distribution)
     check_newton_euler(config, result)
@@ -744,7 +748,7 @@ def test_margin_of_a_triangle_with_a_foot_inside(com: np.ndarray) -> None:
         assert margin >= -np.linalg.norm(corners - com, axis=1).min() - 1e-12
 
 
-def test_stands_margin(variant: str) -> None:
+def test_the_margin_of_a_stand_is_that_of_its_feet(variant: str) -> None:
     """The com is over the middle of the feet: to the front edge and the rear one it is 0.075 m."""
     result = pa.gravity_compensation(at_stand(variant))
     assert result.com_margin == pytest.approx(0.075, abs=1e-9)
@@ -770,7 +774,7 @@ def test_stands_margin(variant: str) -> None:
         ({"normals": {"FR": None}}, "normals"),
     ],
 )
-def test_bad_requests_are_refused(arguments: dict[str, object], message: str) -> None:
+def test_statics_refuse_bad_requests(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
         pa.gravity_compensation(at_stand("v3"), **arguments)  # type: ignore[arg-type]
 

@@ -49,7 +49,7 @@ def test_least_squares_with_conditions(random: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("rank", [4, 2])
-def test_least_squares(random: np.random.Generator, rank: int) -> None:
+def test_least_squares_are_numpys(random: np.random.Generator, rank: int) -> None:
     matrix = random.normal(size=(6, rank)) @ random.normal(size=(rank, 4))
     right = random.normal(size=6)
     expected = np.linalg.pinv(matrix, rcond=1e-10) @ right

@@ -544,7 +544,9 @@ kp = [0.2, 10]
 """
 
 
-def test_the_command(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_the_study_command_writes_its_results(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     file, folder = tmp_path / "legs.toml", tmp_path / "legs"
     file.write_text(LEGS)
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")

@@ -432,7 +432,7 @@ def test_offsets_of_coms_are_numbers_of_a_study() -> None:
         scale_robot(before, {name: math.nan})
 
 
-def test_each_has_a_factor_of_its_own() -> None:
+def test_each_parameter_has_a_factor_of_its_own() -> None:
     """One line is twelve variables, each of one link: the masses of both models are theirs."""
     vary = {
         "mass:each:leg_*_[12]": pa.study.uniform(0.5, 2.0),

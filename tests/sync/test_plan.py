@@ -104,7 +104,9 @@ DIFFERENT = changed(changed(ROBOT, "base", mass=7.0), "thigh1", effort=25.0, dam
         (["urdf:3", "mjcf:hip1"], {"effort": "urdf", "damping": "mjcf"}),
     ],
 )
-def test_choices(tmp_path: Path, take: list[str], expected: dict[str, str]) -> None:
+def test_choices_are_a_side_a_kind_or_a_number(
+    tmp_path: Path, take: list[str], expected: dict[str, str]
+) -> None:
     files = pair(tmp_path, DIFFERENT)
     result = sync(files, take, dry_run=True)
     assert {label.rpartition(": ")[2]: side for label, side in result.taken.items()} == expected

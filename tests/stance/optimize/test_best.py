@@ -85,7 +85,7 @@ def check_kept(robot: pa.Robot, found: pa.stance.BestStance) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_least_utilisation(name: str) -> None:
+def test_best_stance_has_the_least_utilisation(name: str) -> None:
     robot, found = load(name), best_stance(load(name))
     check_kept(robot, found)
     assert found.value == pytest.approx(utilisation(robot, found.stand), rel=1e-9)
@@ -103,7 +103,7 @@ def test_least_utilisation(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_largest_margin() -> None:
+def test_best_stance_has_the_largest_margin() -> None:
     """As long as it may be, and the com where the nearest edges are equally far."""
     robot, found = load("v3"), best_stance(load("v3"), Objective.MARGIN)
     check_kept(robot, found)
@@ -222,7 +222,7 @@ def test_the_rest_of_the_task_stays() -> None:
 
 
 @pytest.mark.longest
-def test_least_torque() -> None:
+def test_best_stance_has_the_least_torque() -> None:
     robot, distribution = load("v3"), pa.statics.ForceDistribution.MIN_TORQUE
     found = best_stance(robot, distribution=distribution)
     statics = stand_statics(robot, found.stand, distribution=distribution)
@@ -231,7 +231,7 @@ def test_least_torque() -> None:
 
 
 @pytest.mark.slow
-def test_wrong_requests() -> None:
+def test_best_stance_refuses_wrong_requests() -> None:
     robot = load("v3")
     with pytest.raises(pa.ConfigurationError, match="objective"):
         best_stance(robot, "speed")  # type: ignore[arg-type]

@@ -66,7 +66,7 @@ def beyond(robot: pa.Robot, found: pa.stance.FastestPath) -> tuple[float, float,
 
 
 @pytest.mark.parametrize("name", some(["v3", "original"], 2))
-def test_it_is_within_the_limits_and_its_own_derivatives(name: str) -> None:
+def test_the_fastest_path_is_within_the_limits_and_its_own_derivatives(name: str) -> None:
     robot = load(name)
     found = fastest_path(robot, aside(name))
     torque, speed, friction, lack = beyond(robot, found)
@@ -91,7 +91,7 @@ def test_it_is_within_the_limits_and_its_own_derivatives(name: str) -> None:
 
 
 @pytest.mark.longest
-def test_it_is_faster_than_a_minimum_jerk_law_and_slower_than_its_bound() -> None:
+def test_the_fastest_path_is_faster_than_minimum_jerk_and_slower_than_its_bound() -> None:
     robot, tasks = load("original"), aside("original")
     found = fastest_path(robot, tasks, reserve=0.0)
     assert found.lower_bound < found.seconds
@@ -171,7 +171,7 @@ def test_forces_are_chosen_so_that_motors_bear_them() -> None:
     assert stance_path(weak, tasks, 100.0).peak_utilisation > 1
 
 
-def test_bad_arguments_and_what_no_time_helps() -> None:
+def test_fastest_path_refuses_bad_arguments_and_what_no_time_helps() -> None:
     robot = load("original")
     for reserve in (-0.1, 1.0, math.nan, "x", True):
         with pytest.raises(pa.ConfigurationError, match="reserve"):

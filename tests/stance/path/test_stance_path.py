@@ -134,7 +134,7 @@ def test_a_squat_rolls_the_feet_by_radius_times_angle() -> None:
 
 
 @pytest.mark.parametrize("kind", some(list(SECONDS), 2))
-def test_it_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
+def test_a_path_rests_in_every_stance_and_is_smooth_between(kind: str) -> None:
     path = stance_path(load("v3"), stances("v3", kind)[:3], 1.0, rate=140.0)
     joints, step = path.joint_positions(), path.time[1]
     velocity = np.abs(np.gradient(joints, step, axis=0)).max(axis=1)
@@ -339,7 +339,7 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
         ([Task(), Task(yaw=0.3), Task(yaw=-0.3)], 1.0, 0.1, "jumps"),
     ],
 )
-def test_bad_arguments(
+def test_a_path_refuses_bad_arguments(
     tasks: list[Task], seconds: float, rate: float, named: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if named == "jumps":

@@ -73,7 +73,7 @@ def smooth(force: float, jerk: float) -> float:
 
 
 @pytest.mark.parametrize("force", [0.5, 20.0])
-def test_bounded_force(force: float) -> None:
+def test_bounded_force_has_the_closed_forms_time(force: float) -> None:
     """Half of the way with all force forwards, half backwards: T = 2 sqrt(m d / F)."""
     found = free(force)
     assert found.seconds == pytest.approx(2 * math.sqrt(MASS * WAY / force), rel=1e-3)
@@ -89,7 +89,7 @@ def test_a_force_that_helps_one_way_only() -> None:
     assert free(5.0, drag=2.0).seconds == pytest.approx(closed, rel=1e-3)
 
 
-def test_bounded_speed() -> None:
+def test_bounded_speed_has_the_closed_forms_time() -> None:
     """Up to v, on at v, and down: T = d/v + m v/F."""
     found = free(20.0, speed=1.0)
     assert found.seconds == pytest.approx(WAY / 1.0 + MASS * 1.0 / 20.0, rel=3e-3)

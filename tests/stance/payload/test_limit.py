@@ -339,7 +339,7 @@ def test_dry_friction_holds_up_what_is_not_stable() -> None:
 
 
 @pytest.mark.parametrize("point", [(0, 0), (0, 0, np.nan), "top"])
-def test_bad_points(point: object) -> None:
+def test_payload_limit_refuses_bad_points(point: object) -> None:
     with pytest.raises(pa.ConfigurationError, match="point"):
         payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
     with pytest.raises(pa.ConfigurationError, match="point"):
@@ -349,7 +349,7 @@ def test_bad_points(point: object) -> None:
 # ---------------------------------------------------------------------------------- buckling
 
 
-def test_it_buckles_as_fast_as_a_simulation_leaves() -> None:
+def test_an_unstable_payload_buckles_as_fast_as_a_simulation_leaves() -> None:
     """Above the limit of 5.64 kg, without dry friction: from one that is nudged, by bare MuJoCo."""
     robot, stand, point = load("v3"), stand_of("v3"), np.array([0.0, 0.0, 0.08])
     found = pa.simulation.payload_buckling(robot, stand, 6.2, point)  # type: ignore[arg-type]

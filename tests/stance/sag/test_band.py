@@ -77,7 +77,7 @@ def test_robots_on_gripping_ground_end_inside_and_near_the_ends(name: str) -> No
 
 @pytest.mark.longest
 @pytest.mark.parametrize("change", [without_rolling, without_joints])
-def test_each_kind_of_friction_alone(change: object) -> None:
+def test_each_kind_of_friction_alone_makes_a_band(change: object) -> None:
     robot, stand = sag.changed(load("v3"), change), stand_of("v3")
     low, middle, high = heights(steady_state_band(robot, stand))
     # Slowly: on the way down each joint's friction opposes its own motion, which is nearly, not
@@ -118,7 +118,7 @@ def test_feedforward_and_stiff_servos_narrow_it() -> None:
     assert middle == pytest.approx(pa.steady_state(robot, stand, feedforward=True).base_height)
 
 
-def test_it_is_refused_where_nothing_holds() -> None:
+def test_a_friction_band_is_refused_where_nothing_holds() -> None:
     robot, stand = load("v3"), stand_of("v3")
     with pytest.raises(pa.NoEquilibriumError, match="not even with friction"):
         steady_state_band(robot, stand, kp=0.5)

@@ -71,7 +71,7 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
 
 
 @pytest.mark.parametrize("name", ["original", "v3"])
-def test_it_is_a_minimum_of_the_energy(name: str) -> None:
+def test_the_steady_state_is_a_minimum_of_the_energy(name: str) -> None:
     """Sliding, the energy is a function of qpos alone: it grows in every direction."""
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand, feet="sliding")
@@ -129,7 +129,7 @@ def assert_predicts(
 
 
 @pytest.mark.parametrize("name", SETTLING)
-def test_nominal_stands(name: str) -> None:
+def test_steady_states_of_nominal_stands_are_mujocos(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand)
     assert pose.stable
@@ -139,7 +139,7 @@ def test_nominal_stands(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", some(BASES_FIRST, 6, first=2))
-def test_random_stands(name: str) -> None:
+def test_steady_states_of_random_stands_are_mujocos(name: str) -> None:
     robot, random, count = load(name), np.random.default_rng(1), 0
     while count < 10:
         height = robot.stand_height * random.uniform(0.85, 1.15)
@@ -351,7 +351,9 @@ def test_touching_begins_without_a_jump() -> None:
         ("slope", 5.0, pa.Ground(0.1, 0.5)),
     ],
 )
-def test_it_comes_down_on_a_step_and_on_a_slope(what: str, kp: float, ground: pa.Ground) -> None:
+def test_a_foot_comes_down_on_a_step_and_on_a_slope(
+    what: str, kp: float, ground: pa.Ground
+) -> None:
     robot, stand = load("v3"), lifted("v3", "RR", 0.004, ground=ground)
     pose = steady_state(robot, stand, kp=kp, seconds=5.5)
     assert "RR" in pose.stance_feet
@@ -554,7 +556,7 @@ def test_a_search_that_finds_something_does_not_go_round(
         assert not any(is_cycling(residuals[:end]) for end in range(len(residuals)))
 
 
-def test_what_goes_round() -> None:
+def test_a_search_that_goes_round_is_recognised() -> None:
     assert is_cycling([0.1, 3.0, 0.02, 3.1, 0.0201, 3.105])
     assert is_cycling([1.0, 7.0, 0.16, 0.003, 0.88, 0.16, 0.003, 0.88])
     assert not is_cycling([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125])
@@ -575,7 +577,7 @@ def test_instability_is_reported() -> None:
 # ------------------------------------------------------------------------------------- requests
 
 
-def test_wrong_requests() -> None:
+def test_steady_state_refuses_wrong_requests() -> None:
     robot, stand = load("v3"), stand_of("v3")
     with pytest.raises(pa.ConfigurationError, match="feet"):
         steady_state(robot, stand, feet="glued")  # type: ignore[arg-type]
