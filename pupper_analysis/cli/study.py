@@ -105,7 +105,7 @@ def study_command(
 
     shared.check_outputs(json_path, report_path)
     check_folder(folder)
-    study = Study.read(file, own_measures=not dry_run)
+    study = Study.read(file, own_metrics=not dry_run)
     check_objectives(study, minimise, maximise)
     if dry_run:
         expected = estimate_study(study, folder)

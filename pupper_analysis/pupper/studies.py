@@ -14,7 +14,7 @@ from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study import study
-from pupper_analysis.study.numbers import without_visuals
+from pupper_analysis.study.parameters import without_visuals
 from pupper_analysis.study.source import RobotSource
 
 

@@ -137,13 +137,13 @@ class DirectionPlot(Plot):
 
 @dataclass(frozen=True, eq=False)
 class MeansPlot(Plot):
-    """Means of a measure over two variables; cells in whose mean designs are missing are crossed.
+    """Means of a metric over two variables; cells in whose mean designs are missing are crossed.
 
     Attributes:
         found: The means.
         x: The variable along.
         y: The variable upwards.
-        measure: The measure.
+        metric: The metric.
         ends: The least and the greatest value that colours tell.
         part: Of which designs it is, if others have a map of their own, or what is averaged.
     """
@@ -151,7 +151,7 @@ class MeansPlot(Plot):
     found: MeanMap
     x: str
     y: str
-    measure: str
+    metric: str
     ends: tuple[float, float]
     part: Words | None = None
 
@@ -192,7 +192,7 @@ class ParallelPlot(Plot):
 
 @dataclass(frozen=True, eq=False)
 class FrontPlot(Plot):
-    """Designs over two measures, and the front of those that no other beats.
+    """Designs over two metrics, and the front of those that no other beats.
 
     Attributes:
         table: Of a study.

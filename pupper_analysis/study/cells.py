@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.study.design import ENDS, NUMBERS, OFFSET
-from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.metrics import METRICS
 from pupper_analysis.study.named import AXES
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ class Cells:
 
 @dataclass(frozen=True, eq=False)
 class MeanMap:
-    """Means of a measure over two variables.
+    """Means of a metric over two variables.
 
     Attributes:
         x: The cells along.
@@ -125,15 +125,15 @@ class EndMap:
     counts: Array
 
 
-def mean_map(table: pd.DataFrame, x: str, y: str, measure: str) -> MeanMap:
-    """Returns the mean of a measure over two variables.
+def mean_map(table: pd.DataFrame, x: str, y: str, metric: str) -> MeanMap:
+    """Returns the mean of a metric over two variables.
 
     Raises:
         ConfigurationError: If a column is not there, or the table is empty.
     """
-    check_columns(table, x, y, measure)
+    check_columns(table, x, y, metric)
     columns, rows = (Cells(table[name].to_numpy(float)) for name in (x, y))
-    values = table[measure].to_numpy(float)
+    values = table[metric].to_numpy(float)
     sums, counts, there = (np.zeros((len(rows.centres), len(columns.centres))) for _ in range(3))
     known = np.isfinite(values)
     np.add.at(there, (rows.index, columns.index), 1.0)
@@ -159,16 +159,16 @@ def split_panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) 
 
 
 def unit_of(column: str) -> str:
-    """Returns the unit of a measure or of a number that varies; empty of ratios and factors."""
+    """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
     if column.partition(":")[0] in AXES:
         return OFFSET.unit
-    measure = MEASURES.get(column.partition(".")[0])
-    unit = measure.unit if measure else NUMBERS[column].unit if column in NUMBERS else ""
+    metric = METRICS.get(column.partition(".")[0])
+    unit = metric.unit if metric else NUMBERS[column].unit if column in NUMBERS else ""
     return "" if unit in ("1", "-") else unit
 
 
 def column_label(column: str) -> str:
-    """Returns the name of a measure or of a number that varies, with its unit."""
+    """Returns the name of a metric or of a number that varies, with its unit."""
     unit = unit_of(column)
     return f"{column} ({unit})" if unit else column
 
@@ -194,8 +194,8 @@ def value_span(low: float, high: float) -> float:
     return high - low if high - low > SAME * max(abs(low), abs(high)) else 0.0
 
 
-def measures_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
-    """Returns the columns of a study's table with measures, of which something was measured."""
+def metrics_in(table: pd.DataFrame, variables: Sequence[str]) -> list[str]:
+    """Returns the columns of a study's table with metrics, of which something was measured."""
     given = (*variables, "design", *ENDS)
     return [str(name) for name in table.columns if name not in given and table[name].notna().any()]
 

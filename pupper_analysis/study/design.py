@@ -29,9 +29,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.measures import MEASURES, Design, Measure
+from pupper_analysis.study.metrics import METRICS, Design, Metric
 from pupper_analysis.study.named import AXES, SERVOS, Named
-from pupper_analysis.study.numbers import scale_robot, with_friction, with_gains
+from pupper_analysis.study.parameters import scale_robot, with_friction, with_gains
 from pupper_analysis.study.source import RobotSource
 
 _T = TypeVar("_T")
@@ -59,11 +59,11 @@ STANCE = {
     for known in FIELDS.values()
     if not known.per_foot and not known.choices
     for axis, name in enumerate([f"{known.name}_{x}" for x in known.axes] or [known.name])
-    if name not in MEASURES
+    if name not in METRICS
 }
 """{number of the stance: its field, and which number of a point}; they change no model.
 
-A measure of the same name, such as ``com_margin``, would be in the same column of the table.
+A metric of the same name, such as ``com_margin``, would be in the same column of the table.
 """
 
 MODEL = {name: field for name, field in ROBOT_FIELDS.items() if not field.axes}
@@ -241,35 +241,35 @@ def failure_kind(error: BaseException) -> str:
     return next((word for kind, word in kinds.items() if isinstance(error, kind)), "error")
 
 
-def row_of(maker: Maker, numbers: Mapping[str, float], measures: tuple[Measure, ...]) -> Row:
+def row_of(maker: Maker, numbers: Mapping[str, float], metrics: tuple[Metric, ...]) -> Row:
     """Makes a design and measures it; what fails is said in the row.
 
-    A measure that fails leaves the others: the row's reason is that of the first that did. Of a
-    design that cannot stand, a measure that has a value of what has fallen has this one.
+    A metric that fails leaves the others: the row's reason is that of the first that did. Of a
+    design that cannot stand, a metric that has a value of what has fallen has this one.
     """
     row: Row = dict.fromkeys(ENDS)
     try:
         design = maker.design(numbers)
     except Exception as error:
-        fallen = {one.name: one.fallen for one in measures if one.fallen is not None}
+        fallen = {one.name: one.fallen for one in metrics if one.fallen is not None}
         told = {**row, **failure_columns(failure_kind(error), reason_of(error))}
         return {**told, **fallen} if isinstance(error, FALLS) else told
-    for measure in measures:
+    for metric in metrics:
         try:
-            found = measure.function(design)
-            row.update(_columns(measure.name, found))
+            found = metric.function(design)
+            row.update(_columns(metric.name, found))
         except Exception as error:
-            if isinstance(error, FALLS) and measure.fallen is not None:
-                row[measure.name] = measure.fallen
+            if isinstance(error, FALLS) and metric.fallen is not None:
+                row[metric.name] = metric.fallen
             if row["failure"] is None:
                 row |= failure_columns(failure_kind(error), reason_of(error))
-                row["failed_measure"] = measure.name
+                row["failed_metric"] = metric.name
     return row
 
 
 Row = dict[str, Any]
 
-ENDS = ("failure", "failed_measure", "reason", "diagnostic")
+ENDS = ("failure", "failed_metric", "reason", "diagnostic")
 """Columns that tell what failed: of which kind, in measuring what (None: in making it), and why: in
 English, and as the record of a diagnostic."""
 
@@ -287,7 +287,7 @@ def _columns(name: str, found: Any) -> Row:
 
 
 def _value(name: str, value: Any) -> float:
-    """Returns a measure's value as a number: 1 for True, 0 for False."""
+    """Returns a metric's value as a number: 1 for True, 0 for False."""
     try:
         return float(value)
     except (TypeError, ValueError) as error:

@@ -16,8 +16,8 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.diagnostics.record import from_record
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.results import Result
-from pupper_analysis.study.cells import Cells, measures_in, spread_in, standing_designs, value_span
-from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.cells import Cells, metrics_in, spread_in, standing_designs, value_span
+from pupper_analysis.study.metrics import METRICS
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.sensitivity import AT_REST, LinearShares, SobolIndices, linear_shares
 from pupper_analysis.study.store import Store, require_library
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SHARES = 8
-"""So many measures are taken apart: more are more than anyone reads."""
+"""So many metrics are taken apart: more are more than anyone reads."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Failures(Result):
 
     Attributes:
         kind: How.
-        measure: In measuring what, the first of them; None if there is no such design to measure.
+        metric: In measuring what, the first of them; None if there is no such design to measure.
         designs: How many.
         share: Of all designs.
         reason: What the first of them says.
@@ -45,7 +45,7 @@ class Failures(Result):
     """
 
     kind: str
-    measure: str | None
+    metric: str | None
     designs: int
     share: float
     reason: str
@@ -53,11 +53,11 @@ class Failures(Result):
 
 
 @dataclass(frozen=True)
-class MeasureSummary(Result):
+class MetricSummary(Result):
     """What was measured, of all designs together.
 
     Attributes:
-        measure: Its column.
+        metric: Its column.
         meaning: In words; empty of one's own functions without a docstring.
         unit: Its unit; ``1`` of a ratio, empty of one's own functions.
         least: The least value.
@@ -68,7 +68,7 @@ class MeasureSummary(Result):
             which it was measured}; empty of single joints.
     """
 
-    measure: str
+    metric: str
     meaning: str
     unit: str
     least: float
@@ -104,7 +104,7 @@ class StudyOutcome(Result):
     variables: dict[str, dict[str, Any]]
     table: pd.DataFrame
     designs: int
-    measured: tuple[MeasureSummary, ...]
+    measured: tuple[MetricSummary, ...]
     failures: tuple[Failures, ...]
     axes: tuple[str, ...]
     objectives: dict[str, str]
@@ -131,7 +131,7 @@ def study_outcome(
         folder: Where its results are.
         minimise: Columns in which the designs of the front are least.
         maximise: Columns in which they are greatest. If neither is given, they are the first two
-            measures of which it is known which way is better.
+            metrics of which it is known which way is better.
         sobol: What ``sobol_indices`` has found.
         tolerance: What ``tightest_tolerance`` has found.
 
@@ -151,20 +151,20 @@ def study_outcome(
         told = diagnose("study-has-no-design", folder=str(folder))
         raise ConfigurationError("folder", told)
     variables = tuple(study.variables)
-    measures = measures_in(table, variables)
-    objectives = check_objectives(study, minimise, maximise) or _better(measures)
+    metrics = metrics_in(table, variables)
+    objectives = check_objectives(study, minimise, maximise) or _better(metrics)
     spread = spread_in(table, variables)
     return StudyOutcome(
         robot=_named(study.source.asked()),
         variables={name: one.asked() for name, one in study.variables.items()},
         table=table,
         designs=len(study),
-        measured=tuple(_measured(table, name, spread, study) for name in measures),
+        measured=tuple(_measured(table, name, spread, study) for name in metrics),
         failures=_failures(table),
         axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
         front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
-        linear=_linear(study, measures),
+        linear=_linear(study, metrics),
         sobol=tuple((sobol or {}).values()),
         certainty=_certainty(study, table),
         tolerance=tolerance,
@@ -177,9 +177,9 @@ def check_objectives(
     """Returns {column: ``min`` or ``max``} of a front; none if none are asked for.
 
     Raises:
-        ConfigurationError: If the study has no such measure or number, or one is there twice.
+        ConfigurationError: If the study has no such metric or number, or one is there twice.
     """
-    measured = [one.name for one in study.measures]
+    measured = [one.name for one in study.metrics]
     for name in (*minimise, *maximise):
         if name.partition(".")[0] not in measured and name not in study.variables:
             known = (*measured, *study.variables)
@@ -191,8 +191,8 @@ def check_objectives(
     return objectives
 
 
-def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) -> dict[str, float]:
-    """Returns what share of a measure's variance each variable makes alone, in some designs.
+def main_effects(table: pd.DataFrame, variables: Iterable[str], metric: str) -> dict[str, float]:
+    """Returns what share of a metric's variance each variable makes alone, in some designs.
 
     That is the variance of the means over the variable's values, without what chance makes of so
     few designs (Kelley's epsilon squared), in parts of the whole variance. Of the full product of
@@ -203,10 +203,10 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) ->
     Args:
         table: Of a study.
         variables: Columns.
-        measure: A column.
+        metric: A column.
     """
-    known = table[np.isfinite(table[measure].to_numpy(float))]
-    values = known[measure].to_numpy(float)
+    known = table[np.isfinite(table[metric].to_numpy(float))]
+    values = known[metric].to_numpy(float)
     varies = len(values) > 0 and value_span(float(values.min()), float(values.max())) > 0
     whole = float(((values - values.mean()) ** 2).sum()) if varies else 0.0
     found = {}
@@ -225,12 +225,12 @@ def main_effects(table: pd.DataFrame, variables: Iterable[str], measure: str) ->
 
 def _measured(
     table: pd.DataFrame, name: str, spread: Sequence[str], study: DesignStudy
-) -> MeasureSummary:
+) -> MetricSummary:
     column = table[name].dropna()
-    own = {one.name: one for one in study.measures}
+    own = {one.name: one for one in study.metrics}
     kind = own[name if name in own else name.partition(".")[0]]
-    return MeasureSummary(
-        measure=name,
+    return MetricSummary(
+        metric=name,
         meaning=kind.meaning.partition("\n")[0],
         unit=kind.unit,
         least=float(column.min()),
@@ -245,10 +245,10 @@ def _failures(table: pd.DataFrame) -> tuple[Failures, ...]:
     found = []
     for kind, count in table["failure"].value_counts().items():
         first = table[table["failure"] == kind].iloc[0]
-        measure = first["failed_measure"] if isinstance(first["failed_measure"], str) else None
+        metric = first["failed_metric"] if isinstance(first["failed_metric"], str) else None
         share = float(count) / len(table)
         reason, told = str(first["reason"]), _told(first.get("diagnostic"))
-        found.append(Failures(str(kind), measure, int(count), share, reason, told))
+        found.append(Failures(str(kind), metric, int(count), share, reason, told))
     return tuple(found)
 
 
@@ -260,14 +260,14 @@ def _told(kept: object) -> Diagnostic | None:
         return None
 
 
-def _better(measures: Sequence[str]) -> dict[str, str]:
-    known = {n: MEASURES[n].better for n in measures if n in MEASURES and MEASURES[n].better}
+def _better(metrics: Sequence[str]) -> dict[str, str]:
+    known = {n: METRICS[n].better for n in metrics if n in METRICS and METRICS[n].better}
     return dict(list(known.items())[:2]) if len(known) > 1 else {}
 
 
-def _linear(study: DesignStudy, measures: Sequence[str]) -> tuple[LinearShares, ...]:
-    """Returns what derivatives tell of the measures that have some; nothing where none do."""
-    derived = [n for n in measures if n in AT_REST or n.startswith("torque.")][:SHARES]
+def _linear(study: DesignStudy, metrics: Sequence[str]) -> tuple[LinearShares, ...]:
+    """Returns what derivatives tell of the metrics that have some; nothing where none do."""
+    derived = [n for n in metrics if n in AT_REST or n.startswith("torque.")][:SHARES]
     if not derived or not any(one.levels is None for one in study.variables.values()):
         return ()
     try:

@@ -1,4 +1,4 @@
-"""Which numbers enter which measure: designs that differ in one number alone."""
+"""Which numbers enter which metric: designs that differ in one number alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ENDS = (0.001, 0.999)
 """Shares of a distribution that stand for its ends, as a normal one has none."""
 
 EFFECT = 1e-6
-"""Relative to the measure's size: what changes by less, from end to end, is rounding of solvers."""
+"""Relative to the metric's size: what changes by less, from end to end, is rounding of solvers."""
 
 
 def screen_variables(

@@ -1,4 +1,4 @@
-"""Search among designs: the best of one measure, or the front of several, by Optuna."""
+"""Search among designs: the best of one metric, or the front of several, by Optuna."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SearchOptimum(Result):
     """What a search has found.
 
     Attributes:
-        best: The designs that keep to the bounds and that no other beats; of one measure, one row.
+        best: The designs that keep to the bounds and that no other beats; of one metric, one row.
         table: All designs that were tried.
         kept: How many of these keep to the bounds.
     """
@@ -116,7 +116,7 @@ def optimise_study(
 
 
 def _check(study: DesignStudy, columns: Sequence[str], bounds: Mapping[str, Any]) -> None:
-    measured = [one.name for one in study.measures]
+    measured = [one.name for one in study.metrics]
     for name in columns:
         if name.partition(".")[0] not in measured and name not in study.variables:
             problem = diagnose("study-does-not-measure", column=name, known=measured)

@@ -30,17 +30,17 @@ AT_REST = ("base_height", "sag", "servo_sag", "contact_sag")
 
 @dataclass(frozen=True)
 class SobolIndices(Result):
-    """Whose variance is whose, of one measure.
+    """Whose variance is whose, of one metric.
 
     Attributes:
-        measure: Its column.
+        metric: Its column.
         first: {variable: share of the variance that it makes alone}.
         total: {variable: the same with all that it makes together with others}.
         uncertainty: {variable: half of the 95 % confidence interval of ``total``}.
         designs: How many were measured.
     """
 
-    measure: str
+    metric: str
     first: dict[str, float]
     total: dict[str, float]
     uncertainty: dict[str, float]
@@ -52,13 +52,13 @@ class LinearShares(Result):
     """The same from derivatives, for small spreads.
 
     Attributes:
-        measure: Its column.
-        derivatives: {variable: change of the measure per unit of it}.
+        metric: Its column.
+        derivatives: {variable: change of the metric per unit of it}.
         shares: {variable: share of the variance}.
-        deviation: Standard deviation of the measure.
+        deviation: Standard deviation of the metric.
     """
 
-    measure: str
+    metric: str
     derivatives: dict[str, float]
     shares: dict[str, float]
     deviation: float
@@ -67,14 +67,14 @@ class LinearShares(Result):
 def sobol_indices(
     study: DesignStudy,
     folder: str | Path,
-    measures: Sequence[str],
+    metrics: Sequence[str],
     *,
     samples: int = 128,
     executor: Executor | None = None,
     workers: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> dict[str, SobolIndices]:
-    """Measures designs by Saltelli's scheme, and takes the variance of measures apart.
+    """Measures designs by Saltelli's scheme, and takes the variance of metrics apart.
 
     Designs are kept in the study's folder, as those of ``Study.run``, and go on there.
 
@@ -83,14 +83,14 @@ def sobol_indices(
     Args:
         study: Its variables' distributions count, not its samples.
         folder: Where results are kept.
-        measures: Columns of its table.
+        metrics: Columns of its table.
         samples: A power of 2; designs are this times the number of variables and two.
         executor: As in ``Study.run``.
         workers: Likewise.
         progress: Likewise.
 
     Returns:
-        {measure: its indices}.
+        {metric: its indices}.
 
     Raises:
         ConfigurationError: If a column is not there, a design failed (indices need them all), or
@@ -98,7 +98,7 @@ def sobol_indices(
         StudyError: As ``Study.run``.
     """
     check_type("study", study, DesignStudy)
-    check_type("measures", measures, Sequence[str])
+    check_type("metrics", metrics, Sequence[str])
     check_type("samples", samples, int)
     if samples < 2 or samples & (samples - 1):
         raise ConfigurationError("samples", diagnose("no-power-of-2", count=samples))
@@ -118,24 +118,24 @@ def sobol_indices(
     place = {name: index for index, name in enumerate(table["design"])}
     order = [place[name] for block, _ in chosen.designs() for name in block]
     found = {}
-    for measure in measures:
-        if measure not in table:
-            told = diagnose("none-of", value=measure, known=table.columns)
-            raise ConfigurationError("measures", told)
-        values = table[measure].to_numpy(float)[order]
+    for metric in metrics:
+        if metric not in table:
+            told = diagnose("none-of", value=metric, known=table.columns)
+            raise ConfigurationError("metrics", told)
+        values = table[metric].to_numpy(float)[order]
         lost = int((~np.isfinite(values)).sum())
         if lost:
             told = diagnose(
-                "designs-without-measure",
+                "designs-without-metric",
                 lost=lost,
                 designs=len(values),
-                measure=measure,
+                metric=metric,
                 reasons=[Term(str(kind)) for kind in table["failure"].dropna().unique()],
             )
             raise ConfigurationError("vary", told)
         index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
-        found[measure] = SobolIndices(
-            measure,
+        found[metric] = SobolIndices(
+            metric,
             dict(zip(names, index["S1"].tolist(), strict=True)),
             dict(zip(names, index["ST"].tolist(), strict=True)),
             dict(zip(names, index["ST_conf"].tolist(), strict=True)),
@@ -144,7 +144,7 @@ def sobol_indices(
     return found
 
 
-def linear_shares(study: DesignStudy, measures: Sequence[str]) -> dict[str, LinearShares]:
+def linear_shares(study: DesignStudy, metrics: Sequence[str]) -> dict[str, LinearShares]:
     """Predicts the same from derivatives at the variables' means: no samples.
 
     Independent variables of deviations s_i make a deviation of sqrt(sum (dy/dx_i s_i)^2).
@@ -152,39 +152,39 @@ def linear_shares(study: DesignStudy, measures: Sequence[str]) -> dict[str, Line
     Args:
         study: Its variables are masses, coms (``com_x:PATTERN``), ``payload``, or, at rest,
             any.
-        measures: ``base_height``, ``sag``, ``servo_sag``, ``contact_sag`` and ``torque.JOINT``.
+        metrics: ``base_height``, ``sag``, ``servo_sag``, ``contact_sag`` and ``torque.JOINT``.
 
     Returns:
-        {measure: its shares}.
+        {metric: its shares}.
 
     Raises:
-        ConfigurationError: If a measure or a variable has no derivative, or the stand is not on
+        ConfigurationError: If a metric or a variable has no derivative, or the stand is not on
             level ground with the com over its centre.
     """
     check_type("study", study, DesignStudy)
-    check_type("measures", measures, Sequence[str])
+    check_type("metrics", metrics, Sequence[str])
     means = {name: mean_of(one) for name, one in study.variables.items()}
     spread = {name: deviation_of(one) for name, one in study.variables.items()}
     maker = Maker(study.source, study.task, study.point)
     varied = [name for name, size in spread.items() if size > 0]
     joints = study.base.joint_names
     known = (*AT_REST, *(f"torque.{joint}" for joint in joints))
-    unknown = next((name for name in measures if name not in known), None)
+    unknown = next((name for name in metrics if name not in known), None)
     if unknown is not None:
         told = diagnose("none-of", value=unknown, known=known)
-        raise ConfigurationError("measures", told)
+        raise ConfigurationError("metrics", told)
     slopes: dict[str, dict[str, float]] = {}
-    if any(name in AT_REST for name in measures):
+    if any(name in AT_REST for name in metrics):
         rest = sag_derivatives(maker, means, varied)
         slopes |= {m: {n: getattr(rest[n], m) for n in varied} for m in AT_REST}
-    if any(name not in AT_REST for name in measures):
+    if any(name not in AT_REST for name in metrics):
         design = maker.design(means)
         moving = [name for name in varied if name.partition(":")[0] not in ("kp", "kd")]
         torque = torque_derivatives(design.robot, design.stand, means, moving, study.point)
         for row, joint in enumerate(joints):
             own = {n: float(torque[n][row]) if n in torque else 0.0 for n in varied}
             slopes[f"torque.{joint}"] = own
-    return {name: _shares(name, slopes[name], spread) for name in measures}
+    return {name: _shares(name, slopes[name], spread) for name in metrics}
 
 
 def _shares(name: str, slopes: dict[str, float], spread: Mapping[str, float]) -> LinearShares:

@@ -17,7 +17,7 @@ from pupper_analysis.models.spec_state import state_of
 from pupper_analysis.prepare.load import load_robot
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.numbers import without_visuals
+from pupper_analysis.study.parameters import without_visuals
 
 
 class RobotSource(Protocol):

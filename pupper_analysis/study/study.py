@@ -25,12 +25,12 @@ from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import STANCE, check_name, check_range
-from pupper_analysis.study.measures import (
+from pupper_analysis.study.metrics import (
     REVISION,
     Function,
-    measure_fingerprint,
-    measure_of,
-    measure_text,
+    metric_fingerprint,
+    metric_of,
+    metric_text,
     modules_in,
 )
 from pupper_analysis.study.named import SERVOS, Named, groups_of, joints_of
@@ -62,7 +62,7 @@ class DesignStudy:
             each that matches.
         groups: {name as it was given: the variables that it stands for}.
         sampling: The designs.
-        measures: What is measured.
+        metrics: What is measured.
         task: The stance, where a design does not say otherwise.
         time_limit: Of one design (s).
         left_out: Measures of its file that were not imported; see ``read``.
@@ -86,7 +86,7 @@ class DesignStudy:
             robot: {``urdf``: path, ``mjcf``: path, and other arguments of ``load_robot``}, or a
                 ``Source``.
             vary: {name of a number: a list, a ``linspace``, a distribution, a number}.
-            measure: Names of ``MEASURES``, or functions of (robot, stand).
+            measure: Names of ``METRICS``, or functions of (robot, stand).
             samples: How many designs, where there is a distribution; otherwise they are the product
                 of all lists.
             seed: Of the samples.
@@ -114,7 +114,7 @@ class DesignStudy:
         self.task = stand or StandTask()
         self._check_variables()
         self.sampling = Sampling(self.variables, samples, seed)
-        self.measures = tuple(measure_of(one) for one in measure)
+        self.metrics = tuple(metric_of(one) for one in measure)
         self.left_out: tuple[str, ...] = ()
         self._given = tuple(measure)
         self._points: Array | None = None
@@ -123,9 +123,9 @@ class DesignStudy:
         if self.time_limit is not None and self.time_limit <= 0:
             told = diagnose("time-limit-not-positive", limit=self.time_limit)
             raise ConfigurationError("time_limit", told)
-        if not self.measures:
+        if not self.metrics:
             raise ConfigurationError("measure", diagnose("nothing-to-measure"))
-        named = [one.name for one in self.measures]
+        named = [one.name for one in self.metrics]
         twice = next((name for name in named if named.count(name) > 1), None)
         if twice is not None:
             raise ConfigurationError("measure", diagnose("there-twice", name=twice))
@@ -168,7 +168,7 @@ class DesignStudy:
 
     @cached_property
     def digest(self) -> str:
-        """A hash of the robot's files, of the stance, the measures and the versions."""
+        """A hash of the robot's files, of the stance, the metrics and the versions."""
         parts = {
             "robot": digest_of(self.base.description),
             "source": repr(self.source.asked()) if self.source.scales else "",
@@ -176,7 +176,7 @@ class DesignStudy:
                 field.name: repr(getattr(self.task, field.name)) for field in fields(self.task)
             },
             "point": self.point,
-            "measures": sorted(measure_fingerprint(one) for one in self.measures),
+            "measures": sorted(metric_fingerprint(one) for one in self.metrics),
             "revision": REVISION,
             "versions": list_versions(),
         }
@@ -212,7 +212,7 @@ class DesignStudy:
         """Returns what workers need to know, pickled."""
         work = Work(
             source=self.source,
-            measures=self._given,
+            metrics=self._given,
             variables=tuple(self.variables),
             task=self.task,
             point=self.point,
@@ -226,7 +226,7 @@ class DesignStudy:
         given: dict[str, Any] = {
             "robot": self.source.asked(),
             "vary": {name: one.asked() for name, one in self.variables.items()},
-            "measure": [measure_text(one) for one in self.measures],
+            "measure": [metric_text(one) for one in self.metrics],
             "seed": self.sampling.seed,
             "payload_point": list(self.point),
             "stand": {
@@ -263,12 +263,12 @@ class DesignStudy:
         )
 
     @classmethod
-    def read(cls, path: str | Path, *, own_measures: bool = True) -> DesignStudy:
+    def read(cls, path: str | Path, *, own_metrics: bool = True) -> DesignStudy:
         """Reads a study from a TOML file; paths and modules in it are looked for beside it.
 
         Args:
             path: The file.
-            own_measures: Import measures that are ``module:function``, and so run code beside the
+            own_metrics: Import metrics that are ``module:function``, and so run code beside the
                 file; otherwise they are left out.
 
         Raises:
@@ -285,16 +285,16 @@ class DesignStudy:
             for name in ("urdf", "mjcf"):
                 if isinstance(robot.get(name), str):
                     robot[name] = str(path.parent / robot[name])
-        measures = given.get("measure")
+        metrics = given.get("measure")
         folder = str(path.parent.absolute())
-        own = modules_in(measures)
-        if own and own_measures and folder not in sys.path:
+        own = modules_in(metrics)
+        if own and own_metrics and folder not in sys.path:
             sys.path.append(folder)  # last: no library is hidden; and workers are given it
-        if measures and own and not own_measures:
+        if metrics and own and not own_metrics:
             # Where no other is left: what every design takes at least, its stand and its statics.
-            given["measure"] = [one for one in measures if one not in own] or ["peak_utilisation"]
+            given["measure"] = [one for one in metrics if one not in own] or ["peak_utilisation"]
         study = cls.of(given)
-        study.left_out = () if own_measures else own
+        study.left_out = () if own_metrics else own
         return study
 
     def run(

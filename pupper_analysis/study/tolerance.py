@@ -91,16 +91,16 @@ def certainty(table: pd.DataFrame) -> Certainty:
     """Tells from a study's table how sure its stands are.
 
     Args:
-        table: Of a study with the measures ``stands`` and ``utilisation``, and with samples.
+        table: Of a study with the metrics ``stands`` and ``utilisation``, and with samples.
 
     Raises:
-        ConfigurationError: If a measure is missing, or there are no designs.
+        ConfigurationError: If a metric is missing, or there are no designs.
     """
     if not hasattr(table, "columns"):
         raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
     joints = [str(name) for name in table.columns if str(name).startswith("utilisation.")]
     if "stands" not in table or not joints:
-        raise ConfigurationError("table", diagnose("table-lacks-measures", needed=NEEDED))
+        raise ConfigurationError("table", diagnose("table-lacks-metrics", needed=NEEDED))
     count = len(table)
     up = table["stands"].fillna(0.0).to_numpy(float) > 0
     under = table[joints].to_numpy(float) < 1  # not of a design that has no stand
@@ -157,7 +157,7 @@ def _good(
     good = np.ones(len(table), dtype=bool)
     for name, (low, high) in criteria.items():
         if name not in table:
-            told = diagnose("study-measures-no", column=name, known=map(str, table.columns))
+            told = diagnose("study-without-metric", column=name, known=map(str, table.columns))
             raise ConfigurationError("criteria", told)
         values = table[name].to_numpy(float)  # not a number is not in any range
         bounds = (-math.inf if low is None else low), (math.inf if high is None else high)
@@ -210,11 +210,11 @@ def tightest_tolerance(
     will do. So each variable alone goes from end to end of its widest range, from the design in the
     middle, from some that keep to the criteria and from some that do not: those that change no
     criterion have no spread in the result. ``criteria`` ask for more:
-    ``{"push_recovery": (0.5, None)}``, ``verified``, own measures of paths; and so does a stance on
+    ``{"push_recovery": (0.5, None)}``, ``verified``, own metrics of paths; and so does a stance on
     a slope.
 
     Args:
-        study: With the measures ``stands`` and ``utilisation``, or those of ``criteria``, and
+        study: With the metrics ``stands`` and ``utilisation``, or those of ``criteria``, and
             samples.
         folder: Where results are kept.
         wanted: The probability.
@@ -228,7 +228,7 @@ def tightest_tolerance(
         progress: Likewise.
 
     Raises:
-        ConfigurationError: If a measure is missing, the samples cannot tell the probability, or
+        ConfigurationError: If a metric is missing, the samples cannot tell the probability, or
             even the smallest spreads do not do.
         StudyError: As ``Study.run``.
     """

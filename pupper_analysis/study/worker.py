@@ -1,4 +1,4 @@
-"""What a worker does: it measures some designs, in a process of its own or in a thread."""
+"""What a worker does: it metrics some designs, in a process of its own or in a thread."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import StudyError
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import Maker, Row, row_of
-from pupper_analysis.study.measures import Function, Measure, measure_of
+from pupper_analysis.study.metrics import Function, Metric, metric_of
 from pupper_analysis.study.source import RobotSource
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
@@ -45,7 +45,7 @@ class Work:
 
     Attributes:
         source: Of the robots.
-        measures: Names and functions.
+        metrics: Names and functions.
         variables: The names of the numbers of a design.
         task: The stance.
         point: (3,) of payloads (m).
@@ -54,7 +54,7 @@ class Work:
     """
 
     source: RobotSource
-    measures: tuple[str | Function, ...]
+    metrics: tuple[str | Function, ...]
     variables: tuple[str, ...]
     task: StandTask
     point: tuple[float, ...]
@@ -94,9 +94,9 @@ class _Ready(threading.local):
     """What a thread has made ready: robots in PlaCo are a thread's own."""
 
     def __init__(self) -> None:
-        self.made: dict[bytes, tuple[Work, Maker, tuple[Measure, ...]]] = {}
+        self.made: dict[bytes, tuple[Work, Maker, tuple[Metric, ...]]] = {}
 
-    def of(self, pickled: bytes) -> tuple[Work, Maker, tuple[Measure, ...]]:
+    def of(self, pickled: bytes) -> tuple[Work, Maker, tuple[Metric, ...]]:
         if pickled not in self.made:
             self.made.clear()  # of one study after the other
             work: Work = pickle.loads(pickled)
@@ -111,7 +111,7 @@ class _Ready(threading.local):
                 problem = diagnose("worker-of-other-versions", versions=told)
                 raise StudyError(platform.node(), problem)
             maker = Maker(work.source, work.task, work.point)
-            self.made[pickled] = work, maker, tuple(map(measure_of, work.measures))
+            self.made[pickled] = work, maker, tuple(map(metric_of, work.metrics))
         return self.made[pickled]
 
 
@@ -125,12 +125,12 @@ def measure_designs(chunk: Chunk) -> ChunkOutcome:
         StudyError: If this machine has other versions than the one that asks.
     """
     start = time.perf_counter()
-    work, maker, measures = _ready.of(chunk.work)
+    work, maker, metrics = _ready.of(chunk.work)
     rows = []
     for name, values in zip(chunk.names, chunk.numbers, strict=True):
         numbers = dict(zip(work.variables, values, strict=True))
         with _time_limit(work.limit):
-            row = row_of(maker, numbers, measures)
+            row = row_of(maker, numbers, metrics)
         rows.append({"design": name, **numbers, **row})
     return ChunkOutcome(tuple(rows), time.perf_counter() - start)
 

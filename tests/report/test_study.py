@@ -285,7 +285,7 @@ def test_no_name_of_a_study_becomes_markup() -> None:
         variables={names.get(name, name): given for name, given in found.variables.items()},
         axes=(EVIL[0], "height"),
         objectives={names.get(n, n): sense for n, sense in found.objectives.items()},
-        measured=tuple(replace(m, measure=names.get(m.measure, m.measure), meaning=EVIL[3])
+        measured=tuple(replace(m, metric=names.get(m.metric, m.metric), meaning=EVIL[3])
                        for m in found.measured),
         failures=tuple(replace(f, kind=EVIL[1], reason=EVIL[0]) for f in found.failures),
     )  # fmt: skip

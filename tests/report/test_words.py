@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import LANGUAGES, phrase
 from pupper_analysis.diagnostics.catalogue import LINED, list_entries
 from pupper_analysis.report.document import Name
 from pupper_analysis.report.words import join_words, text, word
-from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.metrics import METRICS
 from tests.diagnostics.test_diagnostic import CATALOGUE, HAN, made_calls, uses, written
 
 FOLDER = CATALOGUE[0].parent
@@ -70,7 +70,7 @@ def test_every_text_that_is_asked_for_is_there_and_gets_its_values() -> None:
 
 
 def test_no_text_is_left_over() -> None:
-    measures = {f"measure-{name.replace('_', '-')}" for name in MEASURES}
+    measures = {f"metric-{name.replace('_', '-')}" for name in METRICS}
     assert set(TEXTS) - written() == measures
 
 

@@ -194,7 +194,7 @@ GLOSSARY = [row for row in rows("docs/reference/glossary.md") if len(row) == 3]
     ("term", "place"),
     {
         "rolling feet": "robot/friction.py",
-        "metric": "study/measures.py",
+        "metric": "study/metrics.py",
         "failure": "diagnose(",
         "friction cone": "statics/cone_program.py",
         "effort": "models/efforts.py",

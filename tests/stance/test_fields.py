@@ -24,7 +24,7 @@ from pupper_analysis.results import to_json
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.study.design import STANCE, check_range
 from pupper_analysis.study.design import task_of as task_of_numbers
-from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.metrics import METRICS
 from tests.support.variants import load
 
 NUMBERS = {"length": 0.0123, "angle": math.radians(7.5)}
@@ -190,7 +190,7 @@ def test_each_field_is_exported_as_python_and_as_a_command(field: Field) -> None
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> None:
     own = {name: axis for name, (known, axis) in STANCE.items() if known is field}
-    if field.per_foot or field.choices or field.name in MEASURES:
+    if field.per_foot or field.choices or field.name in METRICS:
         assert not own  # a measure's column has the name
         return
     assert len(own) == max(1, len(field.axes))

@@ -23,7 +23,7 @@ from pupper_analysis.report.figures import study as figures
 from pupper_analysis.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
-from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.metrics import METRICS
 from pupper_analysis.study.outcome import main_effects
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.randomisation import write_randomisation
@@ -35,7 +35,7 @@ from pupper_analysis.study.tolerance import (
     probability_interval,
     tightest_tolerance,
 )
-from tests.support import study_measures
+from tests.support import study_metrics
 from tests.support.variants import load
 
 
@@ -78,7 +78,7 @@ def test_nobody_beats_the_front_and_the_front_beats_all_others() -> None:
 
 @pytest.fixture(scope="module")
 def table() -> pd.DataFrame:
-    """y fails above 2, measure grows with x."""
+    """y fails above 2, metric grows with x."""
     places = [(x, y) for x in (1.0, 2.0, 3.0, 4.0) for y in (1.0, 2.0, 3.0)]
     frame = pd.DataFrame(places, columns=["x", "y"])
     frame["m"] = np.where(frame["y"] > 2, np.nan, frame["x"])
@@ -213,10 +213,10 @@ def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
             difference = (held[0] - held[1]) / (2 * step)
             assert torques[name] == pytest.approx(difference, abs=1e-8)
             assert np.abs(difference).max() > 1e-2
-        for measure in ("base_height", "sag", "servo_sag", "contact_sag"):
-            function = MEASURES[measure].function
+        for metric in ("base_height", "sag", "servo_sag", "contact_sag"):
+            function = METRICS[metric].function
             difference = (float(function(more)) - float(function(less))) / (2 * step)  # type: ignore[arg-type]
-            assert getattr(rest[name], measure) == pytest.approx(difference, rel=1e-5, abs=1e-9)
+            assert getattr(rest[name], metric) == pytest.approx(difference, rel=1e-5, abs=1e-9)
 
 
 def test_derivatives_that_are_not_there_are_refused() -> None:
@@ -245,7 +245,7 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
 def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) -> None:
     """Of a product of independent factors, in closed form; together they make a share of it."""
     vary = {"kp": pa.study.uniform(2.0, 8.0), "kd": pa.study.uniform(0.1, 0.9)}
-    study = pa.Study("v3", vary, [study_measures.product_of_gains], samples=4)
+    study = pa.Study("v3", vary, [study_metrics.product_of_gains], samples=4)
     (found,) = sobol_indices(
         study, tmp_path, ["product_of_gains"], samples=256, executor=thread
     ).values()
@@ -272,19 +272,19 @@ def test_for_small_spreads_derivatives_say_the_same(tmp_path: Path, thread: Exec
         "kp": pa.study.normal(5.0, 0.1),
     }
     study = pa.Study("v3", vary, ["servo_sag", "base_height", "torque"], samples=4)
-    measures = ["servo_sag", "base_height", "torque.leg_front_l_2", "torque.leg_back_r_3"]
-    linear = linear_shares(study, measures)
-    sampled = sobol_indices(study, tmp_path, measures, samples=256, executor=thread)
+    metrics = ["servo_sag", "base_height", "torque.leg_front_l_2", "torque.leg_back_r_3"]
+    linear = linear_shares(study, metrics)
+    sampled = sobol_indices(study, tmp_path, metrics, samples=256, executor=thread)
     table = study.varying(vary).run(tmp_path, executor=thread)
     assert len(table) == 4
     everything = pa.read_study(tmp_path, everything=True)
-    for measure in measures:
-        shares, indices = linear[measure].shares, sampled[measure]
+    for metric in metrics:
+        shares, indices = linear[metric].shares, sampled[metric]
         assert sum(shares.values()) == pytest.approx(1.0)
         for name in vary:
             assert indices.total[name] == pytest.approx(shares[name], abs=0.05)
-        spread = float(everything[measure].std())
-        assert linear[measure].deviation == pytest.approx(spread, rel=0.05)
+        spread = float(everything[metric].std())
+        assert linear[metric].deviation == pytest.approx(spread, rel=0.05)
 
 
 def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:
@@ -541,7 +541,7 @@ def test_what_changes_no_criterion_has_no_range(tmp_path: Path, thread: Executor
 
 def searched() -> pa.Study:
     vary = {"leg_scale": pa.study.uniform(0.8, 1.8), "kp": [5.0, 10.0, 20.0]}
-    return pa.Study("v3", vary, ["servo_sag", "stands", study_measures.knee_bend], samples=1)
+    return pa.Study("v3", vary, ["servo_sag", "stands", study_metrics.knee_bend], samples=1)
 
 
 @pytest.mark.longest

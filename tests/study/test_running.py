@@ -25,18 +25,18 @@ from pupper_analysis.study import running, store
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.running import Progress
 from pupper_analysis.study.worker import Chunk
-from tests.support import legged, study_measures
+from tests.support import legged, study_metrics
 from tests.support.cases import some
 from tests.support.commands import run_command
 from tests.support.repository import ROOT
 from tests.support.variants import load
 
 FEW = {"leg_scale": [1.2, 1.3], "slope": [0.0, 0.1], "kp": [0.2, 5.0, 20.0]}
-MEASURES = ("peak_utilisation", "base_height", "servo_sag", "stands")
+METRICS = ("peak_utilisation", "base_height", "servo_sag", "stands")
 
 
-def study(vary: Mapping[str, Any] = FEW, *measures: Any, **options: Any) -> pa.Study:
-    return pa.Study("v3", vary, measures or MEASURES, **options)
+def study(vary: Mapping[str, Any] = FEW, *metrics: Any, **options: Any) -> pa.Study:
+    return pa.Study("v3", vary, metrics or METRICS, **options)
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
 def test_a_row_is_a_design(undisturbed: pd.DataFrame) -> None:
     assert len(undisturbed) == 12
     assert list(undisturbed.columns[:4]) == ["design", "leg_scale", "slope", "kp"]
-    assert list(undisturbed.columns[-4:]) == ["failure", "failed_measure", "reason", "diagnostic"]
+    assert list(undisturbed.columns[-4:]) == ["failure", "failed_metric", "reason", "diagnostic"]
     row = undisturbed.iloc[7]  # of the product: the last variable changes first
     assert tuple(row[["leg_scale", "slope", "kp"]]) == (1.3, 0.0, 5.0)
     robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=1.3))
@@ -72,7 +72,7 @@ def test_what_fails_is_a_row_with_its_reason(undisturbed: pd.DataFrame) -> None:
     soft = undisturbed[undisturbed["kp"] == 0.2]
     assert set(soft["failure"]) == {"no equilibrium"}
     assert soft["reason"].str.startswith("no equilibrium: ").all()
-    assert set(soft["failed_measure"]) == {"base_height"}
+    assert set(soft["failed_metric"]) == {"base_height"}
     assert soft["servo_sag"].isna().all()
     assert soft["peak_utilisation"].notna().all()  # what can be told is told
     others = undisturbed[undisturbed["kp"] > 0.2]
@@ -87,16 +87,16 @@ def test_what_does_not_stand_is_told_as_zero_and_has_no_sag(
 
     A fallen robot's sag would be one of an equilibrium that it never comes to.
     """
-    measures = ("stands", "verified", "sag", "stiffness", "peak_utilisation")
+    metrics = ("stands", "verified", "sag", "stiffness", "peak_utilisation")
     vary = {"leg_scale": [1.4], "torso_mass_scale": [1.0, 1.75, 2.5], "height": [0.19, 0.9]}
-    table = study(vary, *measures).run(tmp_path, executor=threads).set_index(
+    table = study(vary, *metrics).run(tmp_path, executor=threads).set_index(
         ["torso_mass_scale", "height"]
     )  # fmt: skip
     assert table["stands"].to_list() == [1, 0, 0, 0, 0, 0]
     assert table["sag"].notna().to_list() == [True, False, False, False, False, False]
     assert table["failure"].isna().to_list() == [True, False, False, False, False, False]
     heavy = table.loc[(2.5, 0.19)]
-    assert (heavy["failure"], heavy["failed_measure"]) == ("does not stay up", "stands")
+    assert (heavy["failure"], heavy["failed_metric"]) == ("does not stay up", "stands")
     pose = pa.steady_state(*standing(1.4, 2.5, 0.19))
     assert heavy["reason"] == "; ".join(map(str, pose.failures))
     assert heavy["stiffness"] == pytest.approx(pose.stiffness, rel=1e-6)  # told as it is
@@ -111,7 +111,7 @@ def standing(legs: float, torso: float, height: float) -> tuple[pa.Robot, pa.Sta
 
 def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
     vary = {"height": [0.12, 0.5], "slope": [0.0, 1.2], "mass:leg_*_3": pa.study.normal(1.0, 1e-3)}
-    table = study(vary, "peak_utilisation", study_measures.fails, samples=32).run(
+    table = study(vary, "peak_utilisation", study_metrics.fails, samples=32).run(
         tmp_path, executor=threads
     )
     high = table["height"] == 0.5
@@ -122,13 +122,13 @@ def test_failures_of_all_kinds(threads: Executor, tmp_path: Path) -> None:
     flat = table[~high & (table["slope"] == 0)]
     assert set(flat["failure"]) == {"error"}
     assert set(flat["reason"]) == {"RuntimeError: on purpose"}
-    assert set(flat["failed_measure"]) == {"fails"}
+    assert set(flat["failed_metric"]) == {"fails"}
     assert flat["peak_utilisation"].notna().all()
 
 
 def test_a_measure_of_several_values_and_a_wrong_one(threads: Executor, tmp_path: Path) -> None:
-    named = "tests.support.study_measures:places"
-    table = study({"kp": [5.0]}, named, study_measures.wrong, "torque").run(
+    named = "tests.support.study_metrics:places"
+    table = study({"kp": [5.0]}, named, study_metrics.wrong, "torque").run(
         tmp_path, executor=threads
     )
     places = pa.solve_stand(load("v3")).contact_points
@@ -219,7 +219,7 @@ def test_what_is_there_is_not_done_again(
 def test_a_changed_study_has_its_own_rows_alone(tmp_path: Path, threads: Executor) -> None:
     study({"kp": [5.0]}).execute(tmp_path, executor=threads)
     other = study({"kp": [5.0, 6.0]}, "servo_sag")
-    assert other.execute(tmp_path, executor=threads).done == 2  # other measures: other designs
+    assert other.execute(tmp_path, executor=threads).done == 2  # other metrics: other designs
     assert len(pa.read_study(tmp_path)) == 2
     assert "peak_utilisation" not in pa.read_study(tmp_path)
     everything = pa.read_study(tmp_path, everything=True)
@@ -304,8 +304,8 @@ HEAVY = {"torso_mass_scale": [1.0, 1.2, 2.0, 1.4, 1.1]}  # one of these weighs m
 
 @pytest.mark.parametrize("guilty", [pytest.param("crashes", marks=pytest.mark.longest), "hangs"])
 def test_a_design_that_ends_its_worker_is_marked(guilty: str, tmp_path: Path) -> None:
-    measure = getattr(study_measures, guilty)
-    made = study(HEAVY, measure, time_limit=3.0)
+    metric = getattr(study_metrics, guilty)
+    made = study(HEAVY, metric, time_limit=3.0)
     table = made.run(tmp_path, workers=2)
     assert list(table[guilty].fillna(-1)) == [1, 1, -1, 1, 1]
     kind = {"crashes": "crashed", "hangs": "timed out"}[guilty]
@@ -318,7 +318,7 @@ def test_a_worker_that_is_killed_once_costs_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("STUDY_MARKER", str(tmp_path / "marker"))
-    table = study(HEAVY, study_measures.crashes_once).run(tmp_path / "study", workers=2)
+    table = study(HEAVY, study_metrics.crashes_once).run(tmp_path / "study", workers=2)
     assert (tmp_path / "marker").exists()
     assert list(table["crashes_once"]) == [1.0] * 5
 
@@ -329,14 +329,14 @@ def test_workers_are_begun_anew_before_engines_fill_the_memory(
 ) -> None:
     monkeypatch.setattr(running, "WORN", 2)
     monkeypatch.setattr(running, "LARGEST", 1)
-    table = study(HEAVY, study_measures.process).run(tmp_path, workers=1)
+    table = study(HEAVY, study_metrics.process).run(tmp_path, workers=1)
     assert not table["failure"].notna().any()
     assert 2 <= table["process"].nunique() < 5
 
 
 @pytest.mark.longest
 def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path) -> None:
-    made = study(HEAVY, study_measures.crashes)
+    made = study(HEAVY, study_metrics.crashes)
     with (
         ProcessPoolExecutor(1, get_context("spawn")) as executor,
         pytest.raises(pa.StudyError, match="run it again to go on"),
@@ -351,14 +351,14 @@ def test_a_given_executor_that_breaks_loses_nothing_that_is_done(tmp_path: Path)
 SCRIPT = """
 import sys
 sys.path.insert(0, {tests!r})
-from tests.support import study_measures
+from tests.support import study_metrics
 import pupper_analysis as pa
 from pupper_analysis.study import running
 running.SHARD_SECONDS = 0.2
 
 if __name__ == "__main__":
     vary = {{"torso_mass_scale": pa.study.linspace(1.0, 2.0, 24)}}
-    study = pa.Study("v3", vary, [study_measures.slow, "servo_sag"])
+    study = pa.Study("v3", vary, [study_metrics.slow, "servo_sag"])
     print("begins", flush=True)
     study.execute(sys.argv[1], workers=2)
     print("done", flush=True)
@@ -367,7 +367,7 @@ if __name__ == "__main__":
 
 def slow_study() -> pa.Study:
     vary = {"torso_mass_scale": pa.study.linspace(1.0, 2.0, 24)}
-    return study(vary, study_measures.slow, "servo_sag")
+    return study(vary, study_metrics.slow, "servo_sag")
 
 
 def start(script: Path, folder: Path) -> subprocess.Popen[str]:
@@ -602,7 +602,7 @@ def test_the_command_refuses_before_anything_runs(
 @pytest.mark.longest
 def test_ctrl_c_leaves_a_folder_to_go_on_with(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(
-        'robot = "v3"\nmeasure = ["tests.support.study_measures:slow"]\n[vary]\n'
+        'robot = "v3"\nmeasure = ["tests.support.study_metrics:slow"]\n[vary]\n'
         "torso_mass_scale = { linspace = [1.0, 2.0, 400] }\n"
     )
     folder = tmp_path / "study"

@@ -20,13 +20,13 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.study.design import Maker
-from pupper_analysis.study.measures import MEASURES
+from pupper_analysis.study.metrics import METRICS
 from pupper_analysis.study.named import Named, joints_of
-from pupper_analysis.study.numbers import scale_robot, with_friction, with_gains, without_visuals
+from pupper_analysis.study.parameters import scale_robot, with_friction, with_gains, without_visuals
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.table import names_of
 from pupper_analysis.study.variables import make_variable
-from tests.support import study_measures
+from tests.support import study_metrics
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
@@ -39,8 +39,8 @@ V3 = {
 }  # fmt: skip
 
 
-def study(vary: Mapping[str, Any], *measures: Any, robot: Any = "v3", **options: Any) -> pa.Study:
-    return pa.Study(robot, vary, measures or ["peak_utilisation"], **options)
+def study(vary: Mapping[str, Any], *metrics: Any, robot: Any = "v3", **options: Any) -> pa.Study:
+    return pa.Study(robot, vary, metrics or ["peak_utilisation"], **options)
 
 
 # ----------------------------------------------------------------------------- variables
@@ -203,7 +203,7 @@ def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("measure", "message"),
+    ("metric", "message"),
     [
         ("sagging", "there is no metric 'sagging'; there are total_mass, peak_utilisation"),
         ("nowhere:f", "cannot be imported"),
@@ -211,9 +211,9 @@ def local_function(robot: pa.Robot, stand: pa.Stand, more: float) -> float:
         (local_function, r"no function of \(robot, stand\)"),
     ],
 )
-def test_measures_that_do_not_fit_are_refused(measure: Any, message: str) -> None:
+def test_measures_that_do_not_fit_are_refused(metric: Any, message: str) -> None:
     with pytest.raises(pa.ConfigurationError, match=message):
-        study({"kp": [5]}, measure)
+        study({"kp": [5]}, metric)
 
 
 def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
@@ -234,7 +234,7 @@ def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
         assert "not imported" in result.stdout
         assert "beside_the_file:height" in result.stdout
         assert not (tmp_path / "run").exists()
-    assert pa.Study.read(file).measures[0].name == "height"
+    assert pa.Study.read(file).metrics[0].name == "height"
     assert (tmp_path / "run").exists()
     assert "its code is run" in " ".join(answer("study", "--help").stdout.split())
 
@@ -261,7 +261,7 @@ def test_other_arguments_are_checked() -> None:
 
 TOML = """
 robot = "v3"
-measure = ["servo_sag", "tests.support.study_measures:knee_bend"]
+measure = ["servo_sag", "tests.support.study_metrics:knee_bend"]
 samples = 8
 seed = 5
 time_limit = 20
@@ -286,7 +286,7 @@ def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
             "mass:leg_*_3": pa.study.normal(1.0, 0.05),
             "kp": [5, 10],
         },
-        ["servo_sag", study_measures.knee_bend],
+        ["servo_sag", study_metrics.knee_bend],
         samples=8,
         seed=5,
         time_limit=20,
@@ -307,7 +307,7 @@ def test_a_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: pytest.M
         'robot = "v3"\nmeasure = ["measures_of_mine:height"]\n[vary]\nkp = [5]\n'
     )
     study = pa.Study.read(tmp_path / "mine.toml")
-    assert [one.name for one in study.measures] == ["height"]
+    assert [one.name for one in study.metrics] == ["height"]
     assert sys.path[-1] == str(tmp_path)
     with ThreadPoolExecutor(1) as thread:
         table = study.run(tmp_path / "out", executor=thread)
@@ -531,10 +531,10 @@ def test_a_design_is_the_robot_that_its_numbers_say() -> None:
     stand = pa.solve_stand(robot, task)
     assert design.stand.qpos == pytest.approx(stand.qpos, abs=1e-12)
     torques = pa.stance.stand_statics(robot, stand).joint_torques
-    assert MEASURES["peak_torque"].function(design) == pytest.approx(np.abs(torques).max())
+    assert METRICS["peak_torque"].function(design) == pytest.approx(np.abs(torques).max())
     rest = pa.steady_state(robot, stand, kp=9.0)
-    assert MEASURES["servo_sag"].function(design) == pytest.approx(rest.servo_sag, rel=1e-9)
-    assert MEASURES["base_height"].function(design) == pytest.approx(rest.base_height, rel=1e-9)
+    assert METRICS["servo_sag"].function(design) == pytest.approx(rest.servo_sag, rel=1e-9)
+    assert METRICS["base_height"].function(design) == pytest.approx(rest.base_height, rel=1e-9)
 
 
 def test_measures_are_what_their_names_say() -> None:
@@ -561,9 +561,9 @@ def test_measures_are_what_their_names_say() -> None:
     }
     assert len(set(map(float, expected.values()))) > len(expected) - 2  # no two are alike
     for name, value in expected.items():
-        found = MEASURES[name].function(design)
+        found = METRICS[name].function(design)
         assert found == pytest.approx(float(value), rel=1e-9, abs=1e-12), name
-    torques = MEASURES["torque"].function(design)
+    torques = METRICS["torque"].function(design)
     assert isinstance(torques, dict)
     assert list(torques) == list(robot.joint_names)
     assert list(torques.values()) == pytest.approx(statics.joint_torques.tolist())
@@ -595,8 +595,8 @@ def test_measures_that_simulate_are_what_their_names_say() -> None:
         "push_recovery": pa.push_recovery(robot, stand).weakest_impulse,
     }
     for name, value in expected.items():
-        assert MEASURES[name].function(design) == pytest.approx(float(value), rel=1e-6), name
-    simulating = {name for name, measure in MEASURES.items() if measure.simulates}
+        assert METRICS[name].function(design) == pytest.approx(float(value), rel=1e-6), name
+    simulating = {name for name, metric in METRICS.items() if metric.simulates}
     assert simulating == {*expected, "yaw_range"}
 
 

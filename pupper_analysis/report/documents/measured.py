@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.words import join_words, text, word
-from pupper_analysis.study.cells import column_label, measures_in
+from pupper_analysis.study.cells import column_label, metrics_in
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def measured_document(
     name: str, variables: Mapping[str, object], table: pd.DataFrame
 ) -> doc.Document:
-    """Returns the range of each measure, and failures by kind: what is known without an outcome.
+    """Returns the range of each metric, and failures by kind: what is known without an outcome.
 
     Args:
         name: What was studied.
@@ -24,17 +24,15 @@ def measured_document(
         table: Of the study.
     """
     rows: list[tuple[doc.Cell, ...]] = []
-    for measure in measures_in(table, tuple(variables)):
-        column = table[measure].dropna()
+    for metric in metrics_in(table, tuple(variables)):
+        column = table[metric].dropna()
         ends = (column.min(), column.median(), column.max())
         numbers = (doc.number_cell(float(value), ".5g") for value in ends)
-        rows.append(
-            (doc.Name(column_label(measure)), *numbers, doc.number_cell(len(column), ".0f"))
-        )
+        rows.append((doc.Name(column_label(metric)), *numbers, doc.number_cell(len(column), ".0f")))
     measured = doc.Table(
         text("what-was-measured"),
         (
-            doc.Column(text("measure"), left=True),
+            doc.Column(text("metric"), left=True),
             doc.Column(text("least")),
             doc.Column(text("median")),
             doc.Column(text("greatest")),

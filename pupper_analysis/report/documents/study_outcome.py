@@ -15,8 +15,8 @@ from pupper_analysis.report.documents.study_plots import LINES, front_plot, stud
 from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.cells import column_label, standing_designs, unit_of
-from pupper_analysis.study.measures import MEASURES, text_key
-from pupper_analysis.study.outcome import MeasureSummary, StudyOutcome
+from pupper_analysis.study.metrics import METRICS, text_key
+from pupper_analysis.study.outcome import MetricSummary, StudyOutcome
 from pupper_analysis.study.tolerance import Chance
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _listed(kind: str, numbers: Sequence[float]) -> str:
 def _measured(outcome: StudyOutcome) -> doc.Table:
     rows: list[tuple[doc.Cell, ...]] = [
         (
-            doc.Name(one.measure),
+            doc.Name(one.metric),
             *(doc.number_cell(value, ".5g") for value in (one.least, one.median, one.greatest)),
             doc.number_cell(one.designs, ".0f"),
             doc.Name(one.unit),
@@ -110,7 +110,7 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
     return doc.Table(
         text("what-was-measured"),
         (
-            doc.Column(text("measure"), left=True),
+            doc.Column(text("metric"), left=True),
             doc.Column(text("least")),
             doc.Column(text("median")),
             doc.Column(text("greatest")),
@@ -122,10 +122,10 @@ def _measured(outcome: StudyOutcome) -> doc.Table:
     )
 
 
-def _meaning(one: MeasureSummary) -> doc.Words:
-    """Returns what a measure is: of one's own function what its docstring says."""
-    name = one.measure.partition(".")[0]
-    return text(text_key(name)) if name in MEASURES else doc.Name(one.meaning)
+def _meaning(one: MetricSummary) -> doc.Words:
+    """Returns what a metric is: of one's own function what its docstring says."""
+    name = one.metric.partition(".")[0]
+    return text(text_key(name)) if name in METRICS else doc.Name(one.meaning)
 
 
 def _failures(outcome: StudyOutcome) -> list[doc.Block]:
@@ -134,7 +134,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
     rows: list[tuple[doc.Cell, ...]] = [
         (
             word(one.kind),
-            doc.Name(one.measure or ""),
+            doc.Name(one.metric or ""),
             doc.number_cell(one.designs, ".0f"),
             doc.Number(f"{one.share:.1%}", 100 * one.share, share=one.share),
             doc.Name(one.reason) if one.diagnostic is None else doc.tell(one.diagnostic),
@@ -146,7 +146,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
             text("what-failed-by-kind"),
             (
                 doc.Column(text("failure"), left=True),
-                doc.Column(text("measure"), left=True),
+                doc.Column(text("metric"), left=True),
                 doc.Column(text("designs"), "1"),
                 doc.Column(text("share"), "1"),
                 doc.Column(text("reason-of-the-first"), left=True),
@@ -157,7 +157,7 @@ def _failures(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _drawings(outcome: StudyOutcome) -> Iterable[doc.Block]:
-    """Yields the plots; below a measure's, what is missing in its means."""
+    """Yields the plots; below a metric's, what is missing in its means."""
     for shown in study_plots(outcome.table, tuple(outcome.variables), outcome.axes).values():
         yield from shown
         if any(isinstance(one, plots.MeansPlot) and one.found.partial.any() for one in shown):
@@ -174,21 +174,21 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
     if len(objectives) == 2:
         blocks.append(front_plot(standing_designs(outcome.table), front, objectives))
     columns = [name for name in outcome.variables if name not in objectives]
-    measured = [one.measure for one in outcome.measured if one.measure not in objectives]
+    measured = [one.metric for one in outcome.measured if one.metric not in objectives]
     blocks.append(_table(title, front, [*objectives, *columns, *measured[:LINES]]))
     return blocks
 
 
 def _shares(outcome: StudyOutcome) -> list[doc.Block]:
-    linear = {one.measure: one for one in outcome.linear}
-    sobol = {one.measure: one for one in outcome.sobol}
+    linear = {one.metric: one for one in outcome.linear}
+    sobol = {one.metric: one for one in outcome.sobol}
     rows: list[tuple[doc.Cell, ...]] = []
     for one in outcome.measured:
         for name, alone in one.alone.items():
-            exact, sampled = linear.get(one.measure), sobol.get(one.measure)
+            exact, sampled = linear.get(one.metric), sobol.get(one.metric)
             rows.append(
                 (
-                    doc.Name(one.measure),
+                    doc.Name(one.metric),
                     doc.Name(name),
                     _share(alone),
                     *(
@@ -203,7 +203,7 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         return []
     notes: list[doc.Words] = [text(_ALONE)]
     columns = [
-        doc.Column(text("measure"), left=True),
+        doc.Column(text("metric"), left=True),
         doc.Column(text("number"), left=True),
         doc.Column(text("alone"), "1"),
     ]
@@ -310,7 +310,7 @@ def _tolerance(spreads: Mapping[str, Mapping[str, Any]], outcome: StudyOutcome) 
 
 
 def _designs(outcome: StudyOutcome) -> doc.Table:
-    measured = [one.measure for one in outcome.measured]
+    measured = [one.metric for one in outcome.measured]
     columns = [*outcome.variables, *measured]
     return replace(_table(text("designs-title"), outcome.table, columns), detail=True)
 

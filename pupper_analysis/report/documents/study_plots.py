@@ -16,7 +16,7 @@ from pupper_analysis.study.cells import (
     column_label,
     end_map,
     mean_map,
-    measures_in,
+    metrics_in,
     split_panels,
     spread_in,
 )
@@ -41,16 +41,16 @@ def study_plots(
         variables: What varies in it.
         axes: The two variables that span the maps; empty if there are no two.
     """
-    measures, spread = measures_in(table, variables), spread_in(table, variables)
+    metrics, spread = metrics_in(table, variables), spread_in(table, variables)
     shown: dict[str, list[plots.Plot]] = {}
     if axes:
         x, y = axes
         shown["failures"] = [*end_plots(table, x, y, variables)]
-        for measure in measures[:MAPS]:
-            shown[f"map_{measure}"] = [*mean_plots(table, x, y, measure, variables)]
-    if spread and measures:
-        columns = [*(name for name in variables if name in spread), *measures[:LINES]]
-        shown["parallel"] = [parallel_plot(table, columns, measures[0])]
+        for metric in metrics[:MAPS]:
+            shown[f"map_{metric}"] = [*mean_plots(table, x, y, metric, variables)]
+    if spread and metrics:
+        columns = [*(name for name in variables if name in spread), *metrics[:LINES]]
+        shown["parallel"] = [parallel_plot(table, columns, metrics[0])]
     return shown
 
 
@@ -77,24 +77,24 @@ def end_plots(
 
 
 def mean_plots(
-    table: pd.DataFrame, x: str, y: str, measure: str, variables: Sequence[str] = ()
+    table: pd.DataFrame, x: str, y: str, metric: str, variables: Sequence[str] = ()
 ) -> list[plots.MeansPlot]:
-    """Returns a measure's maps, in the same colours; see ``end_plots``.
+    """Returns a metric's maps, in the same colours; see ``end_plots``.
 
     Raises:
         ConfigurationError: If a column is not there, or the table is empty.
     """
-    check_columns(table, x, y, measure)
+    check_columns(table, x, y, metric)
     maps = [
-        (panel, mean_map(panel.table, x, y, measure))
+        (panel, mean_map(panel.table, x, y, metric))
         for panel in split_panels(table, variables, x, y)
     ]
     known = np.concatenate([one.means[np.isfinite(one.means)] for _, one in maps])
     ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    named = Name(column_label(measure))
-    title = text("measure-over-x-and-y", measure=named, x=Name(x), y=Name(y))
+    named = Name(column_label(metric))
+    title = text("metric-over-x-and-y", metric=named, x=Name(x), y=Name(y))
     return [
-        plots.MeansPlot(title, found, x, y, measure, ends, _part(panel)) for panel, found in maps
+        plots.MeansPlot(title, found, x, y, metric, ends, _part(panel)) for panel, found in maps
     ]
 
 
@@ -112,7 +112,7 @@ def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> pl
         ConfigurationError: If a column is not there, or the table is empty.
     """
     check_columns(table, *columns, shade)
-    title = text("designs-as-lines-coloured", measure=Name(shade))
+    title = text("designs-as-lines-coloured", metric=Name(shade))
     return plots.ParallelPlot(title, table, columns, shade)
 
 

@@ -30,12 +30,12 @@ def heat_map(
     table: pd.DataFrame,
     x: str,
     y: str,
-    measure: str,
+    metric: str,
     path: str | Path,
     *,
     others: Sequence[str] = (),
 ) -> None:
-    """Draws a measure over two variables.
+    """Draws a metric over two variables.
 
     Each combination of the other variables' values has a panel, where these are few; else a cell is
     a mean over them. Cells without any value are grey. Hatched are those in whose mean designs are
@@ -45,7 +45,7 @@ def heat_map(
         table: Of a study.
         x: The variable along the figure.
         y: The variable upwards.
-        measure: The column that is drawn.
+        metric: The column that is drawn.
         path: The PNG to write.
         others: The other variables.
 
@@ -53,7 +53,7 @@ def heat_map(
         ConfigurationError: If a column is not there.
         OutputError: If the file cannot be written.
     """
-    _write(study_plots.mean_plots(table, x, y, measure, others), path)
+    _write(study_plots.mean_plots(table, x, y, metric, others), path)
 
 
 def failure_map(
@@ -151,7 +151,7 @@ def draw_study(
 ) -> list[Path]:
     """Draws what a study can show without being asked, as its page does: returns the files.
 
-    Two variables of most values span the maps; the first measures fill them. Two objectives, if
+    Two variables of most values span the maps; the first metrics fill them. Two objectives, if
     there are two, have their front.
 
     Raises:
@@ -172,7 +172,7 @@ def draw_study(
 
 
 def _write(plots: Sequence[Plot], path: str | Path) -> None:
-    """Writes the maps of one measure as panels of one figure, or any other plot alone."""
+    """Writes the maps of one metric as panels of one figure, or any other plot alone."""
     first = plots[0]
     if not isinstance(first, MeansPlot | EndsPlot):
         plot_figure(first, path)
@@ -184,7 +184,7 @@ def _write(plots: Sequence[Plot], path: str | Path) -> None:
         for handle in draw_plot(plot, axes)
     }
     if isinstance(first, MeansPlot):
-        put_scale(panels, first.ends, first.measure)
+        put_scale(panels, first.ends, first.metric)
     else:
         named = _counted(named, [plot for plot in plots if isinstance(plot, EndsPlot)])
     if named:

@@ -89,7 +89,7 @@ def _means(plot: MeansPlot) -> Drawing:
     cells = _Grid(found.x, found.y)
     marks = [*cells.cells(filled), *cells.crossed(found.partial), *cells.axes(x, y)]
     marks += _bar(low, high)
-    marks.append(cells.labels(Name(column_label(plot.measure)), x, y, told))
+    marks.append(cells.labels(Name(column_label(plot.metric)), x, y, told))
     return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
 
 

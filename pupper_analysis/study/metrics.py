@@ -1,4 +1,4 @@
-"""What is measured of a design: named measures, and functions of (robot, stand)."""
+"""What is measured of a design: named metrics, and functions of (robot, stand)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Function = Callable[[Robot, Stand], Any]
 
 @dataclass(eq=False)
 class Design:
-    """A design that stands: what its measures look at, each worked out once.
+    """A design that stands: what its metrics look at, each worked out once.
 
     Attributes:
         robot: The robot, with its payload and its servos' gains.
@@ -119,8 +119,8 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Measure:
-    """A measure.
+class Metric:
+    """A metric.
 
     Attributes:
         name: The column that it fills; with several values, ``NAME.KEY`` for each.
@@ -143,12 +143,12 @@ class Measure:
     @property
     def meaning(self) -> str:
         """In words."""
-        return phrase(text_key(self.name), "en") if self.name in MEASURES else self.own
+        return phrase(text_key(self.name), "en") if self.name in METRICS else self.own
 
 
-def text_key(measure: str) -> str:
-    """Returns under which key the catalogue says what a measure of the package is."""
-    return f"measure-{measure.replace('_', '-')}"
+def text_key(metric: str) -> str:
+    """Returns under which key the catalogue says what a metric of the package is."""
+    return f"metric-{metric.replace('_', '-')}"
 
 
 def _stands(design: Design) -> bool:
@@ -165,83 +165,83 @@ def _least_peak(design: Design) -> float:
 
 
 _ALL = (
-    Measure("total_mass", lambda d: d.robot.total_mass, "kg"),
-    Measure(
+    Metric("total_mass", lambda d: d.robot.total_mass, "kg"),
+    Metric(
         "peak_utilisation",
         lambda d: float(d.statics.motor_utilisation.max()),
         "1",
         better="min",
     ),
-    Measure(
+    Metric(
         "peak_torque",
         lambda d: float(np.abs(d.statics.joint_torques).max()),
         "N m",
         better="min",
     ),
-    Measure("least_peak_utilisation", _least_peak, "1"),
-    Measure("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
-    Measure(
+    Metric("least_peak_utilisation", _least_peak, "1"),
+    Metric("torque", lambda d: d.per_joint(d.statics.joint_torques), "N m"),
+    Metric(
         "utilisation",
         lambda d: d.per_joint(d.statics.motor_utilisation),
         "1",
     ),
-    Measure(
+    Metric(
         "friction_utilisation",
         lambda d: max(d.statics.friction_utilisation.values()),
         "1",
         better="min",
     ),
-    Measure(
+    Metric(
         "com_margin",
         lambda d: d.stand.com_margin,
         "m",
         better="max",
     ),
-    Measure(
+    Metric(
         "base_height",
         lambda d: d.rest.base_height,
         "m",
     ),
-    Measure(
+    Metric(
         "sag",
         lambda d: d.rest.height_loss,
         "m",
         better="min",
     ),
-    Measure(
+    Metric(
         "servo_sag",
         lambda d: d.rest.servo_sag,
         "m",
         better="min",
     ),
-    Measure("contact_sag", lambda d: d.rest.contact_sag, "m"),
-    Measure(
+    Metric("contact_sag", lambda d: d.rest.contact_sag, "m"),
+    Metric(
         "stiffness",
         lambda d: d.equilibrium.stiffness,
         "rad^2/s^2",
         better="max",
     ),
-    Measure(
+    Metric(
         "release_margin",
         lambda d: d.equilibrium.release_margin,
         "1",
         better="max",
     ),
-    Measure(
+    Metric(
         "rest_utilisation",
         lambda d: d.utilisation_at_rest(),
         "1",
         better="min",
     ),
-    Measure("stands", _stands, "1", fallen=0.0),
-    Measure(
+    Metric("stands", _stands, "1", fallen=0.0),
+    Metric(
         "payload_limit",
         lambda d: payload_limit(d.robot, d.stand).mass,
         "kg",
         simulates=True,
         better="max",
     ),
-    Measure(
+    Metric(
         "minimum_stiffness",
         lambda d: minimum_stiffness(d.robot, d.stand),
         "N m/rad",
@@ -249,7 +249,7 @@ _ALL = (
         better="min",
     ),
     *(
-        Measure(
+        Metric(
             f"{direction}_range",
             lambda d, direction=direction: d.span(direction),  # type: ignore[misc]
             unit,
@@ -257,20 +257,20 @@ _ALL = (
         )
         for direction, unit in (("height", "m"), ("roll", "rad"), ("pitch", "rad"), ("yaw", "rad"))
     ),
-    Measure(
+    Metric(
         "verified",
         lambda d: d.simulated.passed,
         "1",
         simulates=True,
         fallen=0.0,
     ),
-    Measure(
+    Metric(
         "simulated_height",
         lambda d: d.simulated_rest.base_height,
         "m",
         simulates=True,
     ),
-    Measure(
+    Metric(
         "push_recovery",
         lambda d: push_recovery(d.robot, d.stand).weakest_impulse,
         "N s",
@@ -279,48 +279,48 @@ _ALL = (
     ),
 )
 
-REVISION = 2
-"""Of what measures mean, raised when one changes: results of before are not taken for it."""
+REVISION = 3
+"""Of what metrics mean, raised when one changes: results of before are not taken for it."""
 
-MEASURES: Mapping[str, Measure] = {measure.name: measure for measure in _ALL}
-"""The named measures."""
+METRICS: Mapping[str, Metric] = {metric.name: metric for metric in _ALL}
+"""The named metrics."""
 
 
-def measure_of(given: str | Function) -> Measure:
-    """Returns a named measure, or makes one of a function of (robot, stand).
+def metric_of(given: str | Function) -> Metric:
+    """Returns a named metric, or makes one of a function of (robot, stand).
 
     Args:
-        given: A name of ``MEASURES``, ``module:function``, or a function that other processes can
+        given: A name of ``METRICS``, ``module:function``, or a function that other processes can
             import: it stands at the top of a module.
 
     Raises:
-        ConfigurationError: If there is no such measure, or the function does not fit.
+        ConfigurationError: If there is no such metric, or the function does not fit.
     """
-    if isinstance(given, str) and given in MEASURES:
-        return MEASURES[given]
+    if isinstance(given, str) and given in METRICS:
+        return METRICS[given]
     function = _imported(given) if isinstance(given, str) else given
     if not callable(function):
-        raise ConfigurationError("measure", diagnose("measure-no-function", given=repr(given)))
+        raise ConfigurationError("measure", diagnose("metric-no-function", given=repr(given)))
     try:
         inspect.signature(function).bind(None, None)
     except (TypeError, ValueError) as error:
-        problem = diagnose("measure-of-another-signature", given=repr(given), problem=str(error))
+        problem = diagnose("metric-of-another-signature", given=repr(given), problem=str(error))
         raise ConfigurationError("measure", problem) from error
     try:
         pickle.dumps(function)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        problem = diagnose("measure-not-picklable", given=repr(given))
+        problem = diagnose("metric-not-picklable", given=repr(given))
         raise ConfigurationError("measure", problem) from error
     name = getattr(function, "__name__", type(function).__name__)
-    if name in MEASURES:
-        problem = diagnose("measure-name-taken", name=name)
+    if name in METRICS:
+        problem = diagnose("metric-name-taken", name=name)
         raise ConfigurationError("measure", problem)
-    return Measure(name, OfRobotAndStand(function), "", own=inspect.getdoc(function) or "")
+    return Metric(name, OfRobotAndStand(function), "", own=inspect.getdoc(function) or "")
 
 
-def modules_in(measures: object) -> tuple[str, ...]:
-    """Returns those of a file's measures that are ``module:function``."""
-    listed = measures if isinstance(measures, list) else []
+def modules_in(metrics: object) -> tuple[str, ...]:
+    """Returns those of a file's metrics that are ``module:function``."""
+    listed = metrics if isinstance(metrics, list) else []
     return tuple(name for name in listed if isinstance(name, str) and ":" in name)
 
 
@@ -328,11 +328,11 @@ def _imported(name: str) -> Function:
     """Returns the function that ``module:function`` means."""
     module, separator, attribute = name.partition(":")
     if not separator:
-        raise ConfigurationError("measure", diagnose("measure-unknown", name=name, known=MEASURES))
+        raise ConfigurationError("measure", diagnose("metric-unknown", name=name, known=METRICS))
     try:
         found: Function = getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
-        told = diagnose("measure-not-importable", name=name, problem=str(error))
+        told = diagnose("metric-not-importable", name=name, problem=str(error))
         raise ConfigurationError("measure", told) from error
     return found
 
@@ -361,13 +361,13 @@ class OfRobotAndStand:
         return f"{self.place} {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
 
-def measure_text(measure: Measure) -> str:
-    """Returns how a study's file says a measure."""
-    own = measure.function
-    return own.place if isinstance(own, OfRobotAndStand) else measure.name
+def metric_text(metric: Metric) -> str:
+    """Returns how a study's file says a metric."""
+    own = metric.function
+    return own.place if isinstance(own, OfRobotAndStand) else metric.name
 
 
-def measure_fingerprint(measure: Measure) -> str:
-    """Returns what tells that a measure is another one."""
-    own = measure.function
-    return own.fingerprint() if isinstance(own, OfRobotAndStand) else measure.name
+def metric_fingerprint(metric: Metric) -> str:
+    """Returns what tells that a metric is another one."""
+    own = metric.function
+    return own.fingerprint() if isinstance(own, OfRobotAndStand) else metric.name
