@@ -53,6 +53,21 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     return rotation
 
 
+def placement_of(quaternion: Array, position: Array) -> pin.SE3:
+    """Returns the placement of a unit quaternion (w, x, y, z) and a position (3,)."""
+    return pin.SE3(rotation_from_quaternion(quaternion), np.array(position))
+
+
+def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
+    """Returns an inertia in the frame in which its com (3,) and the tensor about that are given.
+
+    Pinocchio's constructor refuses what no body has, which a file may state all the same.
+    """
+    result = pin.Inertia.Zero()
+    result.mass, result.lever, result.inertia = float(mass), np.array(com), np.array(tensor)
+    return result
+
+
 def cross_matrices(vectors: Array) -> Array:
     """Returns the matrices (n, 3, 3) that take x to v x x, of vectors v (n, 3)."""
     matrices: Array = (vectors @ _CROSSES).reshape(-1, 3, 3)

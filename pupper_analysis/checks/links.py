@@ -7,18 +7,17 @@ fold says that a body differs; which of its links differs, the links alone can s
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
 from pupper_analysis.matching.places import poses_at_zero
-from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
-from pupper_analysis.models.urdf_tree import UrdfTree, origin_of
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -48,17 +47,15 @@ def urdf_links(robot: Robot) -> Links:
     model = robot.pin_model
     found: dict[str, list[ComparedLink]] = {}
     for name, link in UrdfTree.of(robot.description.urdf).links.items():
-        inertial = link.inertial
-        if inertial is None or not model.existFrame(name, pin.FrameType.BODY):
+        own = link.inertia
+        if own is None or not own.mass or not model.existFrame(name, pin.FrameType.BODY):
             continue
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
-        body = _stated(inertial)
-        if body.mass:
-            moved = _placed(body, frame.placement)
-            mover = _mover(robot, model, int(frame.parentJoint))
-            found.setdefault(mover, []).append(
-                ComparedLink(name, moved, np.array(frame.placement.rotation))
-            )
+        body = TreeBody.of(own).moved(frame.placement)
+        mover = _mover(robot, model, int(frame.parentJoint))
+        found.setdefault(mover, []).append(
+            ComparedLink(name, body, np.array(frame.placement.rotation))
+        )
     return {mover: tuple(links) for mover, links in found.items()}
 
 
@@ -78,14 +75,8 @@ def mjcf_links(robot: Robot, raw: MultibodyTree, aligned: MultibodyTree) -> Link
         frame = model.frames[model.getFrameId(name, pin.FrameType.BODY)]
         mover = _mover(robot, model, int(frame.parentJoint))
         pose = there[mover].actInv(here[mover]) * frame.placement
-        turn = pin.Quaternion(*mujoco_model.body_iquat[index]).toRotationMatrix()
-        inertia = turn @ np.diag(mujoco_model.body_inertia[index]) @ turn.T
-        own = TreeBody(
-            float(mujoco_model.body_mass[index]), np.array(mujoco_model.body_ipos[index]), inertia
-        )
-        found.setdefault(mover, []).append(
-            ComparedLink(name, _placed(own, pose), np.array(pose.rotation))
-        )
+        own = TreeBody.of(inertia_of_body(mujoco_model, index)).moved(pose)
+        found.setdefault(mover, []).append(ComparedLink(name, own, np.array(pose.rotation)))
     return {mover: tuple(links) for mover, links in found.items()}
 
 
@@ -93,22 +84,6 @@ def _mover(robot: Robot, model: pin.Model, joint: int) -> str:
     """Returns the joint that moves a frame's body, or the base."""
     name = str(model.names[joint])
     return name if name in robot.joint_names else robot.base
-
-
-def _stated(inertial: etree._Element) -> TreeBody:
-    """Reads a URDF's inertial, in its link's frame."""
-    mass, entries, pose = inertial.find("mass"), inertial.find("inertia"), origin_of(inertial)
-    tensor = np.zeros((3, 3))
-    if entries is not None:
-        tensor = inertia_tensor(float(entries.get(label) or 0.0) for label in INERTIA_ENTRIES)
-    body = TreeBody(0.0 if mass is None else float(mass.get("value")), np.zeros(3), tensor)
-    return _placed(body, pose)
-
-
-def _placed(body: TreeBody, pose: pin.SE3) -> TreeBody:
-    """Returns a body in the frame in which its own stands in a pose."""
-    turn = np.array(pose.rotation)
-    return replace(body, com=np.array(pose.act(body.com)), inertia=turn @ body.inertia @ turn.T)
 
 
 def fold_bodies(*bodies: TreeBody) -> TreeBody:

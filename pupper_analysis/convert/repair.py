@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import inertia_of
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.mjcf_xml import MjcfXml, XmlBody
@@ -193,11 +194,9 @@ def _repaired(body: XmlBody) -> Repair:
     stated = body.inertia
     old = pin.Inertia.Zero() if stated is None else stated
     moments, axes = np.linalg.eigh(np.array(old.inertia))
-    new = pin.Inertia.Zero()
-    new.mass, new.lever = (old.mass if old.mass > 0 else LIGHT), old.lever
-    wanted = nearest_moments(moments, new.mass)
-    new.inertia = axes @ np.diag(wanted) @ axes.T
-    body.set_inertia(new)
+    mass = float(old.mass if old.mass > 0 else LIGHT)
+    wanted = nearest_moments(moments, mass)
+    body.set_inertia(inertia_of(mass, old.lever, axes @ np.diag(wanted) @ axes.T))
     moved = body
     while not moved.moves and moved.parent is not None:
         moved = moved.parent
@@ -206,7 +205,7 @@ def _repaired(body: XmlBody) -> Repair:
         body=moved.mover or moved.name,
         mass=float(old.mass),
         moments=_three(moments),
-        new_mass=float(new.mass),
+        new_mass=mass,
         new_moments=_three(wanted),
     )
 

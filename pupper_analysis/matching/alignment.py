@@ -298,35 +298,26 @@ def _steps(
 
 def in_axes(values: MultibodyTree, name: str, turn: Array) -> MultibodyTree:
     """Describes the body that a joint moves in other axes: x' = turn x."""
-    joint, body = values.joints[name], values.bodies[name]
-    joints = dict(values.joints)
+    joint, joints = values.joints[name], dict(values.joints)
     joints[name] = replace(joint, rotation=joint.rotation @ turn.T, axis=turn @ joint.axis)
     changed = replace(values, joints=joints)
-    return _carried(changed, values.children(name), name, body, turn, np.zeros(3))
+    return in_body_frame(changed, name, turn, np.zeros(3))
 
 
 def with_origin(values: MultibodyTree, name: str, step: Array) -> MultibodyTree:
     """Describes the body that a joint moves from another origin, by a step in its own axes."""
     if not step.any():
         return values
-    joint, body = values.joints[name], values.bodies[name]
-    joints = dict(values.joints)
+    joint, joints = values.joints[name], dict(values.joints)
     joints[name] = replace(joint, position=joint.position + joint.rotation @ step)
     moved = replace(values, joints=joints)
-    return _carried(moved, values.children(name), name, body, np.eye(3), -step)
+    return in_body_frame(moved, name, np.eye(3), -step)
 
 
-def _carried(
-    values: MultibodyTree,
-    children: Iterable[str],
-    name: str,
-    body: TreeBody,
-    turn: Array,
-    shift: Array,
-) -> MultibodyTree:
-    """Describes what a body carries in a new frame of it: x' = turn x + shift."""
-    joints = dict(values.joints)
-    for child in children:
+def in_body_frame(values: MultibodyTree, name: str, turn: Array, shift: Array) -> MultibodyTree:
+    """Describes a body and what it carries in a new frame of it: x' = turn x + shift."""
+    joints, body = dict(values.joints), values.bodies[name]
+    for child in values.children(name):
         carried = joints[child]
         joints[child] = replace(
             carried, position=turn @ carried.position + shift, rotation=turn @ carried.rotation
@@ -342,6 +333,4 @@ def _carried(
 
 def with_base(values: MultibodyTree, pose: pin.SE3) -> MultibodyTree:
     """Describes a robot from another frame of its base: x' = pose x."""
-    body = values.bodies[values.base]
-    turn, shift = np.array(pose.rotation), np.array(pose.translation)
-    return _carried(values, values.children(values.base), values.base, body, turn, shift)
+    return in_body_frame(values, values.base, np.array(pose.rotation), np.array(pose.translation))

@@ -204,8 +204,7 @@ def _poses(first: MultibodyTree, second: MultibodyTree) -> Iterator[pin.SE3]:
     names = first.children(first.base)
     for name in names[:_TRIED]:
         one, two = first.joints[name], second.joints[name]
-        here = pin.SE3(one.rotation, one.position)
-        yield pin.SE3(two.rotation, two.position) * here.inverse()
+        yield two.placement * one.placement.inverse()
     here = np.array([first.joints[name].position for name in names])
     there = np.array([second.joints[name].position for name in names])
     bases = [values.bodies[values.base] for values in (first, second)]

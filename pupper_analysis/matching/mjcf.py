@@ -7,9 +7,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 
+from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.alignment import with_base
@@ -181,5 +181,4 @@ def mjcf_tree(
         body = int(compiled.body_parentid[body])
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
-    pose = pin.SE3(data.xmat[body].reshape(3, 3).copy(), np.array(data.xpos[body]))
-    return with_base(tree, pose.inverse())
+    return with_base(tree, placement_of(data.xquat[body], data.xpos[body]).inverse())

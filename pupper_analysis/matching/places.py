@@ -16,7 +16,7 @@ def poses_at_zero(tree: multibody.MultibodyTree) -> dict[str, pin.SE3]:
     poses = {tree.base: pin.SE3.Identity()}
     for name in tree.parents_first():
         joint = tree.joints[name]
-        poses[name] = poses[joint.parent] * pin.SE3(joint.rotation, joint.position)
+        poses[name] = poses[joint.parent] * joint.placement
     return poses
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import mujoco
-import numpy as np
 import pinocchio as pin
 
+from pupper_analysis.arrays import placement_of
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree
@@ -35,4 +35,4 @@ def base_pose(robot: Robot) -> pin.SE3:
     data = mujoco.MjData(robot.mj_model)
     mujoco.mj_kinematics(robot.mj_model, data)
     body = robot.mj_model.body(robot.mj_base).id
-    return pin.SE3(data.xmat[body].reshape(3, 3).copy(), np.array(data.xpos[body]))
+    return placement_of(data.xquat[body], data.xpos[body])

@@ -5,10 +5,10 @@ from __future__ import annotations
 from copy import deepcopy
 
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.models.unlimited import unlimited_joints
+from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.models.xml import to_text
 
 
@@ -43,7 +43,7 @@ def _take_apart(owner: etree._Element) -> None:
     capsule = owner.find("geometry/capsule")
     try:
         radius, length = (float(capsule.get(name)) for name in ("radius", "length"))
-        placed = _origin(owner)
+        placed = origin_of(owner)
     except (TypeError, ValueError):
         return  # no number: whoever reads it says so
     link, at = owner.getparent(), owner.getparent().index(owner)
@@ -61,17 +61,3 @@ def _take_apart(owner: etree._Element) -> None:
         origin.set("xyz", " ".join(repr(float(value)) for value in place))
         link.insert(at + number, end)
     capsule.tag = "cylinder"
-
-
-def _origin(owner: etree._Element) -> pin.SE3:
-    """Returns where a shape is.
-
-    Raises:
-        ValueError: If its numbers are none.
-    """
-    origin = owner.find("origin")
-    words = [("0 0 0" if origin is None else origin.get(k, "0 0 0")) for k in ("xyz", "rpy")]
-    xyz, rpy = (np.array([float(word) for word in text.split()]) for text in words)
-    if xyz.shape != (3,) or rpy.shape != (3,):
-        raise ValueError("three numbers are needed")
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)

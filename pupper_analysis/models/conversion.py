@@ -17,7 +17,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.arrays import inertia_of, placement_of, rotation_from_quaternion
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models import mjcf
@@ -49,37 +49,36 @@ def pinocchio_from_mujoco(model: mujoco.MjModel) -> pin.Model:
     result = pin.Model()
     result.gravity = pin.Motion(acting_gravity(model), np.zeros(3))
     joint_of = {0: 0}  # the joint that moves each body, and the body's placement in its frame
-    placement_of = {0: pin.SE3.Identity()}
+    inside = {0: pin.SE3.Identity()}
     dofs: list[int] = []
     for body in range(1, model.nbody):
         parent = int(model.body_parentid[body])
         joint = joint_of[parent]
-        rotation = rotation_from_quaternion(model.body_quat[body])
-        placement = placement_of[parent] * pin.SE3(rotation, np.array(model.body_pos[body]))
+        own = placement_of(model.body_quat[body], model.body_pos[body])
+        placement = inside[parent] * own
         first = int(model.body_jntadr[body])
         for index in range(first, first + int(model.body_jntnum[body])):
             joint, placement = _add_joint(result, model, index, joint, placement)
             start = int(model.jnt_dofadr[index])
             dofs += range(start, start + result.joints[joint].nv)
-        axes = rotation_from_quaternion(model.body_iquat[body])
-        inertia = pin.Inertia(
-            float(model.body_mass[body]),
-            np.array(model.body_ipos[body]),
-            axes @ np.diag(model.body_inertia[body]) @ axes.T,
-        )
-        result.appendBodyToJoint(joint, inertia, placement)
-        joint_of[body], placement_of[body] = joint, placement
+        result.appendBodyToJoint(joint, inertia_of_body(model, body), placement)
+        joint_of[body], inside[body] = joint, placement
         _add_frame(result, model.body(body).name, joint, placement)
     for site in range(model.nsite):
         body = int(model.site_bodyid[site])
-        local = pin.SE3(
-            rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
-        )
-        _add_frame(result, model.site(site).name, joint_of[body], placement_of[body] * local)
+        local = placement_of(model.site_quat[site], model.site_pos[site])
+        _add_frame(result, model.site(site).name, joint_of[body], inside[body] * local)
     result.armature = joint_armature(model)[dofs]
     result.damping = joint_damping(model)[dofs]
     result.friction = np.array(model.dof_frictionloss[dofs])
     return result
+
+
+def inertia_of_body(model: mujoco.MjModel, body: int) -> pin.Inertia:
+    """Returns what one of MuJoCo's bodies weighs, in its own frame."""
+    axes = rotation_from_quaternion(model.body_iquat[body])
+    tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    return inertia_of(model.body_mass[body], model.body_ipos[body], tensor)
 
 
 def acting_gravity(model: mujoco.MjModel) -> Array:

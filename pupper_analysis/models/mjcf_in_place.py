@@ -9,8 +9,9 @@ import mujoco
 import pinocchio as pin
 
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.orientation import AngleUnits, parse_numbers, stated_rotation
+from pupper_analysis.models.orientation import AngleUnits, stated_rotation
 from pupper_analysis.models.packages import existing_file
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 
 

@@ -12,8 +12,10 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import ArrayLike
 
-from pupper_analysis.arrays import inertia_entries, inertia_tensor
+from pupper_analysis import arrays
+from pupper_analysis.arrays import inertia_entries, inertia_of, inertia_tensor
 from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SENSORS, Number
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_text import add_element, write_numbers
 
 _MOVERS: Final = ("joint", "freejoint")
@@ -84,12 +86,9 @@ class XmlBody:
         stated = self.element.find("inertial")
         if stated is None:
             return None
-        lever = np.array((stated.get("pos") or "0 0 0").split(), dtype=float)
+        lever = parse_numbers(stated.get("pos"), "0 0 0")
         texts = (stated.get("fullinertia") or f"{stated.get('diaginertia')} 0 0 0").split()
-        result = pin.Inertia.Zero()
-        result.mass, result.lever = float(str(stated.get("mass"))), lever
-        result.inertia = inertia_tensor(map(float, texts))
-        return result
+        return inertia_of(float(str(stated.get("mass"))), lever, inertia_tensor(map(float, texts)))
 
     def set_inertia(self, inertia: pin.Inertia | None) -> None:
         """States an inertia, in its own frame, in the place of what it states; None: nothing."""
@@ -342,12 +341,11 @@ class MjcfXml:
 
 def placement_of(node: etree._Element) -> pin.SE3:
     """Returns where an element of an MJCF is in its parent; angles are a URDF's ``rpy``."""
-    position = np.array((node.get("pos") or "0 0 0").split(), dtype=float)
+    position = parse_numbers(node.get("pos"), "0 0 0")
     if node.get("quat"):
-        w, x, y, z = (float(word) for word in str(node.get("quat")).split())
-        return pin.SE3(pin.Quaternion(w, x, y, z).normalized().matrix(), position)
-    angles = np.array((node.get("euler") or "0 0 0").split(), dtype=float)
-    return pin.SE3(pin.rpy.rpyToMatrix(angles), position)
+        quaternion = parse_numbers(node.get("quat"), "")
+        return arrays.placement_of(quaternion / np.linalg.norm(quaternion), position)
+    return pin.SE3(pin.rpy.rpyToMatrix(parse_numbers(node.get("euler"), "0 0 0")), position)
 
 
 def _place(node: etree._Element, placement: pin.SE3) -> None:

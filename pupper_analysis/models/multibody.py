@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import inertia_of
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
@@ -38,6 +39,23 @@ class TreeBody:
     com: Array
     inertia: Array
     link: str = ""
+
+    @staticmethod
+    def of(inertia: pin.Inertia, link: str = "") -> TreeBody:
+        """Returns the body of an inertia in its frame."""
+        tensor = np.array(inertia.inertia)
+        return TreeBody(float(inertia.mass), np.array(inertia.lever), tensor, link)
+
+    @property
+    def rigid(self) -> pin.Inertia:
+        """Its inertia, in its frame."""
+        return inertia_of(self.mass, self.com, self.inertia)
+
+    def moved(self, pose: pin.SE3) -> TreeBody:
+        """Returns it in the frame in which its own stands in a pose."""
+        turn = np.array(pose.rotation)
+        com, inertia = np.array(pose.act(self.com)), turn @ self.inertia @ turn.T
+        return replace(self, com=com, inertia=inertia)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +89,16 @@ class TreeJoint:
     armature: float
     damping: float
     friction: float
+
+    @property
+    def placement(self) -> pin.SE3:
+        """Where the body is in its parent, at zero."""
+        return pin.SE3(self.rotation, self.position)
+
+    def placed(self, placement: pin.SE3) -> TreeJoint:
+        """Returns it elsewhere."""
+        position, rotation = np.array(placement.translation), np.array(placement.rotation)
+        return replace(self, position=position, rotation=rotation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +196,7 @@ def from_pinocchio(
     root = 1 if floating else 0
     owner = {0: base, root: base}
     links = _links(model)
-    bodies = {base: _body(model.inertias[root], links.get(root, ""))}
+    bodies = {base: TreeBody.of(model.inertias[root], links.get(root, ""))}
     joints: dict[str, TreeJoint] = {}
     for index in range(root + 1, model.njoints):
         name = str(model.names[index])
@@ -189,7 +217,7 @@ def from_pinocchio(
             upper=float(model.upperPositionLimit[q]) if bounded else np.inf,
             **{one.field: float(getattr(model, one.pinocchio)[v]) for one in _OF_PINOCCHIO},
         )
-        bodies[name] = _body(model.inertias[index], links.get(index, ""))
+        bodies[name] = TreeBody.of(model.inertias[index], links.get(index, ""))
     places = {}
     for name, frame in frames.items():
         found = model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
@@ -221,10 +249,6 @@ def joint_placements(model: pin.Model, q: Array) -> list[pin.SE3]:
     return placements
 
 
-def _body(inertia: pin.Inertia, link: str) -> TreeBody:
-    return TreeBody(float(inertia.mass), np.array(inertia.lever), np.array(inertia.inertia), link)
-
-
 def _links(model: pin.Model) -> dict[int, str]:
     """Returns {joint: the link that it moves}: the first of those that move with it."""
     found: dict[int, str] = {}
@@ -254,7 +278,7 @@ def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
         index[name] = model.addJoint(
             index[joint.parent],
             motion,
-            pin.SE3(joint.rotation, joint.position),
+            joint.placement,
             name,
             np.array([joint.effort]),
             np.array([joint.velocity]),
@@ -276,14 +300,7 @@ def to_pinocchio(parameters: MultibodyTree) -> pin.Model:
 
 
 def _append(model: pin.Model, joint: int, body: TreeBody) -> None:
-    model.appendBodyToJoint(joint, _inertia(body), pin.SE3.Identity())
-
-
-def _inertia(body: TreeBody) -> pin.Inertia:
-    inertia = pin.Inertia.Zero()
-    # One by one: the constructor refuses what no body has, which a file may state all the same.
-    inertia.mass, inertia.lever, inertia.inertia = body.mass, body.com, body.inertia
-    return inertia
+    model.appendBodyToJoint(joint, body.rigid, pin.SE3.Identity())
 
 
 def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
@@ -306,23 +323,16 @@ def rename_joints(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyT
 def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
     """Returns the robot with a joint that is fixed at zero: its body is its parent's."""
     joint = values.joints[name]
-    pose = pin.SE3(joint.rotation, joint.position)
-    joints = {}
+    pose, joints = joint.placement, {}
     for other, child in values.joints.items():
         if child.parent == name:
-            place = pose * pin.SE3(child.rotation, child.position)
-            child = replace(
-                child,
-                parent=joint.parent,
-                position=np.array(place.translation),
-                rotation=np.array(place.rotation),
-            )
+            child = replace(child.placed(pose * child.placement), parent=joint.parent)
         if other != name:
             joints[other] = child
     bodies = {other: body for other, body in values.bodies.items() if other != name}
-    carried = pose.act(_inertia(values.bodies[name]))
+    carried = pose.act(values.bodies[name].rigid)
     parent = values.bodies[joint.parent]
-    bodies[joint.parent] = _body(_inertia(parent) + carried, parent.link)
+    bodies[joint.parent] = TreeBody.of(parent.rigid + carried, parent.link)
     frames = {
         frame: (joint.parent, np.array(pose.act(place))) if owner == name else (owner, place)
         for frame, (owner, place) in values.frames.items()

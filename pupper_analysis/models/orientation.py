@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.models.digits import Digits
+from pupper_analysis.models.urdf_tree import origin_of
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_bytes import Element
 
 Array = NDArray[np.float64]
@@ -39,28 +41,22 @@ class AngleUnits:
         return float(np.pi / 180) if self.degrees else 1.0
 
 
-def parse_numbers(text: str | None, default: str) -> Array:
-    """Returns the numbers of an attribute."""
-    return np.array([float(word) for word in (default if text is None else text).split()])
+def origin_changes(owner: Element | None, pose: pin.SE3, digits: Digits) -> dict[str, str]:
+    """Returns the attributes of a URDF's <origin> that must change for it to state a pose.
 
-
-def read_origin(element: Element | None) -> pin.SE3:
-    """Returns the pose that a URDF's <origin> states."""
-    if element is None:
-        return pin.SE3.Identity()
-    xyz, rpy = (parse_numbers(element.get(key), "0 0 0") for key in ("xyz", "rpy"))
-    return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
-
-
-def origin_changes(element: Element | None, pose: pin.SE3, digits: Digits) -> dict[str, str]:
-    """Returns the attributes of a URDF's <origin> that must change for it to state a pose."""
+    Args:
+        owner: The element that it is in, or is to be put into.
+        pose: The pose.
+        digits: Writes the numbers.
+    """
     changes = {}
+    element = None if owner is None else owner.find("origin")
     xyz = None if element is None else element.get("xyz")
     text = digits.words((xyz or "0 0 0").split(), np.array(pose.translation), 1.0)
     if text is not None:
         changes["xyz"] = text
     rotation = np.array(pose.rotation)
-    if float(np.abs(np.array(read_origin(element).rotation) - rotation).max()) > 1e-12:
+    if float(np.abs(np.array(origin_of(owner).rotation) - rotation).max()) > 1e-12:
         rpy = None if element is None else element.get("rpy")
         near = parse_numbers(rpy, "0 0 0")
         text = digits.words((rpy or "0 0 0").split(), _angles("XYZ", rotation, near), 1.0)

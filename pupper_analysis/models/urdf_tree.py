@@ -15,9 +15,9 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_of, inertia_tensor
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
-from pupper_analysis.models.xml import parse_text
+from pupper_analysis.models.xml import parse_numbers, parse_text
 
 Array = NDArray[np.float64]
 
@@ -25,14 +25,12 @@ MOVING = ("revolute", "continuous", "prismatic")
 """Types of joints with one degree of freedom."""
 
 
-def origin_of(element: etree._Element) -> pin.SE3:
+def origin_of(element: etree._Element | None) -> pin.SE3:
     """Returns the pose that an element's ``<origin>`` states: none is the parent's own."""
-    origin = element.find("origin")
+    origin = None if element is None else element.find("origin")
     if origin is None:
         return pin.SE3.Identity()
-    xyz, rpy = (
-        np.array((origin.get(key) or "0 0 0").split(), dtype=float) for key in ("xyz", "rpy")
-    )
+    xyz, rpy = (parse_numbers(origin.get(key) or None, "0 0 0") for key in ("xyz", "rpy"))
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
 
 
@@ -87,6 +85,18 @@ class UrdfLink(UrdfElement):
         """Its ``<inertial>``; None if it states none."""
         return self.element.find("inertial")
 
+    @property
+    def inertia(self) -> pin.Inertia | None:
+        """What it states that it weighs, in its own frame; None if it states nothing."""
+        stated = self.inertial
+        if stated is None:
+            return None
+        mass, entries = stated.find("mass"), stated.find("inertia")
+        texts = [entries.get(word) if entries is not None else None for word in INERTIA_ENTRIES]
+        tensor = inertia_tensor(float(text or 0.0) for text in texts)
+        weight = 0.0 if mass is None else float(mass.get("value") or 0.0)
+        return origin_of(stated).act(inertia_of(weight, np.zeros(3), tensor))
+
     def set_inertia(self, inertia: pin.Inertia) -> None:
         """States an inertia, in its own frame, in the place of what it states."""
         self.remove("inertial")
@@ -104,15 +114,6 @@ class UrdfLink(UrdfElement):
             for shape in self.element.iterfind(tag):
                 around = shape.find("geometry")
                 yield tag, shape, None if around is None else next(iter(around), None)
-
-    @property
-    def geometries(self) -> list[etree._Element]:
-        """The ``<geometry>`` of its visuals, then of its collision shapes."""
-        return [
-            geometry
-            for tag in ("visual", "collision")
-            for geometry in self.element.iterfind(f"{tag}/geometry")
-        ]
 
     @property
     def mass(self) -> float | None:
@@ -373,7 +374,7 @@ class UrdfTree:
         origin = inertial.find("origin")
         if origin is None:
             origin = etree.SubElement(inertial, "origin")
-        place = np.array((origin.get("xyz") or "0 0 0").split(), dtype=float) + offset
+        place = parse_numbers(origin.get("xyz") or None, "0 0 0") + offset
         origin.set("xyz", _words(place))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:

@@ -6,7 +6,9 @@ import re
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 from lxml import etree
+from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models import standard_input
@@ -69,6 +71,11 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
             Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS)
         )
     return text, root
+
+
+def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:
+    """Returns the numbers of an attribute that has been checked, or was written here."""
+    return np.array([float(word) for word in (default if text is None else text).split()])
 
 
 def parse_text(text: str) -> etree._Element:

@@ -19,6 +19,8 @@ _TAG: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
 class Element:
     """An element, with the place of its start tag in the file's bytes.
 
+    It is asked for its children and attributes as one of lxml's is: `UrdfTree` reads either.
+
     Attributes:
         tag: Its tag.
         attributes: As they stand in the file.
@@ -55,13 +57,17 @@ class Element:
             self.renamed[old] = name
         self.set(name, value)
 
-    def child(self, tag: str) -> Element | None:
+    def findall(self, tag: str) -> list[Element]:
+        """Returns the children with a tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def find(self, tag: str) -> Element | None:
         """Returns the first child with a tag."""
-        return next((child for child in self.children if child.tag == tag), None)
+        return next(iter(self.findall(tag)), None)
 
     def ensure(self, tag: str) -> Element:
         """Returns the first child with a tag; one is to be written where there is none."""
-        found = self.child(tag)
+        found = self.find(tag)
         if found is None:
             found = Element(tag, {}, self.file, -1, self.line, self)
             new = [child for child in self.children if child.start < 0]

@@ -9,8 +9,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.match import Match
+from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
@@ -54,13 +56,10 @@ def with_parts(matched: Match, spec: mujoco.MjSpec) -> tuple[Description | None,
     tree = UrdfTree.of(robot.description.urdf)
     for body in bodies:
         link = carriers[int(model.body_weldid[body])]
-        turn = config.frame_rotation(link).T
-        com = turn @ (data.xipos[body] - config.frame_position(link))
-        axes = turn @ data.ximat[body].reshape(3, 3)
-        inertia = axes * model.body_inertia[body] @ axes.T
+        inside = pin.SE3(config.frame_rotation(link), config.frame_position(link))
+        place = placement_of(data.xquat[body], data.xpos[body])
         part = f"{model.body(body).name} (MJCF)"
-        weight = pin.Inertia.Zero()  # whose constructor refuses what a file may state all the same
-        weight.mass, weight.lever, weight.inertia = float(model.body_mass[body]), com, inertia
+        weight = inside.actInv(place.act(inertia_of_body(model, body)))
         tree.add_link(part, link, f"{part} (held)", np.zeros(3), weight)
     noted = [diagnose("parts-weigh-in-both", bodies=names, mass=Quantity(mass, "kg"))]
     return replace(robot.description, urdf=to_text(tree.root)), noted

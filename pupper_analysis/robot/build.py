@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
@@ -320,7 +321,7 @@ def _pinocchio_model(
         data = mujoco.MjData(mj_model)
         mujoco.mj_kinematics(mj_model, data)
         body = mj_model.body(mj_base).id
-        pose = pin.SE3(data.xmat[body].reshape(3, 3), np.array(data.xpos[body]))
+        pose = placement_of(data.xquat[body], data.xpos[body])
         model.inertias[0] = pose.act(model.inertias[0])
         for joint in range(1, model.njoints):
             if model.parents[joint] == 0:

@@ -16,6 +16,7 @@ import numpy as np
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.attributes import IN_A_TREE, PASSIVE
+from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -221,8 +222,7 @@ def _inertial(model: mujoco.MjModel, body: int, stated: mujoco.MjsBody | None) -
         return Inertial(float(stated.mass), np.array(stated.ipos), tensor, True, rounding)
     if model.body_mass[body] == 0:
         return None
-    tensor = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    return Inertial(float(model.body_mass[body]), np.array(model.body_ipos[body]), tensor, False)
+    return Inertial.of(inertia_of_body(model, body), stated=False)
 
 
 _SHAPES = {

@@ -11,7 +11,9 @@ from functools import cached_property
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
+from pupper_analysis.arrays import inertia_of
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -60,6 +62,17 @@ class Inertial:
     inertia: Array
     stated: bool
     rounding: float = 0.0
+
+    @staticmethod
+    def of(inertia: pin.Inertia, *, stated: bool, rounding: float = 0.0) -> Inertial:
+        """Returns what an inertia is, in the body's frame."""
+        com, tensor = np.array(inertia.lever), np.array(inertia.inertia)
+        return Inertial(float(inertia.mass), com, tensor, stated, rounding)
+
+    @property
+    def rigid(self) -> pin.Inertia:
+        """The same, as it is moved and added up."""
+        return inertia_of(self.mass, self.com, self.inertia)
 
     @property
     def moments(self) -> Array:

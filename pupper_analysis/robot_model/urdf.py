@@ -7,13 +7,13 @@ from collections.abc import Callable
 from decimal import Decimal, InvalidOperation
 
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot_model.geometry import mesh_vertices
 from pupper_analysis.robot_model.model import (
     FIXED,
@@ -39,44 +39,27 @@ def read_urdf_model(file: UrdfFile) -> UrdfModel:
     for parent in (waiting := [root.name]):
         for joint in tree.below.get(parent, []):
             name = joint.child
-            pose = bodies[parent].pose * read_pose(joint.element)
+            pose = bodies[parent].pose * _placed(joint.element)
             bodies[name] = _body(file, tree.links[name], parent, pose, (_joint(joint, pose),))
             waiting.append(name)
     return UrdfModel("urdf", "link", root.name, bodies, file.notes, file)
 
 
-def read_number(element: etree._Element | None, attribute: str, default: float) -> float:
-    """Returns a number of an element; the default where there is none."""
-    text = None if element is None else element.get(attribute)
-    try:
-        return default if text is None else float(text)
-    except ValueError:
-        return default
-
-
-def read_vector(
-    element: etree._Element | None, attribute: str, default: tuple[float, ...]
-) -> Array:
-    """Returns the numbers of an element; the default where there are none."""
-    text = None if element is None else element.get(attribute)
-    try:
-        values = np.array((text or "").split(), dtype=float)
-    except ValueError:
-        values = np.array([])
-    return values if len(values) == len(default) else np.array(default, dtype=float)
-
-
-def read_pose(element: etree._Element) -> Pose:
+def _placed(element: etree._Element) -> Pose:
     """Returns the pose that an element's ``<origin>`` states."""
-    tag = element.find("origin")
-    roll, pitch, yaw = read_vector(tag, "rpy", (0.0, 0.0, 0.0))
-    rotation: Array = pin.rpy.rpyToMatrix(roll, pitch, yaw)
-    return Pose(read_vector(tag, "xyz", (0.0, 0.0, 0.0)), rotation)
+    placed = origin_of(element)
+    return Pose(np.array(placed.translation), np.array(placed.rotation))
+
+
+def _number(element: etree._Element | None, attribute: str, default: float) -> float:
+    text = None if element is None else element.get(attribute)
+    return default if text is None else float(text)
 
 
 def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
     element = joint.element
-    raw = read_vector(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
+    axis = element.find("axis")
+    raw = parse_numbers(None if axis is None else axis.get("xyz"), "1 0 0")
     length = float(np.linalg.norm(raw))
     limit = element.find("limit")
     limited = joint.kind in ("revolute", "prismatic") and limit is not None
@@ -89,9 +72,9 @@ def _joint(joint: UrdfJoint, pose: Pose) -> Joint:
         axis=pose.rotation @ raw / length if length > 0 else np.zeros(3),
         raw_axis=raw,
         stated=_stated(joint),
-        lower=read_number(limit, "lower", 0.0) if limited else -math.inf,
-        upper=read_number(limit, "upper", 0.0) if limited else math.inf,
-        effort=read_number(limit, "effort", math.inf),
+        lower=_number(limit, "lower", 0.0) if limited else -math.inf,
+        upper=_number(limit, "upper", 0.0) if limited else math.inf,
+        effort=_number(limit, "effort", math.inf),
     )
 
 
@@ -114,23 +97,12 @@ def _body(
 
 
 def _inertial(link: UrdfLink) -> Inertial | None:
-    element = link.inertial
-    if element is None:
+    element, stated = link.inertial, link.inertia
+    if element is None or stated is None:
         return None
-    pose = read_pose(element)
     tag = element.find("inertia")
-    tensor = np.zeros((3, 3))
-    rounding = 0.0
-    for attribute, (row, column) in INERTIA_ENTRIES.items():
-        tensor[row, column] = tensor[column, row] = read_number(tag, attribute, 0.0)
-        rounding = max(rounding, half_digit("0" if tag is None else tag.get(attribute, "0")))
-    return Inertial(
-        mass=read_number(element.find("mass"), "value", 0.0),
-        com=pose.position,
-        inertia=pose.rotation @ tensor @ pose.rotation.T,
-        stated=True,
-        rounding=rounding,
-    )
+    words = ["0" if tag is None else tag.get(word, "0") for word in INERTIA_ENTRIES]
+    return Inertial.of(stated, stated=True, rounding=max(map(half_digit, words)))
 
 
 def half_digit(text: str) -> float:
@@ -146,17 +118,17 @@ def half_digit(text: str) -> float:
 def _shape(
     file: UrdfFile, element: etree._Element, tag: etree._Element | None, collides: bool
 ) -> Shape:
-    pose, name = read_pose(element), element.get("name", "")
+    pose, name = _placed(element), element.get("name", "")
     if tag is None:
         return Shape(name, "none", pose, (), collides)
     kind = str(tag.tag)
     match kind:
         case "box":
-            size = tuple(read_vector(tag, "size", (0.0, 0.0, 0.0)) / 2)
+            size = tuple(parse_numbers(tag.get("size"), "0 0 0") / 2)
         case "sphere":
-            size = (read_number(tag, "radius", 0.0),)
+            size = (_number(tag, "radius", 0.0),)
         case "cylinder" | "capsule":
-            size = (read_number(tag, "radius", 0.0), read_number(tag, "length", 0.0) / 2)
+            size = (_number(tag, "radius", 0.0), _number(tag, "length", 0.0) / 2)
         case _:
             size = ()
     vertices = _mesh(file, tag) if kind == "mesh" else lambda: None
@@ -165,7 +137,7 @@ def _shape(
 
 def _mesh(file: UrdfFile, tag: etree._Element) -> Callable[[], Array | None]:
     filename = tag.get("filename", "")
-    scale = read_vector(tag, "scale", (1.0, 1.0, 1.0))
+    scale = parse_numbers(tag.get("scale"), "1 1 1")
 
     def vertices() -> Array | None:
         path = file.resolve_mesh(filename)

@@ -15,8 +15,7 @@ from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
-from pupper_analysis.sync.inertia import Mass
+from pupper_analysis.models.multibody import MultibodyTree
 
 Array = NDArray[np.float64]
 
@@ -111,16 +110,6 @@ def pair_robots(matched: Match, alignment: Alignment) -> MatchedRobots:
     )
 
 
-def place_joint(joint: TreeJoint) -> pin.SE3:
-    """Returns where a joint is in the frame of the body that carries it."""
-    return pin.SE3(joint.rotation, joint.position)
-
-
-def mass_of(body: TreeBody) -> Mass:
-    """Returns a body's mass."""
-    return Mass(body.mass, body.com, body.inertia)
-
-
 def _gauges(own: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
     """Returns {base or joint: its frame after from that before}, for one robot in two frames."""
     gauges = {own.base: pin.SE3.Identity()}
@@ -128,7 +117,7 @@ def _gauges(own: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
     while waiting:
         name = waiting.pop()
         before, after = own.joints[name], moved.joints[name]
-        gauge = place_joint(after).inverse() * gauges[before.parent] * place_joint(before)
+        gauge = after.placement.inverse() * gauges[before.parent] * before.placement
         gauges[name] = pin.SE3.Identity() if gauge.isIdentity(1e-12) else gauge
         waiting += own.children(name)
     return gauges

@@ -1,8 +1,10 @@
-"""Sums of rigid bodies: mass, first moment and inertia about an origin, which add up."""
+"""What is left of a rigid body, and whether two are the same."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import functools
+import operator
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -14,69 +16,27 @@ _TRIANGLE = 1e-6
 """By how much of itself a principal moment may exceed the sum of the others, for rounding."""
 
 
-@dataclass(frozen=True, eq=False)
-class Mass:
-    """What a body weighs, and how that is spread.
-
-    Attributes:
-        mass: kg.
-        com: (3,) m.
-        inertia: (3, 3) about the com (kg m^2).
-    """
-
-    mass: float
-    com: Array
-    inertia: Array
-
-    def moved(self, pose: pin.SE3) -> Mass:
-        """Describes it in another frame: x' = pose x."""
-        turn = np.array(pose.rotation)
-        com = turn @ self.com + np.array(pose.translation)
-        return Mass(self.mass, com, turn @ self.inertia @ turn.T)
-
-    def minus(self, others: list[Mass]) -> Mass | None:
-        """Takes others away; None if no mass is left."""
-        if not others:
-            return self
-        mass = self.mass - sum(other.mass for other in others)
-        if mass <= 0:
-            return None
-        moment = self.mass * self.com - sum(other.mass * other.com for other in others)
-        com = moment / mass
-        # About the com of what is left, so that no great numbers cancel.
-        inertia = self._about(com) - sum(other._about(com) for other in others)
-        return Mass(mass, com, inertia)
-
-    def _about(self, point: Array) -> Array:
-        arm = self.com - point
-        return self.inertia + self.mass * (float(arm @ arm) * np.eye(3) - np.outer(arm, arm))
-
-    @property
-    def is_physical(self) -> bool:
-        """Says whether a rigid body can be so."""
-        if not self.mass > 0:
-            return False
-        least, middle, greatest = np.linalg.eigvalsh(self.inertia)
-        return bool(least > 0 and least + middle >= (1 - _TRIANGLE) * greatest)
+def without_parts(whole: pin.Inertia, parts: Sequence[pin.Inertia]) -> pin.Inertia | None:
+    """Returns what is left of a body without some parts of it; None if no mass is left."""
+    if not whole.mass > sum(part.mass for part in parts):
+        return None if parts else whole
+    return functools.reduce(operator.sub, parts, whole)
 
 
-def total_mass(bodies: list[Mass]) -> Mass:
-    """Adds bodies up, in one frame."""
-    heavy = [body for body in bodies if body.mass > 0]
-    if not heavy:
-        return Mass(0.0, np.zeros(3), np.zeros((3, 3)))
-    mass = sum(body.mass for body in heavy)
-    com = np.array(sum(body.mass * body.com for body in heavy)) / mass
-    inertia = np.array(sum(body._about(com) for body in heavy))
-    return Mass(mass, com, inertia)
+def is_physical(body: pin.Inertia) -> bool:
+    """Says whether a rigid body can be so."""
+    if not body.mass > 0:
+        return False
+    least, middle, greatest = np.linalg.eigvalsh(np.array(body.inertia))
+    return bool(least > 0 and least + middle >= (1 - _TRIANGLE) * greatest)
 
 
-def is_same_mass(one: Mass, two: Mass, tolerance: float = 1e-11) -> bool:
+def is_same_body(one: pin.Inertia, two: pin.Inertia, tolerance: float = 1e-11) -> bool:
     """Says whether two bodies are the same but for rounding."""
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()), 1e-300)
     return bool(
         abs(one.mass - two.mass) <= tolerance * max(one.mass, two.mass)
-        and float(np.abs(one.com - two.com).max()) <= tolerance
+        and float(np.abs(one.lever - two.lever).max()) <= tolerance
         and float(np.abs(one.inertia - two.inertia).max()) <= tolerance * size
     )
 

@@ -11,15 +11,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import inertia_entries, rotation_from_quaternion
+from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_in_place import elements_within
 from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key, mass_of
-from pupper_analysis.sync.inertia import Mass, is_same_mass, total_mass, turned_like
+from pupper_analysis.sync.frames import Key
+from pupper_analysis.sync.inertia import is_physical, is_same_body, turned_like, without_parts
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.mjcf_side import MjcfSide
@@ -41,25 +42,25 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
         for key in keys:
             side.left[key] = diagnose("masses-scaled-to-total")
         return
-    wanted = mass_of(side.wanted.bodies[mover]).moved(side.sides.mjcf_frames[mover].inverse())
+    wanted = side.sides.mjcf_frames[mover].actInv(side.wanted.bodies[mover].rigid)
     top = model.body(side.sides.matched.mjcf_body[mover]).id
     group = [b for b in range(1, model.nbody) if model.body_weldid[b] == model.body_weldid[top]]
-    placed = {body: _mass(model, body).moved(_pose(side, body)) for body in group}
+    placed = {body: _pose(side, body).act(inertia_of_body(model, body)) for body in group}
     heavy = sorted((b for b in group if placed[b].mass > 0), key=lambda b: -placed[b].mass)
-    if is_same_mass(total_mass([placed[body] for body in heavy]), wanted):
+    if is_same_body(sum((placed[body] for body in heavy), pin.Inertia.Zero()), wanted):
         return
     plans: list[_Plan] = []
     copied = False
     for body in heavy or [top]:
         others = [placed[other] for other in heavy if other != body]
-        left = wanted.minus(others)
-        if left is None or (others and not left.is_physical):
+        left = without_parts(wanted, others)
+        if left is None or (others and not is_physical(left)):
             continue
         element = side.elements.body(str(model.body(body).name))
         if element is None:
             copied = True
             continue
-        inside = left.moved(_pose(side, body).inverse())
+        inside = _pose(side, body).actInv(left)
         plans += _plans(side, body, element, inside)
     if not plans:
         reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
@@ -80,19 +81,13 @@ def _pose(side: MjcfSide, body: int) -> pin.SE3:
     return side.sides.bodies[str(side.model.body(body).name)]
 
 
-def _mass(model: mujoco.MjModel, body: int) -> Mass:
-    axes = rotation_from_quaternion(model.body_iquat[body])
-    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    return Mass(float(model.body_mass[body]), np.array(model.body_ipos[body]), inertia)
-
-
-def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_Plan]:
+def _plans(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> list[_Plan]:
     """Returns the ways to give a body a mass, by the file's own words."""
-    inertial = element.child("inertial")
+    inertial = element.find("inertial")
     by_geoms = side.file.spec.compiler.inertiafromgeom
     ignored = by_geoms == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     if inertial is not None and not ignored:
-        now = _mass(side.model, body)
+        now = inertia_of_body(side.model, body)
         changes = inertial_changes(inertial, now, wanted, side.elements.units, side.digits)
         return [(len(changes), inertial, changes, None)]
     plans = list(_by_a_geom(side, body, element, wanted))
@@ -102,7 +97,7 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_P
         return []
     new = Element("inertial", {}, element.file, -1, element.line, element)
     words = {
-        "pos": side.digits.words([], wanted.com, 1.0),
+        "pos": side.digits.words([], wanted.lever, 1.0),
         "mass": side.digits.words([], np.array([wanted.mass])),
         "fullinertia": side.digits.words([], inertia_entries(wanted.inertia)),
     }
@@ -110,7 +105,7 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_P
     return [(_MANY, new, stated, diagnose("inertial-put-in"))]
 
 
-def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> list[_Plan]:
+def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> list[_Plan]:
     """Returns how the mass of one geom makes a body's mass, com and inertia right, if it does."""
     spec = side.robot.description.mjcf
     name = str(side.model.body(body).name)
@@ -133,7 +128,7 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
                 model = copy.copy(tried.compile())
         except (ValueError, RuntimeError):
             continue
-        if is_same_mass(_mass(model, model.body(name).id), wanted, 1e-10):
+        if is_same_body(inertia_of_body(model, model.body(name).id), wanted, 1e-10):
             own = "mass" in there.attributes
             how = None if own else diagnose("mass-of-class-stays")
             plans.append((1, there, {"mass": text}, how))
@@ -141,11 +136,11 @@ def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: Mass) -> lis
 
 
 def inertial_changes(
-    element: Element, now: Mass, wanted: Mass, units: AngleUnits, digits: Digits
+    element: Element, now: pin.Inertia, wanted: pin.Inertia, units: AngleUnits, digits: Digits
 ) -> dict[str, str]:
     """Returns the fewest changes by which an <inertial> states a mass, in the form that it has."""
     changes = {}
-    for attribute, values, floor in (("pos", wanted.com, 1.0), ("mass", [wanted.mass], 0.0)):
+    for attribute, values, floor in (("pos", wanted.lever, 1.0), ("mass", [wanted.mass], 0.0)):
         words = (element.get(attribute) or "").split()
         text = digits.words(words, np.array(values), floor)
         if text is not None:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Source, diagnose
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.digits import SAME
@@ -20,7 +20,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.orientation import orientation_change
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key, place_joint
+from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.mjcf_anchor import move_anchors
 from pupper_analysis.sync.mjcf_effort import write_effort
 from pupper_analysis.sync.mjcf_inertials import write_inertial
@@ -143,12 +143,9 @@ class MjcfSide(Side):
         parent = self.sides.own.joints[name].parent
         before = self.sides.mjcf_frames[parent].inverse()
         frame = self._body_pose(int(self.model.body_parentid[body]))
-        now = pin.SE3(
-            rotation_from_quaternion(self.model.body_quat[body]),
-            np.array(self.model.body_pos[body]),
-        )
-        joint = before * place_joint(self.wanted.joints[name]) * self.sides.mjcf_frames[name]
-        own = place_joint(self.sides.own.joints[name])
+        now = placement_of(self.model.body_quat[body], self.model.body_pos[body])
+        joint = before * self.wanted.joints[name].placement * self.sides.mjcf_frames[name]
+        own = self.sides.own.joints[name].placement
         wanted = frame.inverse() * joint * own.inverse() * frame * now
         around = self.elements.frame_of(element).inverse()
         now, wanted = around * now, around * wanted

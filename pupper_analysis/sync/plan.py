@@ -17,8 +17,8 @@ from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.models.urdf_in_place import UrdfInPlace
-from pupper_analysis.models.xml_bytes import Element, XmlDocument
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.results import Result
 from pupper_analysis.sync.absent import is_absent
 from pupper_analysis.sync.frames import Key, MatchedRobots, pair_robots
@@ -143,9 +143,14 @@ def make_plan(
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
     elements = MjcfInPlace(mjcf)
     theirs = list(mjcf.files)
-    in_place = UrdfInPlace(urdf, Digits.of(theirs, [urdf.path]))
-    plan = Plan(files, {files.urdf: in_place.document}, elements.documents)
-    into_urdf = UrdfSide(file=in_place, sides=both, wanted=both.urdf, digits=in_place.digits)
+    document = read_document(urdf.path)
+    plan = Plan(files, {files.urdf: document}, elements.documents)
+    into_urdf = UrdfSide(
+        tree=UrdfTree(document.root),
+        sides=both,
+        wanted=both.urdf,
+        digits=Digits.of(theirs, [urdf.path]),
+    )
     into_mjcf = MjcfSide(
         file=mjcf,
         elements=elements,

@@ -13,24 +13,23 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
-from pupper_analysis.models.digits import Digits
+from pupper_analysis.models.digits import SAME, Digits
 from pupper_analysis.models.multibody import TreeJoint
-from pupper_analysis.models.orientation import origin_changes, read_origin
-from pupper_analysis.models.urdf_in_place import UrdfInPlace, parent_of, pose_of
+from pupper_analysis.models.orientation import origin_changes
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key, mass_of, place_joint
-from pupper_analysis.sync.inertia import (
-    Mass,
-    is_same_mass,
-    total_mass,
-    turned_like,
-)
+from pupper_analysis.sync.frames import Key
+from pupper_analysis.sync.inertia import is_physical, is_same_body, turned_like, without_parts
 from pupper_analysis.sync.side import Side
 
 Array = NDArray[np.float64]
 
 Changes = dict[tuple[str, str], str]
 """{(path below an element, attribute): new value}."""
+
+UNKNOWN = {"effort": "0", "velocity": "1000"}
+"""What is written where nothing is known: 0 is what exporters write, which cross-checking knows to
+be none; but a velocity of 0 would be taken for one by whoever plans a motion."""
 
 _RANGE = ("lower limit", "upper limit")
 
@@ -42,13 +41,13 @@ class UrdfSide(Side):
     """A URDF that gets numbers of an MJCF.
 
     Attributes:
-        file: The file.
+        tree: Its links and joints, of elements that are to be written in place.
     """
 
-    file: UrdfInPlace
+    tree: UrdfTree
 
     def __post_init__(self) -> None:
-        self._links, self._above = self.file.links, self.file.above
+        self._links, self._above = self.tree.links, self.tree.above
         self._movers = {link: mover for mover, link in self.sides.matched.urdf_link.items()}
         self._compared = self.sides.matched.urdf_tree.links
 
@@ -75,13 +74,12 @@ class UrdfSide(Side):
         pose = pin.SE3.Identity()
         while link not in self._movers and link in self._above:
             joint = self._above[link]
-            pose = pose_of(joint) * pose
-            link = parent_of(joint)
+            pose, link = joint.origin * pose, joint.parent
         return pose
 
     def _mover(self, link: str) -> str:
         while link not in self._movers:
-            link = parent_of(self._above[link])
+            link = self._above[link].parent
         return self._movers[link]
 
     def _frame(self, key: Key) -> None:
@@ -91,23 +89,46 @@ class UrdfSide(Side):
             return
         owner, position = self.wanted.frames[name]
         inside = self.sides.urdf_frames[owner].inverse() * position
-        there = self._pose(parent_of(joint)).inverse() * inside
-        self.file.set_pose(joint, pin.SE3(np.array(pose_of(joint).rotation), there))
+        there = self._pose(joint.parent).inverse() * inside
+        self._set_pose(joint, pin.SE3(np.array(joint.origin.rotation), there))
 
     def _place(self, name: str) -> None:
         joint = self._joint(name)
-        parent = parent_of(joint)
-        frame = self.sides.urdf_frames[self._mover(parent)] * self._pose(parent)
-        self.file.set_pose(joint, frame.inverse() * place_joint(self.wanted.joints[name]))
+        frame = self.sides.urdf_frames[self._mover(joint.parent)] * self._pose(joint.parent)
+        self._set_pose(joint, frame.inverse() * self.wanted.joints[name].placement)
 
-    def _joint(self, name: str) -> Element:
-        return self.file.joints[self.sides.matched.urdf_joint[name]]
+    def _joint(self, name: str) -> UrdfJoint:
+        return self.tree.joints[self.sides.matched.urdf_joint[name]]
+
+    def _set_pose(self, joint: UrdfJoint, pose: pin.SE3) -> None:
+        """States where a joint's frame is in its parent's."""
+        for attribute, text in origin_changes(joint.element, pose, self.digits).items():
+            joint.element.ensure("origin").set(attribute, text)
 
     def _axis(self, name: str) -> None:
-        self.file.set_axis(self._joint(name), self.wanted.joints[name].axis)
+        """States a joint's axis, unless it has that direction."""
+        element, axis = self._joint(name).element, self.wanted.joints[name].axis
+        old = element.find("axis")
+        stated = (None if old is None else old.get("xyz")) or "1 0 0"
+        before = np.array(stated.split(), dtype=float)
+        text = self.digits.words(stated.split(), axis, 1.0)
+        apart = np.abs(before / float(np.linalg.norm(before)) - axis)
+        if text is not None and float(apart.max()) > SAME:
+            element.ensure("axis").set("xyz", text)
+
+    def _state(self, joint: UrdfJoint, kind: str, value: float, floor: float = 0.0) -> None:
+        """States a number of a joint; what is not above the floor is as good as 0."""
+        attribute = BY_KIND[kind]
+        assert attribute.urdf is not None
+        tag, word = attribute.urdf
+        stated = (joint.stated(attribute) or "").split()
+        text = self.digits.words(stated, np.array([value]), floor)
+        if text is not None:
+            joint.element.ensure(tag).set(word, text)
 
     def _limits(self, key: Key) -> None:
-        element, joint = self._joint(key[1]), self.wanted.joints[key[1]]
+        moved, joint = self._joint(key[1]), self.wanted.joints[key[1]]
+        element = moved.element
         finite = math.isfinite(joint.lower), math.isfinite(joint.upper)
         if element.get("type") == "continuous" and not any(finite):
             return
@@ -122,9 +143,8 @@ class UrdfSide(Side):
             element.set("type", "revolute")
             self.notes[key] = diagnose("joint-made-revolute")
         for kind in _RANGE:
-            attribute = BY_KIND[kind]
-            self.file.set_number(element, attribute, getattr(joint, attribute.field), 1.0)
-        self._complete(key, element)
+            self._state(moved, kind, getattr(joint, BY_KIND[kind].field), 1.0)
+        self._complete(key, moved)
 
     def _number(self, key: Key) -> None:
         kind, name = key
@@ -136,14 +156,17 @@ class UrdfSide(Side):
         if not math.isfinite(value):
             self.left[key] = diagnose("urdf-number-unlimited", kind=Term(kind))
             return
-        self.file.set_number(self._joint(name), BY_KIND[kind], value)
+        self._state(self._joint(name), kind, value)
         if kind == "effort":
             self._complete(key, self._joint(name))
 
-    def _complete(self, key: Key, joint: Element) -> None:
+    def _complete(self, key: Key, joint: UrdfJoint) -> None:
         """Gives a new <limit> what the format demands of it, though no file states it."""
-        for word, value in self.file.complete_limit(joint).items():
-            self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
+        limit = joint.element.find("limit")
+        for word, value in UNKNOWN.items() if limit is not None else ():
+            if limit.get(word) is None:
+                limit.set(word, value)
+                self.notes[key] = diagnose("limit-completed", attribute=word, value=value)
 
     def _members(self, mover: str) -> list[str]:
         """Returns the links that move with a joint, or are the base; the moved one first."""
@@ -152,75 +175,65 @@ class UrdfSide(Side):
         while waiting:
             here = waiting.pop(0)
             members += [here] if here in self._compared else []
-            waiting += [link for link in self.file.carried(here) if link not in self._movers]
+            carried = (joint.child for joint in self.tree.below.get(here, ()))
+            waiting += [link for link in carried if link not in self._movers]
         return members
 
     def _inertial(self, mover: str, keys: list[Key]) -> None:
         keys = [key for key in keys if key[0] in ("mass", "com", "inertia")]
         frame = self.sides.urdf_frames[mover].inverse()
-        wanted = mass_of(self.wanted.bodies[mover]).moved(frame)
+        wanted = frame.act(self.wanted.bodies[mover].rigid)
         members = self._members(mover)
-        own = {link: _stated(self._links[link]) for link in members}
-        placed = {link: mass.moved(self._pose(link)) for link, mass in own.items() if mass}
-        if is_same_mass(total_mass(list(placed.values())), wanted):
+        own = {link: self._links[link].inertia for link in members}
+        placed = {link: self._pose(link).act(one) for link, one in own.items() if one is not None}
+        placed = {link: one for link, one in placed.items() if one.mass > 0}
+        if is_same_body(sum(placed.values(), pin.Inertia.Zero()), wanted):
             return
         heavy = sorted(placed, key=lambda link: -placed[link].mass)
         found: list[tuple[str, Changes]] = []
         for link in heavy or members[:1]:
-            others = [mass for other, mass in placed.items() if other != link]
-            left = wanted.minus(others)
-            if left is None or (others and not left.is_physical):
+            others = [one for other, one in placed.items() if other != link]
+            left = without_parts(wanted, others)
+            if left is None or (others and not is_physical(left)):
                 continue
-            inside = left.moved(self._pose(link).inverse())
-            found.append((link, inertial_changes(self._links[link], inside, self.digits)))
+            inside = self._pose(link).actInv(left)
+            found.append((link, inertial_changes(self._links[link].element, inside, self.digits)))
         if not found:
             for key in keys:
                 self.left[key] = diagnose("no-link-to-change")
             return
         link, changes = min(found, key=lambda one: len(one[1]))
         for (path, attribute), text in changes.items():
-            element = self._links[link].ensure("inertial")
-            (element.ensure(path)).set(attribute, text)
+            element = self._links[link].element.ensure("inertial")
+            element.ensure(path).set(attribute, text)
         if len(heavy) > 1:
             told = diagnose("one-link-changed", links=len(heavy), link=link)
             self.notes.update(dict.fromkeys(keys, told))
 
 
-def _stated(link: Element) -> Mass | None:
-    """Returns the mass that a link states, in its frame; None if it states none."""
-    inertial = link.child("inertial")
-    weight = None if inertial is None else inertial.child("mass")
-    if inertial is None or weight is None or not float(weight.get("value") or 0) > 0:
-        return None
-    values = inertial.child("inertia")
-    own = np.array([float((values and values.get(name)) or 0) for name in INERTIA_ENTRIES])
-    mass = Mass(float(weight.get("value") or 0), np.zeros(3), inertia_tensor(own))
-    return mass.moved(read_origin(inertial.child("origin")))
-
-
-def inertial_changes(link: Element, wanted: Mass, digits: Digits) -> Changes:
+def inertial_changes(link: Element, wanted: pin.Inertia, digits: Digits) -> Changes:
     """Returns the fewest changes by which a link's inertial states a mass.
 
     Either the entries of the tensor change, or the axes in which they are given.
     """
-    inertial = link.child("inertial")
-    parts = {tag: inertial and inertial.child(tag) for tag in ("origin", "mass", "inertia")}
+    inertial = link.find("inertial")
+    weight, entry = (inertial and inertial.find(tag) for tag in ("mass", "inertia"))
     changes: Changes = {}
-    old = parts["mass"] and parts["mass"].get("value")
+    old = weight and weight.get("value")
     text = digits.words((old or "").split(), np.array([wanted.mass]))
     if text is not None:
         changes["mass", "value"] = text
-    rotation = np.array(read_origin(parts["origin"]).rotation)
-    entry = parts["inertia"]
+    rotation = np.array(origin_of(inertial).rotation)
     stated = [None if entry is None else entry.get(name) for name in INERTIA_ENTRIES]
-    inside = rotation.T @ wanted.inertia @ rotation
+    tensor = np.array(wanted.inertia)
+    inside = rotation.T @ tensor @ rotation
     turn = None
     numbers_now = inertia_tensor(np.array([float(word or 0) for word in stated]))
     of_tensor = dict(_tensor_changes(stated, inertia_entries(inside), digits))
     if len(of_tensor) > 1:
-        turn = turned_like(wanted.inertia, numbers_now, rotation)
-    pose = pin.SE3(rotation if turn is None else turn, wanted.com)
-    place = origin_changes(parts["origin"], pose, digits)
+        turn = turned_like(tensor, numbers_now, rotation)
+    pose = pin.SE3(rotation if turn is None else turn, np.array(wanted.lever))
+    place = origin_changes(inertial, pose, digits)
     if turn is None:
         changes |= of_tensor
     return changes | {("origin", attribute): text for attribute, text in place.items()}

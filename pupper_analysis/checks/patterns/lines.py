@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 
 from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.matching.alignment import in_body_frame
 from pupper_analysis.models.multibody import MultibodyTree, TreeJoint
 
 _PARALLEL = 1e-9  # sine of an angle
@@ -52,28 +52,10 @@ def with_line_of(values: MultibodyTree, other: MultibodyTree, name: str) -> Mult
         name: The joint.
     """
     mine, new = values.joints[name], other.joints[name]
-    before = pin.SE3(mine.rotation, mine.position)
-    put = pin.SE3(new.rotation, new.position).actInv(before)
+    put = new.placement.actInv(mine.placement)
     joint = replace(mine, position=new.position, rotation=new.rotation, axis=new.axis)
-    joints = {**values.joints, name: joint}
-    for child in values.children(name):
-        place = put * pin.SE3(values.joints[child].rotation, values.joints[child].position)
-        joints[child] = replace(
-            values.joints[child],
-            position=np.array(place.translation),
-            rotation=np.array(place.rotation),
-        )
-    body = values.bodies[name]
-    turned = replace(
-        body,
-        com=np.array(put.act(body.com)),
-        inertia=put.rotation @ body.inertia @ put.rotation.T,
-    )
-    frames = {
-        frame: (owner, np.array(put.act(place)) if owner == name else place)
-        for frame, (owner, place) in values.frames.items()
-    }
-    return replace(values, joints=joints, bodies={**values.bodies, name: turned}, frames=frames)
+    turned = in_body_frame(values, name, np.array(put.rotation), np.array(put.translation))
+    return replace(turned, joints={**turned.joints, name: joint})
 
 
 def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:

@@ -11,9 +11,9 @@ from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot_model.mjcf import line_of
 from pupper_analysis.robot_model.model import MjcfModel, UrdfModel
-from pupper_analysis.robot_model.urdf import read_vector
 
 FULL_TURN = 2 * math.pi + 1e-3
 
@@ -23,7 +23,7 @@ def rpy_in_degrees(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
     """Finds angles above 2 pi in magnitude in ``rpy`` and, in a file in radians, in ``euler``."""
     if isinstance(robot, UrdfModel):
         for element in robot.file.root.iter("origin"):
-            rpy = read_vector(element, "rpy", (0.0, 0.0, 0.0))
+            rpy = parse_numbers(element.get("rpy"), "0 0 0")
             if np.abs(rpy).max() > FULL_TURN:
                 owner = element.getparent()
                 while owner.tag not in ("link", "joint") and owner.getparent() is not None:

@@ -14,9 +14,9 @@ from pupper_analysis.diagnostics import Severity, Term, Vector, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.robot_model.mjcf import line_of
 from pupper_analysis.robot_model.model import MjcfModel, UrdfModel
-from pupper_analysis.robot_model.urdf import read_number, read_vector
 from pupper_analysis.robot_model.usd import UsdModel
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
@@ -79,14 +79,12 @@ def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
     for link, _, shape in _shapes(robot):
         tag = str(shape.tag)
         if tag == "box":
-            sizes = {"size": read_vector(shape, "size", (1.0, 1.0, 1.0))}
+            sizes = {"size": parse_numbers(shape.get("size"), "1 1 1")}
         elif tag == "mesh":
             # A negative factor mirrors: that is another rule's.
-            sizes = {"scale": np.abs(read_vector(shape, "scale", (1.0, 1.0, 1.0)))}
+            sizes = {"scale": np.abs(parse_numbers(shape.get("scale"), "1 1 1"))}
         else:
-            sizes = {
-                name: np.array([read_number(shape, name, 1.0)]) for name in _SIZES.get(tag, ())
-            }
+            sizes = {name: parse_numbers(shape.get(name), "1") for name in _SIZES.get(tag, ())}
         for name, values in sizes.items():
             bad = values < 0 if name == "length" else values <= 0
             if bad.any():
@@ -99,19 +97,20 @@ def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:
 def _shapes(robot: UrdfModel) -> Iterator[tuple[str, etree._Element, etree._Element]]:
     """Yields each shape's link, its <geometry>, and its element."""
     for name, link in robot.file.tree.links.items():
-        for geometry in link.geometries:
-            for shape in geometry.iterchildren(tag=etree.Element):
-                yield name, geometry, shape
+        for _, shape, _ in link.shapes:
+            geometry = shape.find("geometry")
+            for form in geometry.iterchildren(tag=etree.Element):
+                yield name, geometry, form
 
 
 @rule
 def geometry_empty(robot: UrdfModel) -> Iterator[Found]:
     """Finds <geometry> without an element in it."""
     for name, link in robot.file.tree.links.items():
-        for geometry in link.geometries:
-            if next(geometry.iterchildren(tag=etree.Element), None) is None:
-                place = Place(robot.file.path, geometry.sourceline)
-                told = diagnose("geometry-empty", tag=geometry.getparent().tag)
+        for tag, shape, form in link.shapes:
+            if form is None:
+                place = Place(robot.file.path, shape.find("geometry").sourceline)
+                told = diagnose("geometry-empty", tag=tag)
                 yield Found("link", name, told, place=place)
 
 
@@ -124,7 +123,7 @@ def mesh_mirrored(robot: UrdfModel) -> Iterator[Found]:
     mirrored: dict[int, list[tuple[str, etree._Element]]] = {1: [], 3: []}
     for link, _, shape in _shapes(robot):
         if shape.tag == "mesh":
-            negative = int((read_vector(shape, "scale", (1.0, 1.0, 1.0)) < 0).sum())
+            negative = int((parse_numbers(shape.get("scale"), "1 1 1") < 0).sum())
             mirrored.get(negative, []).append((link, shape))
     for count, found in mirrored.items():
         if found:
