@@ -95,7 +95,7 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         shapes.kinematics.com()
         shapes.kinematics.feet()
         watch.stop("of the errors: where com and feet are")
-        shapes.above_ground(point.qpos, goal.task.ground, goal.targets, goal.depths, moved=True)
+        shapes.above_ground(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
         watch.stop("of the errors: how high all parts are")
         pa.Stand(**vars(stand))
         watch.stop("of the errors: a Stand that is there already")

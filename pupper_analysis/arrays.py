@@ -69,8 +69,8 @@ def inertia_of(mass: float, com: Array, tensor: Array) -> pin.Inertia:
 
 
 def cross_matrices(vectors: Array) -> Array:
-    """Returns the matrices (n, 3, 3) that take x to v x x, of vectors v (n, 3)."""
-    matrices: Array = (vectors @ _CROSSES).reshape(-1, 3, 3)
+    """Returns the matrices (..., 3, 3) that take x to v x x, of vectors v (..., 3)."""
+    matrices: Array = (vectors @ _CROSSES).reshape(*vectors.shape, 3)
     return matrices
 
 

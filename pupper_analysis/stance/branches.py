@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.arrays import cross_matrices
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.robot.robot import Robot
@@ -127,7 +128,7 @@ def find_branches(
     low = np.where(np.isfinite(lower), lower, -math.pi)
     high = np.where(np.isfinite(upper), upper, math.pi)
     starts = np.random.default_rng(0).uniform(low, high, (_SAMPLES, robot.nu))
-    positions, misses = _Solver(robot, qpos, targets, lower, upper).run(starts, np.zeros(3))
+    positions, misses = _Descent(robot, qpos, targets, lower, upper).run(starts, np.zeros(3))
     turning = robot.pin_convention.unbounded
     positions[:, turning] = _turned(positions[:, turning])
     positions = _unwound(robot, positions, lower, upper)
@@ -165,9 +166,9 @@ def follow_branches(
     for limb, ways in found.items():
         for row in range(count):
             starts[row, limb.joints] = ways[row % len(ways)].positions
-    solver = _Solver(robot, qpos, targets, lower, upper)
+    descent = _Descent(robot, qpos, targets, lower, upper)
     shifts = np.repeat(moves, count, axis=0)
-    positions, misses = solver.run(np.tile(starts, (len(moves), 1)), shifts, _FEW)
+    positions, misses = descent.run(np.tile(starts, (len(moves), 1)), shifts, _FEW)
     turning = robot.pin_convention.unbounded
     return {
         limb: [
@@ -216,51 +217,33 @@ def _turned(angle: Array) -> Array:
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
-@dataclass(frozen=True, eq=False)
-class _Alike:
-    """Limbs with as many feet and joints as each other, whose steps are taken together.
+class _Descent:
+    """Levenberg and Marquardt's method from many starts, each limb with a damping of its own.
 
-    Attributes:
-        limbs: The l limbs.
-        joints: (l, n) numbers of their joints.
-        frames: (l, f) Pinocchio's numbers of their feet's frames.
-        targets: (l, f, 3) where these shall be (m).
+    Args: as ``find_branches``.
     """
-
-    limbs: tuple[Limb, ...]
-    joints: IntArray
-    frames: IntArray
-    targets: Array
-
-
-class _Solver:
-    """Levenberg and Marquardt's method on all limbs and starts at once."""
 
     def __init__(
         self, robot: Robot, qpos: Array, targets: Mapping[str, Array], lower: Array, upper: Array
     ) -> None:
-        self.robot, self.model = robot, robot.pin_model
-        self.data = self.model.createData()
-        self.q = robot.pin_convention.q(qpos)
-        self.rest = qpos[robot.nq - robot.nu :]
-        self.lower, self.upper = lower, upper
-        shapes: dict[tuple[int, int], list[Limb]] = {}
-        for limb in find_limbs(robot):
-            shapes.setdefault((len(limb.feet), len(limb.joints)), []).append(limb)
-        self.groups = []
-        for alike in shapes.values():
-            frames = [
-                [self.model.getFrameId(robot.foot_frames[f], pin.FrameType.BODY) for f in limb.feet]
-                for limb in alike
-            ]
-            self.groups.append(
-                _Alike(
-                    limbs=tuple(alike),
-                    joints=np.array([limb.joints for limb in alike]),
-                    frames=np.array(frames),
-                    targets=np.array([[targets[foot] for foot in limb.feet] for limb in alike]),
-                )
-            )
+        model = robot.pin_model
+        self._robot, self._model, self._data = robot, model, model.createData()
+        self._q = robot.pin_convention.q(qpos)
+        self._rest = qpos[robot.nq - robot.nu :]
+        self._lower, self._upper = lower, upper
+        self._targets = np.array([targets[foot] for foot in robot.feet])
+        frames = [robot.foot_frames[foot] for foot in robot.feet]
+        self._frames = [model.getFrameId(frame, pin.FrameType.BODY) for frame in frames]
+        above = [
+            {model.names[one] for one in model.supports[model.frames[frame].parentJoint]}
+            for frame in self._frames
+        ]
+        self._moves = np.array([[name in own for name in robot.joint_names] for own in above])
+        self._limbs = find_limbs(robot)
+        self._feet, self._joints = np.empty(len(self._targets), int), np.full(robot.nu, -1)
+        for number, limb in enumerate(self._limbs):
+            self._feet[[foot in limb.feet for foot in robot.feet]] = number
+            self._joints[limb.joints] = number
 
     def run(
         self, starts: Array, moves: Array, iterations: int = _ITERATIONS
@@ -272,97 +255,63 @@ class _Solver:
             moves: (k, 3), or (3,), by how much the base is moved for each (m).
             iterations: How many at most.
         """
-        moves = np.broadcast_to(moves, (len(starts), 3))
-        joints = np.clip(starts, self.lower, self.upper)
-        moved = np.concatenate([group.joints.ravel() for group in self.groups])
-        resting = np.setdiff1d(np.arange(self.robot.nu), moved)
-        joints[:, resting] = self.rest[resting]
-        errors, jacobians = self._evaluate(joints, moves)
-        damping = [np.full((len(joints), len(group.limbs)), _DAMPING) for group in self.groups]
+        targets = self._targets - np.broadcast_to(moves, (len(starts), 3))[:, None]
+        joints = np.where(self._joints < 0, self._rest, np.clip(starts, self._lower, self._upper))
+        errors, jacobians = self._evaluate(joints, targets)
+        damping = np.full((len(joints), len(self._limbs)), _DAMPING)
         active = np.arange(len(joints))
         for _ in range(iterations):
-            now = joints[active]
-            tried = now.copy()
-            for number, group in enumerate(self.groups):
-                step = self._step(
-                    errors[number][active],
-                    jacobians[number][active],
-                    now[:, group.joints],
-                    group,
-                    damping[number][active],
-                )
-                tried[:, group.joints] += step
-            tried = np.clip(tried, self.lower, self.upper)
+            now, error, jacobian = joints[active], errors[active], jacobians[active]
+            step = self._step(error, jacobian, now, damping[active][:, self._joints])
+            tried = np.clip(now + step, self._lower, self._upper)
             moving = np.abs(tried - now).max(axis=1) > _ARRIVED
-            active, tried = active[moving], tried[moving]
+            active, now, tried, error = active[moving], now[moving], tried[moving], error[moving]
             if not len(active):
                 break
-            new_errors, new_jacobians = self._evaluate(tried, moves[active])
-            for number, group in enumerate(self.groups):
-                old, new = errors[number][active], new_errors[number]
-                better = (new**2).sum(axis=2) < (old**2).sum(axis=2)  # (k, l)
-                rows, ways = np.nonzero(better)
-                joints[active[rows][:, None], group.joints[ways]] = tried[
-                    rows[:, None], group.joints[ways]
-                ]
-                errors[number][active[rows], ways] = new[better]
-                jacobians[number][active[rows], ways] = new_jacobians[number][better]
-                factor = np.where(better, 0.1, 8.0)
-                damping[number][active] = np.clip(
-                    damping[number][active] * factor, _LEAST_DAMPING, _MOST_DAMPING
-                )
-        misses: dict[Limb, Array] = {}
-        for group, error in zip(self.groups, errors, strict=True):
-            away = np.linalg.norm(error.reshape(*error.shape[:2], -1, 3), axis=3).max(axis=2)
-            misses |= {limb: away[:, way] for way, limb in enumerate(group.limbs)}
-        return joints, misses
+            new_error, new_jacobian = self._evaluate(tried, targets[active])
+            better = self._squares(new_error) < self._squares(error)  # (k, limbs)
+            feet = better[:, self._feet, None]
+            joints[active] = np.where(better[:, self._joints], tried, now)
+            errors[active] = np.where(feet, new_error, error)
+            jacobians[active] = np.where(feet[..., None], new_jacobian, jacobian[moving])
+            changed = damping[active] * np.where(better, 0.1, 8.0)
+            damping[active] = np.clip(changed, _LEAST_DAMPING, _MOST_DAMPING)
+        away = np.linalg.norm(errors, axis=2)
+        return joints, {
+            limb: away[:, self._feet == number].max(axis=1)
+            for number, limb in enumerate(self._limbs)
+        }
 
-    def _step(
-        self, error: Array, jacobian: Array, joints: Array, group: _Alike, damping: Array
-    ) -> Array:
-        """Returns damped steps (k, l, n); joints that would leave their range stay at its end."""
-        gradient = np.einsum("klij,kli->klj", jacobian, error)
-        at_low = (joints <= self.lower[group.joints]) & (gradient > 0)
-        at_high = (joints >= self.upper[group.joints]) & (gradient < 0)
-        free = ~(at_low | at_high)
-        jacobian = jacobian * free[:, :, None, :]
-        normal = np.einsum("klij,klim->kljm", jacobian, jacobian)
-        diagonal = np.arange(normal.shape[2])
-        normal[:, :, diagonal, diagonal] += damping[:, :, None]
-        step: Array = -np.linalg.solve(normal, (gradient * free)[..., None])[..., 0]
+    def _squares(self, errors: Array) -> Array:
+        """Returns the sum of each limb's squared errors (k, limbs)."""
+        squares: Array = (errors**2).sum(axis=2) @ (self._feet[:, None] == range(len(self._limbs)))
+        return squares
+
+    def _step(self, errors: Array, jacobians: Array, joints: Array, damping: Array) -> Array:
+        """Returns damped steps (k, nu); joints that would leave their range stay at its end."""
+        rows = jacobians.reshape(len(joints), -1, joints.shape[1])
+        gradient = np.einsum("kij,ki->kj", rows, errors.reshape(len(joints), -1))
+        held = (joints <= self._lower) & (gradient > 0) | (joints >= self._upper) & (gradient < 0)
+        rows = np.where(held[:, None], 0.0, rows)
+        normal = rows.transpose(0, 2, 1) @ rows
+        diagonal = np.arange(joints.shape[1])
+        normal[:, diagonal, diagonal] += damping
+        step: Array = -np.linalg.solve(normal, np.where(held, 0.0, gradient)[..., None])[..., 0]
         return step
 
-    def _evaluate(self, joints: Array, moves: Array) -> tuple[list[Array], list[Array]]:
-        """Returns per group the errors (k, l, 3 f) and their Jacobians (k, l, 3 f, n)."""
-        convention, model, data = self.robot.pin_convention, self.model, self.data
-        frames = [int(frame) for group in self.groups for frame in group.frames.ravel()]
-        places = np.empty((len(joints), len(frames), 3))
-        columns = np.empty((len(joints), 6, len(convention.v_index)))
+    def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
+        """Returns the feet's errors (k, f, 3) and their Jacobians (k, f, 3, nu)."""
+        convention, model, data = self._robot.pin_convention, self._model, self._data
+        places = np.empty(targets.shape)
+        columns = np.empty((len(joints), 1, 6, len(convention.v_index)))
         for index, row in enumerate(joints):
-            pin.computeJointJacobians(model, data, convention.with_joints(self.q, row))
+            pin.computeJointJacobians(model, data, convention.with_joints(self._q, row))
             pin.updateFramePlacements(model, data)
             columns[index] = data.J.reshape(6, -1)[:, convention.v_index]
-            for number, frame in enumerate(frames):
-                places[index, number] = data.oMf[frame].translation
-        errors, jacobians, first = [], [], 0
-        for group in self.groups:
-            at = places[:, first : first + group.frames.size]
-            at = at.reshape(len(joints), *group.frames.shape, 3)
-            first += group.frames.size
-            # Feet go with a base that is moved.
-            off = at + moves[:, None, None] - group.targets
-            errors.append(off.reshape(*at.shape[:2], -1))
-            # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
-            own = columns[:, :, group.joints][:, :, :, None]  # (k, 6, l, 1, n)
-            x, y, z = (at[..., axis, None] for axis in range(3))  # (k, l, f, 1)
-            turning = (
-                own[:, 4] * z - own[:, 5] * y,
-                own[:, 5] * x - own[:, 3] * z,
-                own[:, 3] * y - own[:, 4] * x,
-            )
-            velocity = np.stack([own[:, axis] + turning[axis] for axis in range(3)], axis=3)
-            jacobians.append(velocity.reshape(*at.shape[:2], -1, group.joints.shape[1]))
-        return errors, jacobians
+            places[index] = [data.oMf[frame].translation for frame in self._frames]
+        # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
+        rates = columns[:, :, :3] - cross_matrices(places) @ columns[:, :, 3:]
+        return places - targets, rates * self._moves[:, None]
 
 
 def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> Iterator[Array]:

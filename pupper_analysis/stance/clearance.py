@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import coal  # comes with pin
 import numpy as np
@@ -22,7 +23,6 @@ from pupper_analysis.stance.solids import SolidPair, Solids, measure_distance, t
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -38,6 +38,22 @@ class Clearance(Result):
     links: tuple[str, ...]
 
 
+class OffGround(NamedTuple):
+    """A shape that is no foot, and shall be above the ground.
+
+    Attributes:
+        number: Which of the robot's shapes.
+        shape: The shape.
+        form: The same in closed form.
+        sunk: The foot into whose sphere it reaches, if it does.
+    """
+
+    number: int
+    shape: ContactShape
+    form: Part
+    sunk: str | None
+
+
 class ClearanceShapes:
     """The shapes with which MuJoCo has a robot touch: of meshes the convex hulls.
 
@@ -45,12 +61,13 @@ class ClearanceShapes:
         robot: The robot.
         shapes: Its shapes, those of the feet included.
         kinematics: Where its com and feet are.
+        parts: The shapes that are no feet.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot, self.kinematics = robot, Kinematics(robot.structure)
         self.shapes: tuple[ContactShape, ...] = robot.shapes
-        self._parts = [*self._not_feet()]
+        self.parts = [*self._not_feet()]
 
     def at(self, qpos: ArrayLike) -> Kinematics:
         """Takes ``kinematics`` to a configuration (nq,), and returns it.
@@ -61,11 +78,6 @@ class ClearanceShapes:
         """
         self.kinematics.move(self.robot.structure.state(qpos))
         return self.kinematics
-
-    @property
-    def off_ground(self) -> IntArray:
-        """Numbers of the shapes that are no feet."""
-        return np.array([index for index, _, _ in self._parts], dtype=np.int64)
 
     @functools.cached_property
     def _solids(self) -> Solids:
@@ -96,135 +108,18 @@ class ClearanceShapes:
 
     def between_links(self, qpos: Array) -> Clearance | None:
         """Returns the least distance between links that are not neighbours, if there are such."""
-        nearest = self._nearest_pairs(qpos, 1)
-        if not nearest:
-            return None
-        one, other, near = nearest[0]
-        return Clearance(float(near.min_distance), (self.shapes[one].link, self.shapes[other].link))
+        for pair in self.nearest_pairs(qpos, 1):
+            links = self.shapes[pair.one].link, self.shapes[pair.other].link
+            return Clearance(pair.distance, links)
+        return None
 
-    def above_ground(
-        self,
-        qpos: Array,
-        ground: Ground,
-        places: Mapping[str, Array],
-        depths: Mapping[str, float],
-        *,
-        moved: bool = False,
-    ) -> Clearance | None:
-        """Returns how high the lowest part other than the feet is above slope and steps.
-
-        See ``heights``; ``moved`` says that ``kinematics`` has been taken there.
-        """
-        found = self._heights(qpos, ground, places, depths, moved=moved)
-        if not found:
-            return None
-        lowest, height = min(found, key=_height)
-        return Clearance(height, (self.shapes[lowest].link,))
-
-    def heights(
-        self,
-        qpos: Array,
-        ground: Ground,
-        places: Mapping[str, Array],
-        depths: Mapping[str, float],
-        *,
-        moved: bool = False,
-    ) -> Array:
-        """Returns how high each shape (n,) is above slope and steps (m); infinite for the feet.
-
-        All shapes on the link of a flat foot are the foot. A shape that reaches into its own foot's
-        sphere, as a calf's does, may be as deep in the ground as the foot.
-
-        Args:
-            qpos: (nq,) the configuration.
-            ground: The ground.
-            places: {foot: (3,) of its centre (m)}, for the steps.
-            depths: {foot: how deep it is in the ground (m)}.
-            moved: Says that ``kinematics`` has been taken there.
-        """
-        heights = np.full(len(self.shapes), np.inf)
-        for index, height in self._heights(qpos, ground, places, depths, moved=moved):
-            heights[index] = height
-        return heights
-
-    def _heights(
-        self,
-        qpos: Array,
-        ground: Ground,
-        places: Mapping[str, Array],
-        depths: Mapping[str, float],
-        *,
-        moved: bool = False,
-    ) -> list[tuple[int, float]]:
-        """Returns number and height of each shape that is no foot; see ``heights``."""
-        steps = ground.heights and any(height > 0 for height in ground.heights.values())
-        if not steps:
-            if not moved:
-                self.kinematics.move(self.robot.structure.state(qpos))
-            return self._above_plane(ground, depths)
-        return [
-            (index, float(near.min_distance) + depth)
-            for index, near, depth in self._above(qpos, ground, places, depths)
-        ]
-
-    def _above_plane(self, ground: Ground, depths: Mapping[str, float]) -> list[tuple[int, float]]:
-        """Returns number and height of what is no foot above a plane, where ``kinematics`` is."""
-        normal: Direction = tuple(ground.normal().tolist())
-        found, link_of = [], self.kinematics.link
-        for index, part, sunk in self._parts:
-            height = part.height(link_of(part.link), normal)
-            found.append((index, height if sunk is None else height + depths.get(sunk, 0.0)))
-        return found
-
-    def moved_by(self, joints: IntArray) -> BoolArray:
-        """Tells of each shape (n,), feet included, whether one of some joints moves it.
-
-        Args:
-            joints: Their numbers, in actuator order.
-        """
-        model, names = self.robot.pin_model, self.robot.joint_names
-        moving = {model.getJointId(names[joint]) for joint in joints}
-        own = [model.getJointId(shape.joint) if shape.joint else 0 for shape in self.shapes]
-        return np.array([bool(moving & set(model.supports[joint])) for joint in own])
-
-    def height_rates(
-        self, qpos: Array, ground: Ground, places: Mapping[str, Array], depths: Mapping[str, float]
-    ) -> Array:
-        """Returns how ``heights`` change (n, nv) with the robot's motion.
-
-        Zero for the feet. What is nearest moves as the part of the shape that is there.
-        """
-        robot = self.robot
-        at = Configuration(robot, qpos)
-        rates = np.zeros((len(self.shapes), robot.nv))
-        if any(ground.heights.values()):
-            found = [
-                (index, near.getNearestPoint1(), -near.normal)
-                for index, near, _ in self._above(qpos, ground, places, depths)
-            ]
-        else:
-            normal = ground.normal()
-            self.kinematics.move(at.qpos)
-            link = self.kinematics.link
-            found = [
-                (n, part.lowest(link(part.link), normal), normal) for n, part, _ in self._parts
-            ]
-        for index, point, out in found:
-            rates[index] = out @ at.point_jacobian(self.shapes[index].link, point)
-        return rates
-
-    def distances(self, qpos: Array, most: int) -> Array:
-        """Returns the least distances between links that are not neighbours, in order (m).
-
-        Args:
-            qpos: (nq,) the configuration.
-            most: How many at most.
-        """
-        return np.array([pair.distance for pair in self._nearest_pairs(qpos, most)])
+    def nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
+        """Returns the nearest pairs of shapes on links that are not neighbours, in order."""
+        return self._solids.nearest_pairs(qpos, self._pairs, most)
 
     def distance_rates(self, at: Configuration, most: int) -> Array:
-        """Returns how ``distances`` change (n, nv) with the robot's motion."""
-        found = self._nearest_pairs(at.qpos, most)
+        """Returns how the distances of ``nearest_pairs`` change (n, nv) with the robot's motion."""
+        found = self.nearest_pairs(at.qpos, most)
         rates = np.zeros((len(found), self.robot.nv))
         for row, (one, other, near) in zip(rates, found, strict=True):
             ends = (one, near.getNearestPoint1(), -1), (other, near.getNearestPoint2(), 1)
@@ -233,17 +128,76 @@ class ClearanceShapes:
                 row += sign * (near.normal @ moved)
         return rates
 
-    def _nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
-        return self._solids.nearest_pairs(qpos, self._pairs, most)
-
-    def _above(
+    def above_ground(
         self,
-        qpos: Array,
+        at: Kinematics,
         ground: Ground,
         places: Mapping[str, Array],
         depths: Mapping[str, float],
-    ) -> Iterator[tuple[int, coal.DistanceResult, float]]:
-        """Yields each shape's number, what of the ground is nearest, and how deep it may be."""
+    ) -> Clearance | None:
+        """Returns how high the lowest part other than the feet is above slope and steps.
+
+        See ``heights``.
+        """
+        heights = self.heights(at, ground, places, depths)
+        if not heights:
+            return None
+        lowest = min(heights)
+        return Clearance(lowest, (self.parts[heights.index(lowest)].shape.link,))
+
+    def heights(
+        self,
+        at: Kinematics,
+        ground: Ground,
+        places: Mapping[str, Array],
+        depths: Mapping[str, float],
+    ) -> list[float]:
+        """Returns how high each of ``parts`` is above slope and steps (m).
+
+        A part that reaches into its own foot's sphere, as a calf's does, may be as deep in the
+        ground as the foot.
+
+        Args:
+            at: Where the robot is.
+            ground: The ground.
+            places: {foot: (3,) of its centre (m)}, for the steps.
+            depths: {foot: how deep it is in the ground (m)}.
+        """
+        if _is_plane(ground):
+            normal: Direction = tuple(ground.normal().tolist())
+            heights = [part.form.height(at.link(part.form.link), normal) for part in self.parts]
+        else:
+            heights = [
+                float(near.min_distance) for near in self._above_steps(at.qpos, ground, places)
+            ]
+        return [
+            height if part.sunk is None else height + depths.get(part.sunk, 0.0)
+            for height, part in zip(heights, self.parts, strict=True)
+        ]
+
+    def height_rates(self, at: Configuration, ground: Ground, places: Mapping[str, Array]) -> Array:
+        """Returns how ``heights`` change (n, nv) with the robot's motion.
+
+        What is nearest moves as the point of the part that is there.
+        """
+        link = self.at(at.qpos).link
+        if _is_plane(ground):
+            normal = ground.normal()
+            forms = [part.form for part in self.parts]
+            ends = [(form.lowest(link(form.link), normal), normal) for form in forms]
+        else:
+            steps = self._above_steps(at.qpos, ground, places)
+            ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
+        rates = [
+            out @ at.point_jacobian(part.shape.link, point)
+            for part, (point, out) in zip(self.parts, ends, strict=True)
+        ]
+        return np.array(rates).reshape(-1, self.robot.nv)
+
+    def _above_steps(
+        self, qpos: Array, ground: Ground, places: Mapping[str, Array]
+    ) -> Iterator[coal.DistanceResult]:
+        """Yields what of slope and steps is nearest to each of ``parts``."""
         at = self._solids.placed(qpos)
         obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
             (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
@@ -251,17 +205,13 @@ class ClearanceShapes:
         for centre, half in ground.steps(places).values():
             box = coal.Box(2 * half)
             obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
-        for index, _, sunk in self._parts:
-            solid, where = self.shapes[index].solid, to_transform(at[index])
-            near = [measure_distance(solid, where, *obstacle) for obstacle in obstacles]
-            depth = 0.0 if sunk is None else depths.get(sunk, 0.0)
-            if len(near) == 1:
-                yield index, near[0], depth
-            else:
-                yield index, min(near, key=lambda found: float(found.min_distance)), depth
+        for part in self.parts:
+            where = to_transform(at[part.number])
+            near = [measure_distance(part.shape.solid, where, *one) for one in obstacles]
+            yield min(near, key=lambda found: float(found.min_distance))
 
-    def _not_feet(self) -> Iterator[tuple[int, Part, str | None]]:
-        """Yields number and form of each shape that is no foot, and the foot it reaches into.
+    def _not_feet(self) -> Iterator[OffGround]:
+        """Yields each shape that is no foot.
 
         A flat foot and the shapes on its link move as one body, so that it is told once for all.
         """
@@ -282,7 +232,7 @@ class ClearanceShapes:
             sunk = feet.get(shape.joint)
             if sunk is not None and not self._reaches_into(shape, sunk):
                 sunk = None
-            yield index, to_part(shape), sunk
+            yield OffGround(index, shape, to_part(shape), sunk)
 
     def _reaches_into(self, shape: ContactShape, foot: str) -> bool:
         """Whether a shape on the link of a foot reaches into the foot's sphere."""
@@ -298,5 +248,6 @@ def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:
     return np.array([*pairs], dtype=np.int64).reshape(-1, 2)
 
 
-def _height(found: tuple[int, float]) -> float:
-    return found[1]
+def _is_plane(ground: Ground) -> bool:
+    """Tells whether no step rises above the slope."""
+    return all(height <= 0 for height in ground.heights.values())

@@ -30,7 +30,8 @@ TASK_TOLERANCE = 1e-9
 """Error up to which a task counts as satisfied (m, rad)."""
 
 TOUCHING = 1e-6
-"""How much nearer than allowed parts may come (m): rounding."""
+"""How much nearer than allowed parts may come (m): rounding. A search aims at half of it: at the
+end of reach it is all that there is."""
 
 _PAIRS = 12
 """Pairs of links that are looked at, the nearest: of a quadruped's 300 no more touch at once."""
@@ -46,13 +47,11 @@ class Constraint:
         name: As ``stance/fields.toml`` has it.
         equal: Whether the residual shall be zero; otherwise it shall not be negative.
         given: Whether every configuration that is tried fulfils it: the base's height and turn.
-        clears: Whether it keeps parts off each other, or off the ground.
     """
 
     name: ClassVar[str]
     equal: ClassVar[bool] = False
     given: ClassVar[bool] = False
-    clears: ClassVar[bool] = False
     _reads: ClassVar[frozenset[str]] = frozenset()
 
     # A stand is measured in 50 us: nothing is made here that only a search or a refusal asks for.
@@ -264,7 +263,7 @@ class JointLimits(Constraint):
 class GroundClearance(Constraint):
     """Every part but the feet is above the ground by the task's clearance."""
 
-    name, clears = "ground-clearance", True
+    name = "ground-clearance"
 
     _reads = frozenset({"ground", "ground_clearance"})
 
@@ -276,35 +275,30 @@ class GroundClearance(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        heights = self._shapes.heights(
-            at.qpos, goal.task.ground, goal.targets, goal.depths, moved=True
-        )
-        above: Array = heights[self._shapes.off_ground] - goal.task.ground_clearance
-        return above
+        heights = self._shapes.heights(at, goal.task.ground, goal.targets, goal.depths)
+        return np.array(heights) - goal.task.ground_clearance + TOUCHING / 2
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        rates = self._shapes.height_rates(at.qpos, goal.task.ground, goal.targets, goal.depths)
-        own: Array = rates[self._shapes.off_ground]
-        return own
+        return self._shapes.height_rates(at, goal.task.ground, goal.targets)
 
     def nearest(self, goal: Goal, at: Kinematics) -> Clearance | None:
         """Returns how high the lowest part is; None of a robot without any."""
-        return self._shapes.above_ground(
-            at.qpos, goal.task.ground, goal.targets, goal.depths, moved=True
-        )
+        return self._shapes.above_ground(at, goal.task.ground, goal.targets, goal.depths)
 
 
 class SelfClearance(Constraint):
     """Links that are not neighbours are apart by the task's clearance."""
 
-    name, clears = "self-clearance", True
+    name = "self-clearance"
 
     _reads = frozenset({"self_clearance"})
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        return self._shapes.distances(at.qpos, _PAIRS) - (goal.task.self_clearance or 0.0)
+        pairs = self._shapes.nearest_pairs(at.qpos, _PAIRS)
+        least = (goal.task.self_clearance or 0.0) - TOUCHING / 2
+        return np.array([pair.distance for pair in pairs]) - least
 
     def rates(self, _: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""

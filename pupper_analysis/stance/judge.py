@@ -247,6 +247,6 @@ def is_base_in_ground(shapes: ClearanceShapes, goal: Goal) -> bool:
         return False
     qpos = shapes.robot.home.copy()
     qpos[:7] = 0.0, 0.0, goal.height, *goal.turn
-    heights = shapes.heights(shapes.robot.structure.state(qpos), Ground(), {}, goal.depths)
-    own = [height for height, shape in zip(heights, shapes.shapes, strict=True) if not shape.joint]
+    heights = shapes.heights(shapes.at(qpos), Ground(), {}, goal.depths)
+    own = [one for one, part in zip(heights, shapes.parts, strict=True) if not part.shape.joint]
     return min(own, default=math.inf) < goal.task.ground_clearance - TOUCHING

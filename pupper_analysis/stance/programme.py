@@ -133,7 +133,6 @@ class Programme:
         goal: What is asked.
         demands: Which demands may give.
         without: Constraints that are left out, by name.
-        allowed: How much nearer than they shall parts may come (m).
     """
 
     def __init__(
@@ -143,7 +142,6 @@ class Programme:
         demands: Sequence[str] = (),
         *,
         without: Collection[str] = (),
-        allowed: float = 0.0,
     ) -> None:
         robot = self._robot = shapes.robot
         self._shapes, self._goal, self._demands = shapes, goal, tuple(demands)
@@ -153,7 +151,6 @@ class Programme:
         kept = [one for one in own if one.name not in without]
         self._constraints: list[Constraint] = sorted(kept, key=lambda one: not one.equal)
         self._unit = robot.stand_height
-        self._allowed = allowed
         self._numbers = numbers = Numbers(robot, goal.task, demands)
         least, most = (
             (end - numbers.values) / numbers.units for end in (numbers.low, numbers.high)
@@ -290,10 +287,7 @@ class Programme:
         qpos[:2], qpos[2], qpos[3:7] = self._unit * x[:2], goal.height, goal.turn
         qpos[7:] = x[2 : 2 + self._robot.nu]
         at = self._shapes.at(qpos)
-        residuals = tuple(
-            one.residual(goal, at) + (self._allowed if one.clears else 0.0)
-            for one in self._constraints
-        )
+        residuals = tuple(one.residual(goal, at) for one in self._constraints)
         return _Point(x.copy(), at.qpos, goal, residuals)
 
     def _goal_at(self, values: Array, like: Goal) -> Goal:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.branches import Branch, Limb, find_branches
-from pupper_analysis.stance.collision_free_seeds import collision_free_seeds
-from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING
+from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import Stand, evaluate_stand, is_base_in_ground
 from pupper_analysis.stance.problem import Goal, has_spare_joints
@@ -22,11 +21,9 @@ from pupper_analysis.stance.seeds import (
     NEAR_MISS,
     bound_com_shift,
     branch_seeds,
-    com_seeds,
     make_seed,
-    make_seeds,
     posture_seeds,
-    random_seeds,
+    shifted_seeds,
     support_radius,
 )
 from pupper_analysis.stance.solver import Point, Solver
@@ -42,16 +39,10 @@ _ROUNDS = 4
 """How often the branches are looked for anew from where the feet have come much nearer."""
 
 _CLOSE = 3e-3
-"""Where feet can come nearer than this (m), places and postures all over are tried as well."""
+"""Where feet can come nearer than this (m), places all over are tried as well."""
 
-_SCATTERED = 16
-"""How many of these."""
-
-_CLEAR_STARTS = 32
-"""Starts that clear the ground that are tried where feet are in place and a part is in it."""
-
-_ATTEMPTS_INSIDE = 4
-"""Choices of branches for each of the places where a com that may be anywhere inside begins."""
+_SHIFTED = 32
+"""How many of these at most."""
 
 _SAME, _AGREE = 0.1, 8
 """Where the feet come no nearer from so many seeds than from the best of them, by such a part of
@@ -216,21 +207,11 @@ class _Search:
         if not goal.com_is_free:
             yield from (stand.qpos for stand in self.reached if stand is not best)
             return
-        centre, *others = com_seeds(goal)
-        yield from make_seeds(robot, goal, posture_seeds(robot, goal), [centre])
+        for joints in posture_seeds(robot, goal):
+            yield make_seed(robot, goal, joints, goal.centre[:2])
         closest = self.result()
-        if closest.foot_error > _CLOSE:
-            return
-        found = find_branches(robot, closest.qpos, goal.targets, goal.lower, goal.upper)
-        reach = support_radius(goal) + bound_com_shift(robot, closest.qpos, found)
-        bent = [*branch_seeds(robot, goal, found, reach, _ATTEMPTS_INSIDE)]
-        yield from make_seeds(robot, goal, bent, [centre])
-        # Something may be in the way: elsewhere, or bent otherwise, it is not.
-        stood = best if best.foot_error < TASK_TOLERANCE else closest
-        yield from islice(collision_free_seeds(self.shapes, goal, stood.qpos), _CLEAR_STARTS)
-        if not self.reached:
-            yield from make_seeds(robot, goal, [closest.joint_positions(robot)], others)
-            yield from random_seeds(robot, goal, _SCATTERED)
+        if closest.foot_error < _CLOSE:  # something may be in the way that elsewhere is not
+            yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _SHIFTED)
 
     def met_from_nearest(self, programme: Programme, qpos: Array) -> Stand | None:
         """The same as ``met`` from where the feet come nearest first: slower, and surer."""
@@ -263,28 +244,19 @@ class _Search:
     def met(self, programme: Programme, qpos: Array) -> Stand | None:
         """Returns the stand where a programme leads, feet in place; None if it leads to none."""
         found = programme.solve(qpos)
-        if TASK_TOLERANCE < found.missed < TOUCHING:
-            # What the judge takes for rounding is all that is left.
-            loose = Programme(self.shapes, self.goal, allowed=TOUCHING / 2)
-            found = loose.solve(found.qpos)
         return None if found.missed > NEAR_MISS else self._exactly(found.qpos)
 
     def _exactly(self, qpos: Array) -> Stand | None:
-        """Returns the stand at, or next to, a configuration (nq,), if its feet are in place.
+        """Returns the stand next to a configuration (nq,), if its feet are in place.
 
         PlaCo places them to the last digits, and soles as their legs can lay them.
         """
-        at = self.goal
-        if at.com_is_free:
-            at = replace(at, place=Configuration(self.robot, qpos).center_of_mass()[:2])
-        point = Solver(self.context, at).go_on(qpos)
+        goal = self.goal
+        if goal.com_is_free:
+            goal = replace(goal, place=Configuration(self.robot, qpos).center_of_mass()[:2])
+        point = Solver(self.context, goal).go_on(qpos)
         self.iterations += point.iterations
-        laid = relax_foot_orientation(self.robot, at, point)
-        stands = (
-            evaluate_stand(self.shapes, laid, point.qpos, self.iterations),
-            evaluate_stand(self.shapes, at, qpos, self.iterations),
-        )
-        stand = max(stands, key=lambda one: (one.solved, -one.foot_error))
+        stand = self._measure(point, relax_foot_orientation(self.robot, goal, point))
         if stand.foot_error >= TASK_TOLERANCE:
             return None
         self.reached.append(stand)

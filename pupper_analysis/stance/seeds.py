@@ -1,8 +1,8 @@
-"""Where a search for a stand begins: the usual postures, every way to bend the legs, com places."""
+"""Where a search begins: the usual postures, every way to bend the legs, and the base aside."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from itertools import islice
 
 import numpy as np
@@ -10,7 +10,15 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.branches import Branch, Limb, combine_branches
+from pupper_analysis.stance.branches import (
+    Branch,
+    Limb,
+    combine_branches,
+    find_branches,
+    follow_branches,
+)
+from pupper_analysis.stance.clearance import ClearanceShapes
+from pupper_analysis.stance.constraints import constraints_of
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import support_polygon
 
@@ -19,8 +27,15 @@ Array = NDArray[np.float64]
 NEAR_MISS = 1e-3
 """Feet that miss by less (m) may be in reach with the com's last micrometres."""
 
-_OUTWARDS = 0.8
-"""How far towards the support polygon's corners searches begin: there the com can still move."""
+_FAR, _ACROSS = 0.75, 11
+"""How far the base is put aside (stand heights), and to how many places each way: some 20 mm apart
+on Pupper, as far as a thigh that is 20 mm in the ground has to move. With 5 a stand was missed."""
+
+_PER_PLACE = 16
+"""Choices of branches for one place: two of each of a quadruped's legs."""
+
+_IN_REACH = 5e-3
+"""Feet that miss by less with the base where it is are in reach with the base near it (m)."""
 
 _SLACK = 1.5
 """How much further than the legs' branches shift the com the base may be off, for a com's place."""
@@ -75,23 +90,6 @@ def support_radius(goal: Goal) -> float:
     return float(np.linalg.norm(support_polygon(goal.contacts) - goal.centre[:2], axis=1).max())
 
 
-def com_seeds(goal: Goal) -> list[Array]:
-    """Returns where a com that may be anywhere inside begins: the centre, corners and sides."""
-    centre = goal.contacts[:, :2].mean(axis=0)
-    corners = centre + _OUTWARDS * (support_polygon(goal.contacts) - centre)
-    return [centre, *corners, *(corners + np.roll(corners, 1, axis=0)) / 2]
-
-
-def make_seeds(
-    robot: Robot, goal: Goal, joints: Iterable[Array], places: Sequence[Array]
-) -> Iterator[Array]:
-    """Yields configurations (nq,) with the com in each place, and joints as each has them."""
-    joints = list(joints)
-    for place in places:
-        for bent in joints:
-            yield make_seed(robot, goal, bent, place)
-
-
 def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     """Returns the configuration (nq,) with joints (nu,) inside their limits and the com at (2,)."""
     bent = np.clip(joints, goal.lower, goal.upper)
@@ -100,10 +98,32 @@ def make_seed(robot: Robot, goal: Goal, joints: Array, place: Array) -> Array:
     return qpos
 
 
-def random_seeds(robot: Robot, goal: Goal, count: int) -> Iterator[Array]:
-    """Yields random configurations (nq,) with the com inside; they are the same each time."""
-    random = np.random.default_rng(0)
-    low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
-    for _ in range(count):
-        place = random.dirichlet(np.ones(len(goal.contacts))) @ goal.contacts[:, :2]
-        yield make_seed(robot, goal, random.uniform(low, np.maximum(low, high)), place)
+def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[Array]:
+    """Yields configurations (nq,) with the base aside and the feet in reach, in every branch.
+
+    Those that miss least of what a stand must fulfil come first: of a part in the ground, or a com
+    outside, none may be left where another leg bears it out.
+
+    Args:
+        shapes: The robot with its shapes.
+        goal: The goal, whose com may be anywhere inside.
+        qpos: (nq,) where feet are in their places, or almost.
+    """
+    robot = shapes.robot
+    found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
+    along = np.linspace(-_FAR, _FAR, _ACROSS) * robot.stand_height
+    moves = np.array([(x, y, 0.0) for x in along for y in along])
+    followed = follow_branches(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
+    constraints = [one for one in constraints_of(shapes, goal) if one.name != "footholds"]
+    starts: list[Array] = []
+    missed: list[float] = []
+    for number, move in enumerate(moves):
+        near = {
+            limb: tuple(branch for branch in ways[number] if branch.miss < _IN_REACH)
+            for limb, ways in followed.items()
+        }
+        for joints in islice(combine_branches(near, qpos[-robot.nu :]), _PER_PLACE):
+            starts.append(np.concatenate([qpos[:3] + move, qpos[3:7], joints]))
+            at = shapes.at(starts[-1])
+            missed.append(sum(one.missed(goal, at) for one in constraints))
+    yield from (starts[number] for number in np.argsort(missed, kind="stable"))

@@ -98,7 +98,7 @@ def test_heights_are_those_of_mujocos_hulls(robot: pa.Robot, ground: pa.Ground) 
     assert {mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_ELLIPSOID} <= kinds
     for seed in range(20):
         qpos = drawn(robot, seed)
-        found = shapes.above_ground(qpos, ground, {}, {})
+        found = shapes.above_ground(shapes.at(qpos), ground, {}, {})
         assert found is not None
         assert found.distance == pytest.approx(above_ground(there, qpos), abs=1e-9)
 
@@ -120,7 +120,7 @@ def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
             mujoco.mj_geomDistance(model, data, int(fixed), geom, FAR, None)
             for fixed, geom in itertools.product(still, geoms)
         )
-        found = shapes.above_ground(qpos, ground, places, {})
+        found = shapes.above_ground(shapes.at(qpos), ground, places, {})
         assert found is not None
         if expected > 0:
             seen += 1
