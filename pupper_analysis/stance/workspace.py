@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_arguments
-from pupper_analysis.errors import ConfigurationError, StanceUnreachableError
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.com_reach import can_move_com
 from pupper_analysis.stance.context import context_of
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.search import follow_stand
+from pupper_analysis.stance.search import follow_stand, search_stand
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -108,7 +108,14 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     return BaseWorkspace(start=start, intervals=intervals)
 
 
-def find_interval(robot: Robot, start: Stand, direction: str, enough: float = math.inf) -> Interval:
+def find_interval(
+    robot: Robot,
+    start: Stand,
+    direction: str,
+    enough: float = math.inf,
+    *,
+    plainly: bool = False,
+) -> Interval:
     """Finds how far the base can go in one direction, both ways; see ``base_workspace``.
 
     Args:
@@ -116,12 +123,16 @@ def find_interval(robot: Robot, start: Stand, direction: str, enough: float = ma
         start: Where the search begins.
         direction: One of ``DIRECTIONS``.
         enough: How far (m, or rad) is not asked beyond: an end that is further may be any.
+        plainly: With the legs bent as the usual starts lead to: quick, and no proof that there is
+            not more.
     """
-    low, high = (_limit(robot, start, direction, sign, enough) for sign in (-1.0, 1.0))
+    low, high = (_limit(robot, start, direction, way, enough, plainly) for way in (-1.0, 1.0))
     return Interval(low, high)
 
 
-def _limit(robot: Robot, start: Stand, direction: str, sign: float, enough: float) -> float:
+def _limit(
+    robot: Robot, start: Stand, direction: str, sign: float, enough: float, plainly: bool
+) -> float:
     """Steps outwards until a stand is out of reach, then halves the step.
 
     Short steps are tried from the last stand alone, which is quick; where that ends, the search
@@ -134,7 +145,9 @@ def _limit(robot: Robot, start: Stand, direction: str, sign: float, enough: floa
 
     def goes(further: float, near: Stand | None = None) -> bool:
         nonlocal value, last
-        found = _reached(robot, start, direction, further, near) if abs(further) <= most else None
+        if abs(further) > most:
+            return False
+        found = _reached(robot, start, direction, further, near, plainly)
         if found is not None:
             value, last = further, found
         return found is not None
@@ -167,20 +180,19 @@ def _offset(start: Stand) -> Array:
 
 
 def _reached(
-    robot: Robot, start: Stand, direction: str, value: float, near: Stand | None
+    robot: Robot, start: Stand, direction: str, value: float, near: Stand | None, plainly: bool
 ) -> Stand | None:
     """Returns a stand that is reached, and can be held: from another one near it, or from all."""
     try:
+        goal = make_goal(robot, _task_at(robot, start, direction, value), {})
+    except ConfigurationError:
+        return None
+    with context_of(robot) as context:
         if near is None:
-            stand = solve_stand_at(robot, start, direction, value)
+            stand: Stand | None = search_stand(context, goal, plainly=plainly)
         else:
-            goal = make_goal(robot, _task_at(robot, start, direction, value), {})
-            with context_of(robot) as context:
-                found = follow_stand(context, goal, near)
-            if found is None:
-                return None
-            stand = found
-    except (StanceUnreachableError, ConfigurationError):
+            stand = follow_stand(context, goal, near)
+    if stand is None or not stand.solved:
         return None
     if direction in ("x", "y") and stand.com_margin < start.task.com_margin:
         return None

@@ -140,6 +140,7 @@ def test_a_search_sees_stances_without_it() -> None:
     there = space.start.copy()
     there[space.names.index("x")] += 0.04
     stand = space.stand(there)
+    assert stand is not None
     assert stand.task.com_margin == 0.06
     assert space.room(stand).edges.min() == pytest.approx(margin_of(robot, stand) - 0.06, abs=1e-9)
     assert space.room(stand).edges.min() < 0

@@ -73,8 +73,8 @@ def best_stance(
     ``com_margin``.
 
     The bounds are: of the height, the reachable ones less ``HEIGHT_RESERVE`` at either end; of the
-    base's other coordinates, how far it can go from the task with the feet planted
-    (``base_workspace``), turns by at most ``MOST_TURN``; of each foot, ``SPREAD`` of the greatest
+    base's other coordinates, how far it can go from the task with the feet planted and the legs
+    bent as they are, turns by at most ``MOST_TURN``; of each foot, ``SPREAD`` of the greatest
     height outwards and no more than ``CLOSING`` of the least distance from the middle inwards. Legs
     keep ``LEAST_SINGULAR_VALUE``: stretched ones would win, needing no torque. A stance is also
     refused if it has parts touching each other or the ground (not: its steps) that do not in the

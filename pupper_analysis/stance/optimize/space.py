@@ -17,6 +17,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.stance.context import context_of
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.search import continue_stand, search_stand
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import find_interval
@@ -113,7 +116,9 @@ class StanceSpace:
         start = solve_stand(self.robot, self.nominal.task)
         # Turns go no further than that, so that their ends need not be found.
         most = dict.fromkeys(BASE, math.inf) | dict.fromkeys(_TURNS, MOST_TURN)
-        within = {name: find_interval(self.robot, start, name, most[name]) for name in BASE}
+        within = {
+            name: find_interval(self.robot, start, name, most[name], plainly=True) for name in BASE
+        }
         height = within["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
         low, high = [height.low + reserve], [height.high - reserve]
@@ -187,18 +192,28 @@ class StanceSpace:
             com="centre",
         )
 
-    def stand(self, coordinates: Array) -> Stand:
-        """Returns the stand of a vector of coordinates; its com may lack the task's margin.
+    def stand(self, coordinates: Array, near: Stand | None = None) -> Stand | None:
+        """Returns the stand of a vector of coordinates, if one is found; its com may lack margin.
 
-        How much it has of that is in its ``room``: a search goes by it.
+        How much it has of that is in its ``room``: a search goes by it. Stands are looked for from
+        the usual starts alone: one that is found only with legs bent another way is not missed
+        among thousands.
+
+        Args:
+            coordinates: The coordinates.
+            near: A stand whose coordinates are almost these, from which alone it is looked for.
 
         Raises:
-            StanceUnreachableError: If it is out of reach.
             ConfigurationError: If it cannot be asked for.
         """
         task = self.task(coordinates)
-        stand = solve_stand(self.robot, replace(task, com_margin=0.0), explain=False)
-        return replace(stand, task=task)
+        goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
+        with context_of(self.robot) as context:
+            if near is None:
+                stand: Stand | None = search_stand(context, goal, plainly=True)
+            else:
+                stand = continue_stand(context, goal, near.qpos)
+        return stand.of_task(task) if stand is not None and stand.solved else None
 
     def room(self, stand: Stand) -> Room:
         """Returns what a stand leaves of what it may not use up."""
