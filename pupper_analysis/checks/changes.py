@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +24,7 @@ from pupper_analysis.checks.words import (
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.attributes import IN_A_TREE
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint, with_value_of
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 
 
@@ -32,8 +32,11 @@ from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 class Change(Stated):
     """A difference between two sets of parameters, and how to take it over."""
 
-    apply: Callable[[MultibodyTree, MultibodyTree], MultibodyTree]
-    felt: bool  # by the dynamics
+    felt: bool = True  # by the dynamics
+
+    def apply(self, one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
+        """Returns the first robot with the second's value."""
+        return with_value_of(one, two, self.kind, self.element)
 
     def difference(self, effects: dict[str, Effect]) -> Difference:
         """Returns it as a result, with what it does."""
@@ -63,19 +66,21 @@ def changes_between(
     if float(np.linalg.norm(two.gravity - one.gravity)) > tolerances.gravity:
         both = {**vector_pair(one.gravity, two.gravity, "m/s^2"), **sides.named}
         told = diagnose("gravity-differs" if sides.alike else "gravity-stated", **both)
-        yield _whole("gravity", "option", "gravity", one, two, "m/s^2", told)
+        yield Change("gravity", "option", one.gravity, two.gravity, "m/s^2", told)
     greater = max(one.base_damping, two.base_damping)
     free = ("body", one.base)
     if abs(two.base_damping - one.base_damping) > tolerances.damping * greater:
         both = {**number_pair(one.base_damping, two.base_damping, "N s/m"), **sides.named}
         told = diagnose("free-joint-damping-differs", subject=free, **both)
-        yield _whole("damping", one.base, "base_damping", one, two, "N s/m", told)
+        values = one.base_damping, two.base_damping
+        yield Change("damping", one.base, *values, "N s/m", told)
     # A URDF is given the MJCF's: see `armature.armature_differences`.
     if sides.alike and two.base_armature != one.base_armature:
         unit = "kg and kg m^2"
         both = {**number_pair(one.base_armature, two.base_armature, unit), **sides.named}
         told = diagnose("free-joint-armature-differs", subject=free, **both)
-        yield _whole("armature", one.base, "base_armature", one, two, unit, told)
+        values = one.base_armature, two.base_armature
+        yield Change("armature", one.base, *values, unit, told)
     for name, (owner, position) in one.frames.items():
         other_owner, other = two.frames[name]
         apart = float(np.linalg.norm(other - position))
@@ -89,7 +94,7 @@ def changes_between(
             told = diagnose("frame-apart", subject=("frame", name), distance=distance, **both)
         else:
             continue
-        yield Change("frame", name, position, other, "m", told, _take_frame(name), felt=True)
+        yield Change("frame", name, position, other, "m", told)
 
 
 def apply_changes(
@@ -116,9 +121,7 @@ def body_changes(
         told = diagnose(
             "mass-differs", subject=body, guess=describe_ratio(one.mass, two.mass), **both
         )
-        yield Change(
-            "mass", name, one.mass, two.mass, "kg", told, _take_body(name, "mass"), felt=True
-        )
+        yield Change("mass", name, one.mass, two.mass, "kg", told)
     apart = float(np.linalg.norm(two.com - one.com))
     if apart > tolerances.com:
         told = diagnose(
@@ -129,7 +132,7 @@ def body_changes(
             **vector_pair(one.com, two.com, "m"),
             **sides.named,
         )
-        yield Change("com", name, one.com, two.com, "m", told, _take_body(name, "com"), felt=True)
+        yield Change("com", name, one.com, two.com, "m", told)
     size = max(float(np.abs(one.inertia).max()), float(np.abs(two.inertia).max()))
     differs = np.abs(two.inertia - one.inertia) > tolerances.inertia * size
     if differs.any():
@@ -144,16 +147,7 @@ def body_changes(
                     )
                 )
         told = diagnose("inertia-differs", subject=body, entries=entries, guess=_turned(one, two))
-        yield Change(
-            "inertia",
-            name,
-            one.inertia,
-            two.inertia,
-            "kg m^2",
-            told,
-            _take_body(name, "inertia"),
-            felt=True,
-        )
+        yield Change("inertia", name, one.inertia, two.inertia, "kg m^2", told)
 
 
 def _turned(one: TreeBody, two: TreeBody) -> Diagnostic | None:
@@ -183,23 +177,12 @@ def _kinds_of_joints(
     if one.parent != two.parent:
         both = {"one": one.parent, "two": two.parent, **sides.named}
         told = diagnose("parent-differs", subject=("joint", name), **both)
-        yield Change(
-            "parent",
-            name,
-            one.parent,
-            two.parent,
-            "",
-            told,
-            _take_parent(name),
-            felt=True,
-        )
+        yield Change("parent", name, one.parent, two.parent, "", told)
     if one.slides != two.slides:
         kinds = ["prismatic" if joint.slides else "revolute" for joint in (one, two)]
         both = {"one": Term(kinds[0]), "two": Term(kinds[1]), **sides.named}
         told = diagnose("joint-type-differs", subject=("joint", name), **both)
-        yield Change(
-            "type", name, kinds[0], kinds[1], "", told, _take_joint(name, "slides"), felt=True
-        )
+        yield Change("type", name, kinds[0], kinds[1], "", told)
 
 
 def _placements(
@@ -216,16 +199,7 @@ def _placements(
             **vector_pair(one.position, two.position, "m"),
             **sides.named,
         )
-        yield Change(
-            "position",
-            name,
-            one.position,
-            two.position,
-            "m",
-            told,
-            _take_joint(name, "position"),
-            felt=True,
-        )
+        yield Change("position", name, one.position, two.position, "m", told)
     turn = pin.log3(one.rotation.T @ two.rotation)
     angle = float(np.linalg.norm(turn))
     if angle > tolerances.rotation:
@@ -238,16 +212,7 @@ def _placements(
             about_its_axis=about,
             guess=quaternion_order(one.rotation, two.rotation),
         )
-        yield Change(
-            "rotation",
-            name,
-            one.rotation,
-            two.rotation,
-            "1",
-            told,
-            _take_joint(name, "rotation"),
-            felt=True,
-        )
+        yield Change("rotation", name, one.rotation, two.rotation, "1", told)
 
 
 def _axes(
@@ -264,9 +229,7 @@ def _axes(
             **vector_pair(one.axis, two.axis),
             **sides.named,
         )
-        yield Change(
-            "axis", name, one.axis, two.axis, "1", told, _take_joint(name, "axis"), felt=True
-        )
+        yield Change("axis", name, one.axis, two.axis, "1", told)
 
 
 def _joint_numbers(
@@ -301,63 +264,4 @@ def _joint_numbers(
             **number_pair(a, b, unit),
             **sides.named,
         )
-        take = _take_joint(name, field)
-        yield Change(kind, name, a, b, unit, told, take, felt=attribute.felt)
-
-
-def _take_body(name: str, field: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
-    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
-        body = replace(one.bodies[name], **{field: getattr(two.bodies[name], field)})
-        return replace(one, bodies={**one.bodies, name: body})
-
-    return apply
-
-
-def _take_joint(name: str, field: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
-    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
-        joint = replace(one.joints[name], **{field: getattr(two.joints[name], field)})
-        return replace(one, joints={**one.joints, name: joint})
-
-    return apply
-
-
-def _take_parent(name: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
-    """Takes one parent over; all of them, where that one alone would close a ring of joints."""
-    alone = _take_joint(name, "parent")
-
-    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
-        taken = alone(one, two)
-        if len(taken.parents_first()) == len(taken.joints):
-            return taken
-        joints = {
-            other: replace(joint, parent=two.joints[other].parent)
-            for other, joint in one.joints.items()
-        }
-        return replace(one, joints=joints)
-
-    return apply
-
-
-def _whole(
-    kind: str,
-    element: str,
-    field: str,
-    one: MultibodyTree,
-    two: MultibodyTree,
-    unit: str,
-    told: Diagnostic,
-) -> Change:
-    """Returns the change of a number that belongs to the robot as a whole."""
-
-    def apply(first: MultibodyTree, second: MultibodyTree) -> MultibodyTree:
-        return replace(first, **{field: getattr(second, field)})
-
-    values = getattr(one, field), getattr(two, field)
-    return Change(kind, element, *values, unit, told, apply, felt=True)
-
-
-def _take_frame(name: str) -> Callable[[MultibodyTree, MultibodyTree], MultibodyTree]:
-    def apply(one: MultibodyTree, two: MultibodyTree) -> MultibodyTree:
-        return replace(one, frames={**one.frames, name: two.frames[name]})
-
-    return apply
+        yield Change(kind, name, a, b, unit, told, felt=attribute.felt)

@@ -107,7 +107,7 @@ class UrdfBodies:
             if link == WORLD and not above and (link != self.root or free):
                 problem = diagnose("link-named-world", subject=("link", WORLD))
                 raise refusal_at(self.urdf.path, links[link].element, problem)
-        guarded = sum(joint.has("safety_controller") for joint in self._tree.joints.values())
+        guarded = len(self.urdf.root.findall("joint/safety_controller"))
         if guarded:
             self.notes.append(diagnose("safety-controllers-left", count=guarded))
         if self.root == WORLD:

@@ -12,13 +12,14 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, rotation_from_quaternion
+from pupper_analysis.arrays import INERTIA_ENTRIES, placement_of
 from pupper_analysis.convert.conversion import ConversionDraft
 from pupper_analysis.convert.unsaid import tell_other_elements, tell_surroundings
-from pupper_analysis.convert.urdf_shapes import UrdfShapes, put_placement
+from pupper_analysis.convert.urdf_shapes import UrdfShapes
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
@@ -26,9 +27,9 @@ from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
-from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml_layout import to_text
-from pupper_analysis.models.xml_text import add_element, free_name, write_numbers
+from pupper_analysis.models.xml_text import DIGITS, add_element, free_name, write_numbers
 
 Array = NDArray[np.float64]
 
@@ -46,6 +47,7 @@ class UrdfLinks:
     Attributes:
         file: The MJCF.
         model: What MuJoCo compiles it to.
+        tree: The URDF.
         shapes: Makes its shapes.
         left: What a URDF cannot say.
         links: {body: (its link, where the body's frame is in the link's)}.
@@ -53,6 +55,7 @@ class UrdfLinks:
 
     file: MjcfFile
     model: mujoco.MjModel
+    tree: UrdfTree
     shapes: UrdfShapes
     left: list[Diagnostic] = field(default_factory=list)
     links: dict[int, tuple[str, pin.SE3]] = field(default_factory=dict)
@@ -62,11 +65,10 @@ class UrdfLinks:
         self._joint_names: set[str] = set()
         self.unlimited = 0
 
-    def add(self, root: etree._Element, base: int) -> None:
+    def add(self, base: int) -> None:
         """Adds the links of a body and all below it.
 
         Args:
-            root: The URDF's root element.
             base: The body's id: the base.
 
         Raises:
@@ -76,44 +78,37 @@ class UrdfLinks:
         name = self._link_name(base)
         free = base in model.jnt_bodyid[free_joints(model)]
         if free or model.body_jntnum[base] == 0:
-            placed = pin.SE3(
-                rotation_from_quaternion(model.body_quat[base]), np.array(model.body_pos[base])
-            )
+            placed = placement_of(model.body_quat[base], model.body_pos[base])
             if not free and not placed.isIdentity(1e-12):
                 world = free_name("world", self._names)
-                _frame(root, world)
-                _joint(root, f"{world}_to_{name}", "fixed", world, name, placed)
-            self._link(root, base, name, pin.SE3.Identity())
+                self._frame(world)
+                self._joint(f"{world}_to_{name}", "fixed", world, name, placed)
+            self._link(base, name, pin.SE3.Identity())
         else:
             world = free_name("world", self._names)
-            _frame(root, world)
-            self._moved(root, base, name, world, pin.SE3.Identity())
+            self._frame(world)
+            self._moved(base, name, world, pin.SE3.Identity())
         for body in range(base + 1, model.nbody):
             parent = int(model.body_parentid[body])
             if parent in self.links:
                 link, inside = self.links[parent]
-                self._moved(root, body, self._link_name(body), link, inside)
+                self._moved(body, self._link_name(body), link, inside)
 
-    def _moved(
-        self, root: etree._Element, body: int, name: str, parent: str, inside: pin.SE3
-    ) -> None:
+    def _moved(self, body: int, name: str, parent: str, inside: pin.SE3) -> None:
         """Adds a body's joints and its link.
 
         Args:
-            root: The URDF's root element.
             body: The body.
             name: Its link.
             parent: The link that carries it.
             inside: Where the parent body's frame is in that link.
         """
         model = self.model
-        placement = inside * pin.SE3(
-            rotation_from_quaternion(model.body_quat[body]), np.array(model.body_pos[body])
-        )
+        placement = inside * placement_of(model.body_quat[body], model.body_pos[body])
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         if count == 0:
-            _joint(root, self._joint_name(f"{name}_fixed"), "fixed", parent, name, placement)
-            self._link(root, body, name, pin.SE3.Identity())
+            self._joint(self._joint_name(f"{name}_fixed"), "fixed", parent, name, placement)
+            self._link(body, name, pin.SE3.Identity())
             return
         for joint in range(first, first + count):
             last = joint == first + count - 1
@@ -128,22 +123,21 @@ class UrdfLinks:
             turn = pin.exp3(-rest * axis) if kind == JointKind.HINGE else np.eye(3)
             slide = np.zeros(3) if kind == JointKind.HINGE else -rest * axis
             placed = placement * pin.SE3(turn, anchor + slide)
-            self._movable(root, joint, parent, child, placed)
+            self._movable(joint, parent, child, placed)
             placement, parent = pin.SE3(np.eye(3), -anchor), child
             if not last:
-                _frame(root, child)
-        self._link(root, body, name, placement)
+                self._frame(child)
+        self._link(body, name, placement)
 
-    def _movable(
-        self, root: etree._Element, joint: int, parent: str, child: str, placed: pin.SE3
-    ) -> None:
+    def _movable(self, joint: int, parent: str, child: str, placed: pin.SE3) -> None:
         model = self.model
         limited = bool(model.jnt_limited[joint])
         hinge = int(model.jnt_type[joint]) == JointKind.HINGE
         kind = ("revolute" if limited else "continuous") if hinge else "prismatic"
         name = self._joint_name(model.joint(joint).name or f"{child}_joint")
-        node = _joint(root, name, kind, parent, child, placed)
-        add_element(node, "axis", xyz=write_numbers(model.jnt_axis[joint]))
+        made = self._joint(name, kind, parent, child, placed)
+        made.set_axis(model.jnt_axis[joint], DIGITS)
+        node = made.element
         effort = effort_limit(model, joint)
         limit = add_element(
             node,
@@ -172,29 +166,18 @@ class UrdfLinks:
         if not math.isfinite(effort):
             self.unlimited += 1
 
-    def _link(self, root: etree._Element, body: int, name: str, inside: pin.SE3) -> None:
+    def _link(self, body: int, name: str, inside: pin.SE3) -> None:
         """Adds a body's link, with the body's frame inside the link's."""
         model = self.model
         self.links[body] = name, inside
-        link = add_element(root, "link", name=name)
-        mass = float(model.body_mass[body])
-        if mass > 0:
-            turn = rotation_from_quaternion(model.body_iquat[body])
-            tensor = turn @ np.diag(model.body_inertia[body]) @ turn.T
-            own = pin.Inertia(mass, np.array(model.body_ipos[body]), tensor)
-            moved = inside.act(own)
-            inertial = add_element(link, "inertial")
-            add_element(inertial, "origin", xyz=write_numbers(moved.lever))
-            add_element(inertial, "mass", value=write_numbers(mass))
-            entries = write_numbers(inertia_entries(np.array(moved.inertia)))
-            add_element(
-                inertial, "inertia", **dict(zip(INERTIA_ENTRIES, entries.split(), strict=True))
-            )
+        link = self.tree.new_link(name)
+        if model.body_mass[body] > 0:
+            link.set_inertia(inside.act(inertia_of_body(model, body)), DIGITS)
         else:
-            _weightless(link)
-        self.shapes.add(link, body, inside)
+            _weigh_nothing(link)
+        self.shapes.add(link.element, body, inside)
 
-    def add_sites(self, root: etree._Element) -> None:
+    def add_sites(self) -> None:
         """Adds a link without mass for every site that has a name of its own."""
         model = self.model
         for site in range(model.nsite):
@@ -206,11 +189,16 @@ class UrdfLinks:
                 continue
             self._names.add(name)
             link, inside = self.links[body]
-            placed = inside * pin.SE3(
-                rotation_from_quaternion(model.site_quat[site]), np.array(model.site_pos[site])
-            )
-            _frame(root, name)
-            _joint(root, self._joint_name(f"{name}_fixed"), "fixed", link, name, placed)
+            placed = inside * placement_of(model.site_quat[site], model.site_pos[site])
+            self._frame(name)
+            self._joint(self._joint_name(f"{name}_fixed"), "fixed", link, name, placed)
+
+    def _frame(self, name: str) -> None:
+        """Adds a link that is a frame alone."""
+        _weigh_nothing(self.tree.new_link(name))
+
+    def _joint(self, name: str, kind: str, parent: str, child: str, placed: pin.SE3) -> UrdfJoint:
+        return self.tree.new_joint(name, kind, parent, child, placed, DIGITS)
 
     def _link_name(self, body: int) -> str:
         return self._free(str(self.model.body(body).name) or f"body_{body}")
@@ -237,25 +225,21 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     notes = [*file.notes, *([joined] if joined else [])]
     model = compile_spec(spec, file.path) if joined else file.compile()
     base = _base(file, model)
-    root = etree.Element("robot", {"name": _robot_name(file)})
+    tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
     shapes = UrdfShapes(file, model, output.resolve().parent)
-    links = UrdfLinks(file, model, shapes)
-    links.add(root, base)
-    links.add_sites(root)
-    left = [*links.left, *shapes.left, *_couplings(root, model), *tell_other_elements(model)]
+    links = UrdfLinks(file, model, tree, shapes)
+    links.add(base)
+    links.add_sites()
+    left = [*links.left, *shapes.left, *_couplings(tree, model), *tell_other_elements(model)]
     left += tell_surroundings(model, set(links.links))
     if links.unlimited:
         left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
-    _add_transmissions(root, model)
+    _add_transmissions(tree, model)
     floating = has_free_joint(model)
     if floating:
         notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
-    return ConversionDraft(to_text(root, header), {}, tuple(notes), tuple(left))
-
-
-def _robot_name(file: MjcfFile) -> str:
-    return str(file.spec.modelname) or file.path.stem
+    return ConversionDraft(to_text(tree.root, header), {}, tuple(notes), tuple(left))
 
 
 def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
@@ -283,32 +267,16 @@ def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
     return tops.pop()
 
 
-def _frame(root: etree._Element, name: str) -> None:
-    """Adds a link that is a frame alone."""
-    _weightless(add_element(root, "link", name=name))
-
-
-def _weightless(link: etree._Element) -> None:
+def _weigh_nothing(link: UrdfLink) -> None:
     """States a mass of 0: PyBullet gives 1 kg to a link that states none."""
-    inertial = add_element(link, "inertial")
+    inertial = add_element(link.element, "inertial")
     add_element(inertial, "mass", value="0")
     add_element(inertial, "inertia", **dict.fromkeys(INERTIA_ENTRIES, "0"))
 
 
-def _joint(
-    root: etree._Element, name: str, kind: str, parent: str, child: str, placed: pin.SE3
-) -> etree._Element:
-    node = add_element(root, "joint", name=name, type=kind)
-    add_element(node, "parent", link=parent)
-    add_element(node, "child", link=child)
-    put_placement(node, placed)
-    return node
-
-
-def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
+def _couplings(tree: UrdfTree, model: mujoco.MjModel) -> list[Diagnostic]:
     """Writes joints that follow others as <mimic>; returns what no URDF can say."""
-    left = []
-    joints = UrdfTree(root).joints
+    left, joints = [], tree.joints
     for index in range(model.neq):
         kind = mujoco.mjtEq(int(model.eq_type[index]))
         name = kind.name.removeprefix("mjEQ_").lower()
@@ -325,21 +293,15 @@ def _couplings(root: etree._Element, model: mujoco.MjModel) -> list[Diagnostic]:
             ):
                 rest = model.qpos0[model.jnt_qposadr[[one, two]]]
                 offset = float(rest[0] + line[0] - line[1] * rest[1])
-                add_element(
-                    joints[follower].element,
-                    "mimic",
-                    joint=leader,
-                    multiplier=write_numbers(line[1]),
-                    offset=write_numbers(offset),
-                )
+                joints[follower].follow(leader, line[1], offset, DIGITS)
                 continue
         left.append(diagnose("equality-not-in-urdf", number=index + 1, kind=Term(name)))
     return left
 
 
-def _add_transmissions(root: etree._Element, model: mujoco.MjModel) -> None:
+def _add_transmissions(tree: UrdfTree, model: mujoco.MjModel) -> None:
     """Adds a <transmission> for each actuator at a joint, as ros_control reads it."""
-    known = UrdfTree(root).joints
+    known = tree.joints
     for actuator in range(model.nactuator):
         if not is_at_one_joint(model, actuator):
             continue
@@ -347,7 +309,7 @@ def _add_transmissions(root: etree._Element, model: mujoco.MjModel) -> None:
         if joint not in known:
             continue
         name = str(model.actuator(actuator).name) or f"{joint}_motor"
-        node = add_element(root, "transmission", name=f"{name}_transmission")
+        node = add_element(tree.root, "transmission", name=f"{name}_transmission")
         add_element(node, "type").text = "transmission_interface/SimpleTransmission"
         add_element(
             add_element(node, "joint", name=joint), "hardwareInterface"

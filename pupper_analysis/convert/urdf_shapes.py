@@ -11,16 +11,11 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.xml_text import (
-    ANGLE_DIGITS,
-    add_element,
-    free_name,
-    is_zero,
-    write_numbers,
-)
+from pupper_analysis.models.urdf_tree import set_origin
+from pupper_analysis.models.xml_text import DIGITS, add_element, free_name, write_numbers
 
 Array = NDArray[np.float64]
 Geometry = tuple[str, dict[str, str], pin.SE3]
@@ -55,10 +50,8 @@ class UrdfShapes:
             if found is None and mesh.file:
                 self._lost[name] = mesh.file
             if found is not None:
-                self._moved[name] = pin.SE3(
-                    rotation_from_quaternion(np.array(mesh.refquat) / np.linalg.norm(mesh.refquat)),
-                    np.array(mesh.refpos),
-                )
+                turn = np.array(mesh.refquat) / np.linalg.norm(mesh.refquat)
+                self._moved[name] = placement_of(turn, mesh.refpos)
                 self._files[name] = Path(os.path.relpath(found, folder)).as_posix()
 
     def add(self, link: etree._Element, body: int, inside: pin.SE3) -> None:
@@ -77,7 +70,7 @@ class UrdfShapes:
             for tag, attributes, placed in self._geometries(geom):
                 for kind in (("visual",) if seen else ()) + (("collision",) if touches else ()):
                     shape = add_element(link, kind)
-                    put_placement(shape, inside * placed)
+                    set_origin(shape, inside * placed, DIGITS)
                     add_element(add_element(shape, "geometry"), tag, **attributes)
                     if kind == "visual":
                         self._paint(shape, geom)
@@ -87,9 +80,7 @@ class UrdfShapes:
         model = self.model
         kind = mujoco.mjtGeom(int(model.geom_type[geom]))
         size = np.array(model.geom_size[geom])
-        placed = pin.SE3(
-            rotation_from_quaternion(model.geom_quat[geom]), np.array(model.geom_pos[geom])
-        )
+        placed = placement_of(model.geom_quat[geom], model.geom_pos[geom])
         if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
             return [("sphere", {"radius": write_numbers(size[0])}, placed)]
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
@@ -120,9 +111,7 @@ class UrdfShapes:
             self.left.append(diagnose("mesh-without-file", subject=("mesh", name), file=lost))
             return []
         # MuJoCo moves a mesh to its com and principal axes, and the geom along.
-        own = pin.SE3(
-            rotation_from_quaternion(model.mesh_quat[mesh]), np.array(model.mesh_pos[mesh])
-        )
+        own = placement_of(model.mesh_quat[mesh], model.mesh_pos[mesh])
         scale = np.array(model.mesh_scale[mesh])
         attributes = {"filename": self._files[name]}
         if not np.array_equal(scale, np.ones(3)):
@@ -150,15 +139,6 @@ class UrdfShapes:
         node = add_element(shape, "material", name=self._materials[key])
         if not known:
             add_element(node, "color", rgba=write_numbers(key))
-
-
-def put_placement(node: etree._Element, placed: pin.SE3) -> None:
-    """Writes a placement as an <origin>, without what is zero."""
-    xyz = write_numbers(placed.translation, scale=1.0)  # m
-    angles = pin.rpy.matrixToRpy(np.array(placed.rotation))
-    rpy = write_numbers(angles, scale=1.0, digits=ANGLE_DIGITS)  # rad
-    if not (is_zero(xyz) and is_zero(rpy)):
-        add_element(node, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
 
 def _path_of(file: MjcfFile, mesh: mujoco.MjsMesh) -> Path | None:

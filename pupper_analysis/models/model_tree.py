@@ -102,7 +102,9 @@ class MjcfEdits(Protocol):
     def add_imu(self, body: str, site: str) -> None:
         """Adds an IMU at a site of a body, which is added at its origin where there is none."""
 
-    def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
+    def add_coupling(
+        self, follower: str, leader: str, multiplier: Number, offset: Number
+    ) -> object:
         """Makes a joint follow another: q = offset + multiplier q of the leader."""
 
     def add_position_servo(

@@ -338,3 +338,39 @@ def with_fixed(values: MultibodyTree, name: str) -> MultibodyTree:
         for frame, (owner, place) in values.frames.items()
     }
     return replace(values, joints=joints, bodies=bodies, frames=frames)
+
+
+_OF_BODIES = ("mass", "com", "inertia")
+_OF_JOINTS = {
+    **{kind: kind for kind in ("position", "rotation", "axis", "parent")},
+    "type": "slides",
+    **{one.kind: one.field for one in JOINT_ATTRIBUTES if one.field},
+}
+"""{kind of a difference: the field of `TreeJoint`}."""
+
+
+def with_value_of(one: MultibodyTree, two: MultibodyTree, kind: str, element: str) -> MultibodyTree:
+    """Returns a robot with another's value of one thing.
+
+    Args:
+        one: The robot.
+        two: The other, with bodies, joints and frames of the same names.
+        kind: What is taken, as a `Difference` between the two is called.
+        element: Of which body, joint or frame; what is of the robot as a whole takes the base's.
+    """
+    if kind in _OF_BODIES:
+        body = replace(one.bodies[element], **{kind: getattr(two.bodies[element], kind)})
+        return replace(one, bodies={**one.bodies, element: body})
+    if kind == "frame":
+        return replace(one, frames={**one.frames, element: two.frames[element]})
+    if kind == "gravity" or element not in one.joints:
+        field = kind if kind == "gravity" else f"base_{kind}"
+        return replace(one, **{field: getattr(two, field)})
+    field = _OF_JOINTS[kind]
+    joint = replace(one.joints[element], **{field: getattr(two.joints[element], field)})
+    taken = replace(one, joints={**one.joints, element: joint})
+    if kind == "parent" and len(taken.parents_first()) < len(taken.joints):
+        # That parent alone closes a ring of joints: all of them are taken.
+        joints = {n: replace(j, parent=two.joints[n].parent) for n, j in one.joints.items()}
+        return replace(one, joints=joints)
+    return taken

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.free_base import delete_joint
 from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM, add_plane
@@ -19,6 +20,17 @@ from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SENSORS, Number
 
 Array = NDArray[np.float64]
+
+
+def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
+    """States an inertia of a body, in its own frame, in the place of what it states."""
+    entries = inertia_entries(np.array(inertia.inertia))
+    body.explicitinertial, body.mass = True, float(inertia.mass)
+    body.ipos = np.array(inertia.lever)
+    if entries[3:].any():
+        body.fullinertia = entries
+    else:
+        body.inertia = entries[:3]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +104,7 @@ class SpecTree:
         del joint
         body = self.spec.body(parent).add_body(name=name, pos=place)
         if inertia is not None:
-            body.explicitinertial = True
-            body.mass, body.ipos = float(inertia.mass), np.array(inertia.lever)
-            tensor = np.array(inertia.inertia)
-            off = tensor[[0, 0, 1], [1, 2, 2]]
-            if off.any():
-                body.fullinertia = [*np.diag(tensor), *off]
-            else:
-                body.inertia = np.diag(tensor)
+            set_inertia(body, inertia)
         self._forget()
 
     def scale_mass(self, link: str, factor: float) -> None:
@@ -192,7 +197,9 @@ class SpecTree:
             at = mujoco.mjtObj.mjOBJ_SITE
             self.spec.add_sensor(name=kind, type=sensor, objtype=at, objname=site)
 
-    def add_coupling(self, follower: str, leader: str, multiplier: Number, offset: Number) -> None:
+    def add_coupling(
+        self, follower: str, leader: str, multiplier: Number, offset: Number
+    ) -> mujoco.MjsEquality:
         """Makes a joint follow another: q = offset + multiplier q of the leader."""
         # MuJoCo's polynomial is of the coordinates less those of its zero pose.
         here, there = (float(self.spec.joint(name).ref) for name in (follower, leader))
@@ -204,6 +211,7 @@ class SpecTree:
         equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
         step = float(self.spec.option.timestep)
         equality.solref = (max(COUPLING_TIME, 2 * step), 1.0)
+        return equality
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
         """Returns the last motor at a joint; None if there is none."""

@@ -15,14 +15,12 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_of, inertia_tensor
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_of, inertia_tensor
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.xml import parse_numbers, parse_text
+from pupper_analysis.models.xml_text import ANGLE_DIGITS, add_element, is_zero, write_numbers
 
 Array = NDArray[np.float64]
-
-MOVING = ("revolute", "continuous", "prismatic")
-"""Types of joints with one degree of freedom."""
 
 
 def origin_of(element: etree._Element | None) -> pin.SE3:
@@ -34,17 +32,18 @@ def origin_of(element: etree._Element | None) -> pin.SE3:
     return pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
 
 
-def set_origin(element: etree._Element, pose: pin.SE3) -> None:
-    """States an element's pose."""
-    from scipy.spatial.transform import Rotation  # slow to import
+def set_origin(element: etree._Element, placed: pin.SE3, digits: int | None = None) -> None:
+    """States an element's pose, in the place of what it states; what is zero is left out.
 
-    origin = element.find("origin")
-    if origin is None:
-        origin = etree.Element("origin")
-        element.insert(0, origin)
-    rpy = Rotation.from_matrix(pose.rotation).as_euler("xyz")
-    for key, values in (("xyz", pose.translation), ("rpy", rpy)):
-        origin.set(key, _words(values))
+    With all digits, or so many significant ones of lengths.
+    """
+    for old in element.findall("origin"):
+        element.remove(old)
+    angles = pin.rpy.matrixToRpy(np.array(placed.rotation))
+    xyz = write_numbers(placed.translation, scale=1.0, digits=digits)  # m
+    rpy = write_numbers(angles, scale=1.0, digits=digits and ANGLE_DIGITS)  # rad
+    if not (is_zero(xyz) and is_zero(rpy)):
+        add_element(element, "origin", xyz=xyz, rpy=None if is_zero(rpy) else rpy)
 
 
 _NO_LIMIT = {"effort": "0", "velocity": "0"}
@@ -65,10 +64,6 @@ class UrdfElement:
     def name(self) -> str:
         """Its name."""
         return str(self.element.get("name"))
-
-    def has(self, tag: str) -> bool:
-        """Tells whether it has a child of a tag."""
-        return self.element.find(tag) is not None
 
     def remove(self, *tags: str) -> None:
         """Takes its children of some tags out of it."""
@@ -97,15 +92,15 @@ class UrdfLink(UrdfElement):
         weight = 0.0 if mass is None else float(mass.get("value") or 0.0)
         return origin_of(stated).act(inertia_of(weight, np.zeros(3), tensor))
 
-    def set_inertia(self, inertia: pin.Inertia) -> None:
+    def set_inertia(self, inertia: pin.Inertia, digits: int | None = None) -> None:
         """States an inertia, in its own frame, in the place of what it states."""
         self.remove("inertial")
         stated = etree.SubElement(self.element, "inertial")
-        etree.SubElement(stated, "origin", xyz=_words(inertia.lever))
-        etree.SubElement(stated, "mass", value=repr(float(inertia.mass)))
-        tensor = np.array(inertia.inertia)
-        entries = {word: repr(float(tensor[at])) for word, at in INERTIA_ENTRIES.items()}
-        etree.SubElement(stated, "inertia", **entries)
+        add_element(stated, "origin", xyz=write_numbers(inertia.lever, digits=digits))
+        add_element(stated, "mass", value=write_numbers(inertia.mass, digits=digits))
+        tensor = inertia_entries(np.array(inertia.inertia))
+        entries = write_numbers(tensor, digits=digits).split()
+        etree.SubElement(stated, "inertia", dict(zip(INERTIA_ENTRIES, entries, strict=True)))
 
     @property
     def shapes(self) -> Iterator[tuple[str, etree._Element, etree._Element | None]]:
@@ -138,7 +133,7 @@ class UrdfJoint(UrdfElement):
     @property
     def moves(self) -> bool:
         """Whether it is a hinge or a slide."""
-        return self.kind in MOVING
+        return self.kind in ("revolute", "continuous", "prismatic")
 
     @property
     def parent(self) -> str:
@@ -180,6 +175,17 @@ class UrdfJoint(UrdfElement):
             element = etree.SubElement(self.element, tag, _NO_LIMIT if tag == "limit" else {})
         element.set(word, repr(float(value)))
 
+    def follow(
+        self, leader: str, multiplier: float, offset: float, digits: int | None = None
+    ) -> None:
+        """Makes it mimic another joint: q = multiplier q of the leader + offset."""
+        one, two = (write_numbers(value, digits=digits) for value in (multiplier, offset))
+        add_element(self.element, "mimic", joint=leader, multiplier=one, offset=two)
+
+    def set_axis(self, axis: Array, digits: int | None = None) -> None:
+        """States the axis of a joint that states none."""
+        add_element(self.element, "axis", xyz=write_numbers(axis, digits=digits))
+
     def fix(self) -> None:
         """Makes it a fixed joint."""
         self.element.set("type", "fixed")
@@ -196,10 +202,6 @@ def _scale(element: etree._Element | None, attribute: str, factor: float) -> Non
     text = None if element is None else element.get(attribute)
     if element is not None and text is not None:
         element.set(attribute, repr(float(text) * float(factor)))
-
-
-def _words(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,23 +338,33 @@ class UrdfTree:
     def add_link(
         self, name: str, parent: str, joint: str, place: Array, inertia: pin.Inertia | None = None
     ) -> None:
-        """Adds a link that is fixed to another, with its axes.
-
-        Args:
-            name: The link's.
-            parent: What it is fixed to.
-            joint: The name of the joint between them.
-            place: (3,) of its frame in the parent's (m).
-            inertia: What it weighs, in its own frame; None: nothing is stated.
-        """
-        link = UrdfLink(etree.SubElement(self.root, "link", name=name))
+        """Adds a link that is fixed to another, with its axes; see `ModelTree`."""
+        link = self.new_link(name)
         if inertia is not None:
             link.set_inertia(inertia)
-        held = etree.SubElement(self.root, "joint", name=joint, type="fixed")
-        etree.SubElement(held, "parent", link=parent)
-        etree.SubElement(held, "child", link=name)
-        etree.SubElement(held, "origin", xyz=_words(place))
+        self.new_joint(joint, "fixed", parent, name, pin.SE3(np.eye(3), place))
+
+    def new_link(self, name: str) -> UrdfLink:
+        """Adds a link that nothing holds yet."""
         self._forget()
+        return UrdfLink(etree.SubElement(self.root, "link", name=name))
+
+    def new_joint(
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        placed: pin.SE3,
+        digits: int | None = None,
+    ) -> UrdfJoint:
+        """Adds a joint of a kind of URDF's between two links, of where the child is at zero."""
+        self._forget()
+        element = add_element(self.root, "joint", name=name, type=kind)
+        add_element(element, "parent", link=parent)
+        add_element(element, "child", link=child)
+        set_origin(element, placed, digits)
+        return UrdfJoint(element)
 
     def scale_mass(self, link: str, factor: float) -> None:
         """Multiplies the mass of one link, and its inertia with it."""
@@ -375,7 +387,7 @@ class UrdfTree:
         if origin is None:
             origin = etree.SubElement(inertial, "origin")
         place = parse_numbers(origin.get("xyz") or None, "0 0 0") + offset
-        origin.set("xyz", _words(place))
+        origin.set("xyz", write_numbers(place, digits=None))
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiplies a number of a joint; what is not stated, or has no words, stays so."""

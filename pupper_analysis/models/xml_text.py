@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from lxml import etree
 from numpy.typing import ArrayLike
@@ -9,7 +11,7 @@ from numpy.typing import ArrayLike
 NOISE = 1e-13
 """Relative size of what products of rotations make of a zero."""
 
-_DIGITS = 12
+DIGITS: Final = 12
 """Significant digits: a thousand times finer than what `crosscheck --strict` tells apart, coarse
 enough for a number that went through rotations to be what it was."""
 
@@ -18,17 +20,18 @@ ANGLE_DIGITS = 15
 """Of angles: half of pi is what it is to a hundredth of a rounding error."""
 
 
-def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int = _DIGITS) -> str:
+def write_numbers(values: ArrayLike, scale: float = 0.0, digits: int | None = DIGITS) -> str:
     """Writes numbers, separated by spaces.
 
     Args:
         values: The numbers.
         scale: What their errors are relative to, if it is more than the greatest of them.
-        digits: How many significant ones.
+        digits: How many significant ones; None: all.
     """
     array = np.atleast_1d(np.asarray(values, dtype=float))
     noise = NOISE * max(scale, float(np.abs(array).max(initial=0.0)))
-    return " ".join("0" if abs(v) <= noise else f"{v:.{digits}g}" for v in array.tolist())
+    rounded = repr if digits is None else f"{{:.{digits}g}}".format
+    return " ".join("0" if abs(v) <= noise else rounded(v) for v in array.tolist())
 
 
 def is_zero(text: str) -> bool:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.mjcf import limbs_on_the_world, mjcf_tree
 from pupper_analysis.matching.names import without_affixes
@@ -15,7 +15,8 @@ from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.spec_tree import set_inertia
 from pupper_analysis.models.urdf_file import UrdfFile
 
 Array = NDArray[np.float64]
@@ -74,7 +75,8 @@ def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[D
             setattr(freed.option, word, getattr(spec.option, word))
     base = freed.worldbody.add_body(name=name)
     base.add_freejoint()
-    _weigh(base, inertial, _apart(tree, spec, urdf))
+    shift = pin.SE3(np.eye(3), _apart(tree, spec, urdf))
+    set_inertia(base, shift.act(inertial.rigid))
     with silence_mujoco():
         freed.attach(spec, frame=base.add_frame(), prefix="")
     mass = Quantity(inertial.mass, "kg")
@@ -92,14 +94,6 @@ def _apart(tree: MultibodyTree, spec: mujoco.MjSpec, urdf: UrdfFile) -> Array:
     first = [name for name in tree.children(tree.base) if name in names]
     apart = [there[names[name]][0] - here[name][0] for name in first]
     return np.asarray(np.median(apart, axis=0))
-
-
-def _weigh(body: mujoco.MjsBody, inertial: TreeBody, apart: Array) -> None:
-    """Gives a body a mass, a com and an inertia."""
-    tensor = inertial.inertia
-    body.mass, body.explicitinertial = inertial.mass, True
-    body.ipos = inertial.com + apart
-    body.fullinertia = [tensor[place] for place in INERTIA_ENTRIES.values()]
 
 
 def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:

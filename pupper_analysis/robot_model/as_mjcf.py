@@ -15,10 +15,11 @@ from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.spec_tree import SpecTree, set_inertia
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.robot_model.mjcf import KINDS
 from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Inertial, Link
-from pupper_analysis.robot_model.pose import Array, Pose
+from pupper_analysis.robot_model.pose import Array
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 from pupper_analysis.robot_model.usd_joints import Edge
 
@@ -111,10 +112,7 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
                     "usd-inertia-of-no-body", moments=Vector(tuple(inertial.moments), "kg m^2")
                 )
                 raise refuse_file(model.file.place("body", name), told)
-            body.explicitinertial = True
-            body.mass, body.ipos = inertial.mass, inertial.com
-            (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia
-            body.fullinertia = np.array([xx, yy, zz, xy, xz, yz])
+            set_inertia(body, inertial.rigid)
         _add_joints(model, link, body)
         for frame in link.frames:
             if frame.name not in sites:
@@ -124,10 +122,7 @@ def mjspec_of(model: UsdModel) -> mujoco.MjSpec:
         _close(model, spec, edge)
     for edge in model.edges.values():
         if edge.mimic is not None and edge.mimic[0] in model.joints:
-            leader, multiplier, offset = edge.mimic
-            equality = spec.add_equality(name=f"{edge.name}_mimic", name1=edge.name, name2=leader)
-            equality.type, equality.objtype = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtObj.mjOBJ_JOINT
-            equality.data[:2] = offset, multiplier
+            SpecTree(spec).add_coupling(edge.name, *edge.mimic).name = f"{edge.name}_mimic"
     return spec
 
 
@@ -195,8 +190,9 @@ def _acceptable(model: UsdModel) -> dict[str, Inertial]:
             continue
         heaviest = max(sound, key=lambda part: found[part].mass)
         for part in bad:
-            pose = model.links[heaviest].pose.inverse() * model.links[part].pose
-            found[heaviest] = _joined(found[heaviest], found.pop(part), pose)
+            pose = (model.links[heaviest].pose.inverse() * model.links[part].pose).placed
+            joined = found[heaviest].rigid + pose.act(found.pop(part).rigid)
+            found[heaviest] = Inertial.of(joined, stated=True)
     return found
 
 
@@ -222,19 +218,6 @@ def _is_taken(inertial: Inertial) -> bool:
     least, middle, greatest = inertial.moments
     tiny = 1e-15  # mjMINVAL
     return bool(inertial.mass > tiny and least > tiny and least + middle >= greatest)
-
-
-def _joined(one: Inertial, two: Inertial, pose: Pose) -> Inertial:
-    """Returns the inertial of two bodies in the frame of the first, of the pose of the second."""
-    mass = one.mass + two.mass
-    com = pose.point(two.com)
-    middle = (one.mass * one.com + two.mass * com) / mass
-    turned = pose.rotation @ two.inertia @ pose.rotation.T
-    inertia = one.inertia + turned
-    for weight, place in ((one.mass, one.com), (two.mass, com)):
-        d = place - middle
-        inertia = inertia + weight * (float(d @ d) * np.eye(3) - np.outer(d, d))
-    return Inertial(mass, middle, inertia, True)
 
 
 def _close(model: UsdModel, spec: mujoco.MjSpec, edge: Edge) -> None:

@@ -8,20 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.places import refuse_file
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot_model.as_mjcf import joints_without, notes_of
 from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link
-from pupper_analysis.robot_model.pose import Array, Pose
+from pupper_analysis.robot_model.pose import Pose
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 
 
@@ -45,7 +44,7 @@ def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
     """
     file = read_usd(path)
     model = read_usd_model(file)
-    root = urdf_of(model)
+    root = urdf_of(model).root
     made = urdf_from(path, to_text(root), root, {})
     notes: list[Diagnostic] = [diagnose("usd-compared-as-urdf", file=path.name), *model.notes]
     notes += notes_of(model)
@@ -58,32 +57,32 @@ def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
     return UsdAsUrdf(path, made.text, made.root, {}, told, unknown, file)
 
 
-def urdf_of(model: UsdModel) -> etree._Element:
+def urdf_of(model: UsdModel) -> UrdfTree:
     """Writes a model as a URDF: links, joints and inertials of the base's tree; no shapes.
 
     Raises:
         ModelError: If a joint moves in a way that no URDF's joint does.
     """
-    root = etree.Element("robot", name=model.file.path.stem)
+    tree = UrdfTree(etree.Element("robot", name=model.file.path.stem))
     names = [model.base, *(link.name for link in model.descendants(model.base))]
     poses: dict[str, Pose] = {}
     if any(joint.moves for joint in model.links[model.base].joints):  # the world holds it so
-        etree.SubElement(root, "link", name="world")
+        tree.new_link("world")
         poses["world"] = model.mount.inverse()
     # A URDF's joint is at the origin of the link that it moves: the frames are put there.
     poses |= {name: _frame(model.links[name]) for name in names}
     for name in names:
-        link = model.links[name]
-        root.append(_link(link, poses[name].inverse() * link.pose))
+        link, added = model.links[name], tree.new_link(name)
+        if link.inertial is not None:
+            added.set_inertia((poses[name].inverse() * link.pose).placed.act(link.inertial.rigid))
         for joint in link.joints:
             if joint.parent not in poses:
                 continue  # a free base has no joint
             if joint.kind in (BALL, FREE):
                 place = model.file.place("joint", joint.name)
                 raise refuse_file(place, diagnose("usd-joint-of-several-axes"))
-            outer = poses[joint.parent]
-            root.append(_joint(model, joint, outer.inverse() * poses[name], poses[name]))
-    return root
+            _add_joint(tree, model, joint, poses)
+    return tree
 
 
 def _frame(link: Link) -> Pose:
@@ -91,52 +90,23 @@ def _frame(link: Link) -> Pose:
     return Pose(joints[0].position, link.pose.rotation) if joints else link.pose
 
 
-def _link(link: Link, pose: Pose) -> etree._Element:
-    """Returns a <link>, of the body's pose in it."""
-    element = etree.Element("link", name=link.name)
-    if link.inertial is not None:
-        inertial = etree.SubElement(element, "inertial")
-        _origin(inertial, Pose(pose.point(link.inertial.com)))
-        etree.SubElement(inertial, "mass", value=repr(float(link.inertial.mass)))
-        tensor = pose.rotation @ link.inertial.inertia @ pose.rotation.T
-        numbers = {name: repr(float(tensor[at])) for name, at in INERTIA_ENTRIES.items()}
-        etree.SubElement(inertial, "inertia", numbers)
-    return element
-
-
-def _joint(model: UsdModel, joint: Joint, place: Pose, frame: Pose) -> etree._Element:
-    """Returns a <joint>, of where it is in its parent, and of its frame in the base's."""
+def _add_joint(tree: UrdfTree, model: UsdModel, joint: Joint, poses: Mapping[str, Pose]) -> None:
+    """Adds a joint, of where the links' frames are in the base's."""
+    frame = poses[joint.child]
     endless = not (math.isfinite(joint.lower) or math.isfinite(joint.upper))
     kinds = {HINGE: "continuous" if endless else "revolute", SLIDE: "prismatic", FIXED: "fixed"}
-    element = etree.Element("joint", name=joint.name, type=kinds[joint.kind])
-    etree.SubElement(element, "parent", link=joint.parent)
-    etree.SubElement(element, "child", link=joint.child)
-    _origin(element, place)
+    placed = (poses[joint.parent].inverse() * frame).placed
+    added = tree.new_joint(joint.name, kinds[joint.kind], joint.parent, joint.child, placed)
     if not joint.moves:
-        return element
-    etree.SubElement(element, "axis", xyz=_text(frame.rotation.T @ joint.axis))
+        return
+    added.set_axis(frame.rotation.T @ joint.axis)
     stated: Mapping[str, float] = joint.stated
     if not (endless and joint.kind == HINGE):
         ends = np.clip((joint.lower, joint.upper), -ENDLESS_SLIDE, ENDLESS_SLIDE)
         stated = {**stated, "lower limit": float(ends[0]), "upper limit": float(ends[1])}
     for one in JOINT_ATTRIBUTES:
         if one.urdf is not None and one.kind in stated:
-            tag, word = one.urdf
-            found = element.find(tag)
-            found = etree.SubElement(element, tag) if found is None else found
-            found.set(word, repr(float(stated[one.kind])))
+            added.state(one, stated[one.kind])
     mimic = model.edges[joint.name].mimic
     if mimic is not None:
-        leader, multiplier, offset = mimic
-        numbers = {"multiplier": repr(multiplier), "offset": repr(offset)}
-        etree.SubElement(element, "mimic", {"joint": leader, **numbers})
-    return element
-
-
-def _origin(element: etree._Element, pose: Pose) -> None:
-    turns = pin.rpy.matrixToRpy(pose.rotation)
-    etree.SubElement(element, "origin", xyz=_text(pose.position), rpy=_text(turns))
-
-
-def _text(values: Array) -> str:
-    return " ".join(repr(float(value)) for value in values)
+        added.follow(*mimic)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -29,6 +30,11 @@ class Pose:
         """Returns a point (3,), or points (n, 3), given in this pose's frame, in the outer one."""
         moved: Array = local @ self.rotation.T + self.position
         return moved
+
+    @property
+    def placed(self) -> pin.SE3:
+        """The same, as Pinocchio has it."""
+        return pin.SE3(self.rotation, self.position)
 
     def inverse(self) -> Pose:
         """Returns the pose of the outer frame in this one."""

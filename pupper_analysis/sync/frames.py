@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -13,23 +13,13 @@ from pupper_analysis.matching.alignment import Alignment
 from pupper_analysis.matching.conventions import with_zero
 from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.trees import base_pose, kinematic_trees
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.multibody import MultibodyTree, with_value_of
 
 Array = NDArray[np.float64]
 
 Key = tuple[str, str]
 """Kind and element of a difference."""
-
-_BODY = ("mass", "com", "inertia")
-
-_JOINT = {
-    "position": "position",
-    "rotation": "rotation",
-    "axis": "axis",
-    **{one.kind: one.field for one in JOINT_ATTRIBUTES if one.in_both},
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +52,10 @@ class MatchedRobots:
             taken: The differences in which it gets the other's value.
         """
         one, two = (self.urdf, self.mjcf) if side == "urdf" else (self.mjcf, self.urdf)
-        joints, bodies, frames = dict(one.joints), dict(one.bodies), dict(one.frames)
+        result = one
         for kind, element in taken:
-            if kind in _BODY:
-                value = getattr(two.bodies[element], kind)
-                bodies[element] = replace(bodies[element], **{kind: value})
-            elif kind in _JOINT and element in joints:
-                field = _JOINT[kind]
-                value = getattr(two.joints[element], field)
-                joints[element] = replace(joints[element], **{field: value})
-            elif kind == "frame":
-                frames[element] = two.frames[element]
-        result = replace(one, joints=joints, bodies=bodies, frames=frames)
+            if kind != "zero":
+                result = with_value_of(result, two, kind, element)
         for name, offset in self.matched.conventions.zeros.items():
             # The URDF was given the MJCF's zeros: what it keeps is its own.
             if (("zero", name) in taken) == (side == "mjcf"):
