@@ -10,14 +10,14 @@ from pathlib import Path
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.attribution import EXPLAINED, align_robot, explain_differences
 from pupper_analysis.checks.convention_changes import convention_changes
-from pupper_analysis.checks.differences import CONVENTIONS, Difference, Explanation
+from pupper_analysis.checks.differences import CONVENTIONS, SERVO_GAINS, Difference, Explanation
 from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
 from pupper_analysis.checks.mount import Mount, mount_of
 from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import PatternCause, find_causes
 from pupper_analysis.checks.shares import mass_shares
 from pupper_analysis.checks.states import check_states
-from pupper_analysis.checks.words import with_names_of_models
+from pupper_analysis.checks.words import FORMATS, in_degrees, number_pair, with_names_of_models
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.matching.conventions import Conventions
@@ -29,8 +29,9 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.usd_file import is_usd
 from pupper_analysis.results import Tabular
-from pupper_analysis.robot_model.as_mjcf import read_usd_as_mjcf
-from pupper_analysis.robot_model.as_urdf import read_usd_as_urdf
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.robot_model.as_mjcf import UsdAsMjcf, read_usd_as_mjcf
+from pupper_analysis.robot_model.as_urdf import UsdAsUrdf, read_usd_as_urdf
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""
@@ -176,7 +177,7 @@ def compare_models(
         undamped=matched.unstated.get("damping", ()),
     )
     names_too = matched.guessed if strict_names else {}
-    differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file))
+    differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file, tolerances))
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
     if mount is not None and same_mount:
@@ -234,15 +235,18 @@ def _placed(
     matched: Match,
     urdf: UrdfFile,
     mjcf: MjcfFile,
+    tolerances: Tolerances,
 ) -> Iterator[Difference]:
-    """Yields the differences, and names that are another, with where they stand."""
+    """Yields the differences, names that are another, and gains, with where they stand."""
     one, two = matched.sources(urdf, mjcf)
     usds = {
         term: Term("the USD")
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
         if is_usd(file.path)
     }
-    for difference in (*explanation.differences, *(_name(*pair) for pair in names.items())):
+    servos = _servo_gains(matched, urdf, mjcf, tolerances)
+    renamed = (_name(*pair) for pair in names.items())
+    for difference in (*explanation.differences, *renamed, *servos):
         yield replace(
             difference,
             diagnostic=with_names_of_models(difference.diagnostic, usds),
@@ -281,6 +285,32 @@ def _explained(explanation: Explanation) -> float:
 def _name(urdf: str, mjcf: str) -> Difference:
     told = diagnose("joint-name-differs", subject=("joint", mjcf), urdf=urdf, mjcf=mjcf)
     return Difference("name", mjcf, urdf, mjcf, "", told, {})
+
+
+def _servo_gains(
+    matched: Match, urdf: UrdfFile, mjcf: MjcfFile, tolerances: Tolerances
+) -> Iterator[Difference]:
+    """Yields gains of servos that both files state and that differ; a URDF states none."""
+    if not isinstance(urdf, UsdAsUrdf):
+        return
+    theirs = mjcf.gains if isinstance(mjcf, UsdAsMjcf) else own_servos(matched.robot)
+    joints = kinematic_trees(matched.robot)[0].joints
+    for name in matched.robot.joint_names:
+        mine = urdf.gains.get(matched.urdf_joint[name])
+        if mine is None or name not in theirs:
+            continue
+        units = (("N m/rad", "N m s/rad"), ("N/m", "N s/m"))[joints[name].slides]
+        for kind, one, two, unit in zip(SERVO_GAINS, mine, theirs[name], units, strict=True):
+            if abs(two - one) > tolerances.damping * max(abs(one), abs(two)):
+                told = diagnose(
+                    "joint-number-differs",
+                    subject=("joint", name),
+                    what=Term(kind),
+                    guess=in_degrees(one, two),
+                    **number_pair(one, two, unit),
+                    **FORMATS.named,
+                )
+                yield Difference(kind, name, one, two, unit, told, {})
 
 
 def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Diagnostic]:

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 OF_INERTIALS = ("mass", "com", "inertia")
 OF_BODIES_AND_PLACES = (*OF_INERTIALS, "position", "rotation", "axis", "frame")
 LIMITS = ("lower limit", "upper limit", "effort")
+SERVO_GAINS = ("servo stiffness", "servo damping")
 
 ORDER = (
     "joint",
@@ -31,6 +32,7 @@ ORDER = (
     "armature",
     *LIMITS,
     "velocity",
+    *SERVO_GAINS,
     "friction",
     "mimic",
     "spring",
@@ -83,7 +85,8 @@ class Stated:
             ``parent``, ``type``, ``gravity``, ``base frame`` or ``zero`` (conventions, see
             `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
-            URDF alone has; ``name``, where names count; or what the MJCF alone has, the kinds of
+            URDF alone has; ``servo stiffness`` or ``servo damping``, of a USD in the URDF's place;
+            ``name``, where names count; or what the MJCF alone has, the kinds of
             `mjcf_only.effect.MjcfOnlyEffect`. Of two versions of a file also ``joint``, that one
             of them lacks, and ``motor``.
         element: The joint, the body (named by the joint that moves it, or the base) or the frame;

@@ -169,7 +169,7 @@ class MjcfSources:
         if kind in ("zero", "position", "rotation", "parent") and body:
             return file.place("body", body)
         tries = [("joint", element, None), ("body", body, "joint")]
-        if kind == "effort":
+        if kind in ("effort", "servo stiffness", "servo damping"):
             tries.insert(0, ("actuator", element, None))
         if kind == "frame":
             name = self.frames.get(element, element)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import mujoco
@@ -32,9 +32,11 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 
     Attributes:
         usd: The file, to whose prims the places lead.
+        gains: {joint: stiffness and damping of its servo}, see `UsdModel.gains`.
     """
 
     usd: UsdFile | None = None
+    gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
         """Returns the prim of a joint: what it states, it states itself."""
@@ -77,6 +79,7 @@ def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
         unknown={kind: names for kind, names in unknown.items() if names},
         _model=compile_spec(spec.copy(), path),
         usd=file,
+        gains=model.gains,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +30,11 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 
     Attributes:
         usd: The file, to whose prims the places lead.
+        gains: {joint: stiffness and damping of its servo}, see `UsdModel.gains`.
     """
 
     usd: UsdFile | None = None
+    gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
@@ -54,7 +56,7 @@ def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
     if unknown["effort"]:
         notes.append(diagnose("usd-efforts-unknown", joints=unknown["effort"]))
     told = (*notes, *(note for note in made.notes if note.code != "effort-or-velocity-unstated"))
-    return UsdAsUrdf(path, made.text, made.root, {}, told, unknown, file)
+    return UsdAsUrdf(path, made.text, made.root, {}, told, unknown, file, model.gains)
 
 
 def urdf_of(model: UsdModel) -> UrdfTree:

@@ -76,6 +76,12 @@ class UsdModel(RobotModel):
         """Returns what a joint's number is: several schemas have several names for it."""
         return attribute.kind, None
 
+    @property
+    def gains(self) -> dict[str, tuple[float, float]]:
+        """{joint: stiffness and damping of its servo}, see `Edge.gains`."""
+        stated = {name: edge.gains for name, edge in self.edges.items()}
+        return {name: gains for name, gains in stated.items() if gains is not None}
+
     def drive(self, joint: str) -> UsdDrive | None:
         """Returns the motor of a joint; None if it has none."""
         return self.edges[joint].drive if joint in self.edges else None

@@ -117,7 +117,9 @@ class Edge:
         upper: rad or m.
         numbers: {kind: what is stated}; what is not there is not known.
         stated: {kind: {attribute: what it states}}, in the same units, of all that do.
-        drive: Its motor; None if it has none.
+        drive: Its motor, as UsdPhysics states it; None if it has none.
+        gains: Stiffness and damping of the servo that holds it (N m/rad, N m s/rad; N/m, N s/m), by
+            UsdPhysics or MuJoCo's schema; None where nothing holds it, or holds it by inertia.
         outside: Whether it is to be left out of the tree.
         mimic: The joint that it follows as q = multiplier q' + offset; None if it follows none.
     """
@@ -133,6 +135,7 @@ class Edge:
     numbers: Mapping[str, float] = field(default_factory=dict)
     stated: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     drive: UsdDrive | None = None
+    gains: tuple[float, float] | None = None
     outside: bool = False
     mimic: tuple[str, float, float] | None = None
 
@@ -158,15 +161,16 @@ def edge_of(
         motors: The prims of MuJoCo's schema that drive it.
     """
     kind, axis, lower, upper = _freedom(prim)
-    turns = kind == HINGE
+    turns, moves = kind == HINGE, kind in (HINGE, SLIDE)
     unit = DEGREE if turns else units.length
     word = _word(prim, kind, axis)
     ends = {"lower limit": lower * unit, "upper limit": upper * unit}
     stated = {
         what: found
         for what, statements in STATEMENTS.items()
-        if kind in (HINGE, SLIDE) and (found := _stated(prim, what, statements, word, turns, units))
+        if moves and (found := _stated(prim, what, statements, word, turns, units))
     }
+    drive = _drive(prim, word, turns, units) if moves else None
     efforts = [_effort(motor, units.inertia if turns else units.force) for motor in motors]
     if efforts and None not in efforts:
         stated["effort"] = {
@@ -186,7 +190,8 @@ def edge_of(
         | {what: next(iter(found.values())) for what, found in stated.items()}
         | {what: min(found.values()) for what, found in stated.items() if what == "effort"},
         stated=stated,
-        drive=_drive(prim, word, turns, units) if kind in (HINGE, SLIDE) else None,
+        drive=drive,
+        gains=_gains(drive, motors, units.inertia if turns else units.mass) if moves else None,
         outside=bool(value_of(prim, "physics:excludeFromArticulation", "number")),
         mimic=_mimic(prim, turns, units, paths),
     )
@@ -273,15 +278,34 @@ def _effort(motor: Any, unit: float) -> float | None:
             return None
         return max(abs(float(shortest_decimals(end))) for end in ends) or None
 
-    def first(name: str) -> float:
-        values = value_of(motor, name, "list")
-        return abs(float(values[0])) if values else 1.0
-
     limit = greatest("force")
     if limit is None and str(value_of(motor, "mjc:biasType", "text") or "none") == "none":
         control = greatest("ctrl")
-        limit = None if control is None else control * first("mjc:gainPrm")
-    return None if limit is None else limit * first("mjc:gear") * unit
+        limit = None if control is None else control * abs(_entry(motor, "mjc:gainPrm", 0, 1.0))
+    return None if limit is None else limit * abs(_entry(motor, "mjc:gear", 0, 1.0)) * unit
+
+
+def _entry(motor: Any, name: str, place: int, usual: float) -> float:
+    """Returns one number of a list of a motor's; the usual one where that is shorter."""
+    values = value_of(motor, name, "list")
+    return float(values[place]) if values is not None and len(values) > place else usual
+
+
+def _gains(
+    drive: UsdDrive | None, motors: Sequence[Any], unit: float
+) -> tuple[float, float] | None:
+    """Returns stiffness and damping of what holds a joint; see `Edge.gains`.
+
+    MuJoCo's motors that are servos have an affine bias, per rad; several add up.
+    """
+    if drive is not None and drive.stiffness > 0:
+        return None if drive.accelerates else (drive.stiffness, drive.damping)
+    held = np.zeros(2)
+    for motor in motors:
+        if str(value_of(motor, "mjc:biasType", "text")) == "affine":
+            lever = _entry(motor, "mjc:gear", 0, 1.0) ** 2 * unit
+            held -= [_entry(motor, "mjc:biasPrm", place, 0.0) * lever for place in (1, 2)]
+    return (float(held[0]), float(held[1])) if held[0] > 0 else None
 
 
 def _drive(prim: Any, word: str, turns: bool, units: StageUnits) -> UsdDrive | None:

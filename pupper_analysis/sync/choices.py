@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from pupper_analysis.checks.differences import Difference
+from pupper_analysis.checks.differences import SERVO_GAINS, Difference
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
@@ -27,6 +27,7 @@ _OF_JOINT: Final = (
     "mimic",
     "name",
     "damping polynomial",
+    *SERVO_GAINS,
 )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 from pathlib import Path
@@ -12,6 +13,10 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.errors import ModelError
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.usd_file import read_usd
+from pupper_analysis.robot_model.as_mjcf import mjspec_of
+from pupper_analysis.robot_model.usd import read_usd_model
 from tests.support import usd
 from tests.support.repository import ROOT
 
@@ -219,3 +224,73 @@ def test_a_base_that_slides_on_the_world_keeps_its_joint(tmp_path: Path) -> None
     found = compare_models(cart, cart, configurations=2)
     assert found.agree
     assert found.joints == ("rail", "hip", "knee", "spring")
+
+
+def mjcf_of(path: Path, kp: float, kd: float) -> Path:
+    """Writes the MJCF of a USD, with a servo at its hip."""
+    spec = mjspec_of(read_usd_model(read_usd(path)))
+    SpecTree(spec).add_position_servo("hip", kp, kd)
+    spec.compile()
+    file = path.with_suffix(".xml")
+    file.write_text(spec.to_xml())
+    return file
+
+
+KP, KD = 0.5 * 180 / math.pi, 0.005 * 180 / math.pi
+"""N m/rad, N m s/rad: what the USD states per degree, in g and cm."""
+
+
+@pytest.mark.parametrize(
+    ("kp", "kd", "kinds"),
+    [
+        (KP, KD, []),
+        (1.1 * KP, KD, ["servo stiffness"]),
+        (0.5, 0.005, ["servo stiffness", "servo damping"]),
+    ],
+)
+def test_gains_of_a_drive_are_compared_per_radian(
+    tmp_path: Path, kp: float, kd: float, kinds: list[str]
+) -> None:
+    made = usd.write(tmp_path)
+    found = compare_models(made, mjcf_of(made, kp, kd), configurations=2)
+    assert [one.kind for one in found.differences] == kinds
+    assert found.agree == (not kinds)
+    for one, stated in zip(found.differences, (KP, KD), strict=False):
+        assert (one.element, one.urdf) == ("hip", pytest.approx(stated, rel=1e-6))
+        assert one.urdf_place == f"{made}:<{HIP}>"
+        assert one.mjcf_place is not None
+        assert ".xml:" in one.mjcf_place
+        assert ("degrees" in one.message) == (kp == 0.5)
+
+
+SERVO = """
+        def MjcActuator "servo"
+        {
+            rel mjc:target = </leg/joints/knee>
+            uniform token mjc:biasType = "affine"
+            uniform double[] mjc:gainPrm = [3e7]
+            uniform double[] mjc:biasPrm = [0, -3e7, -2e5]
+            uniform double[] mjc:gear = [2]
+        }
+
+        def PhysicsFixedJoint "ankle"
+"""
+
+
+def test_gains_of_two_usds_are_compared(tmp_path: Path) -> None:
+    """MuJoCo's schema states them per radian, before the gear; UsdPhysics per degree."""
+    one = usd.write(tmp_path, ('def PhysicsFixedJoint "ankle"', SERVO.strip()))
+    drive = (
+        f"{limit}\n            float drive:angular:physics:stiffness = {kp!r}"
+        f"\n            float drive:angular:physics:damping = {kd!r}"
+        for limit, kp, kd in (
+            ("maxForce = 90000000", math.radians(1.2e8), math.radians(8e5)),
+            ("maxForce = 90000000", 1.2e8, 8e5),
+        )
+    )
+    for number, (text, kinds) in enumerate(
+        zip(drive, ([], ["servo stiffness", "servo damping"]), strict=True)
+    ):
+        two = usd.write(tmp_path, ("maxForce = 90000000", text), name=f"two{number}.usda")
+        found = compare_models(one, two, configurations=2)
+        assert [each.kind for each in found.differences] == kinds
