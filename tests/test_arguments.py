@@ -295,7 +295,7 @@ def test_numbers_beyond_measure_are_refused() -> None:
     with pytest.raises(pa.VariantError, match="must be a finite number") as caught:
         pa.pupper.VariantSpec("v3", leg_scale=10**400)
     assert len(str(caught.value)) < 200
-    with pytest.raises(pa.ConfigurationError, match="no robot moves"):
+    with pytest.raises(pa.ConfigurationError, match="is not accepted"):
         pa.statics.inverse_dynamics(pa.Configuration(robot, stand.qpos), np.full(robot.nv, 1e308))
     with pytest.raises(pa.ConfigurationError, match="more than 1e\\+09") as refused:
         pa.payload_limit(robot, stand, kp=np.full(robot.nu, 1e308))

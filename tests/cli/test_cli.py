@@ -89,7 +89,7 @@ def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     assert lines[0].startswith("VERIFIED v3: 3.170 kg; peak torque ")
     assert lines[0].endswith(peak)
     assert "stands 131.5 mm high, in MuJoCo 131.5 mm" in lines[1]
-    assert "commanded the same joints without feed-forward 124.1 mm" in lines[1]
+    assert "commanded to the same joints without feed-forward 124.1 mm" in lines[1]
     assert "leg_back_l_2 touches the ground" in page.stdout
     assert "on what was assumed: -v" in page.stdout
     assert lines[-2:] == ["2 of 2 verified", lines[-1]]

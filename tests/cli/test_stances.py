@@ -37,7 +37,7 @@ def test_workspace_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path
     output = ("--json", str(path), "--figure", str(figure))
     status, out, err = run_command(capfd, "workspace", "original", "--offset", "0.01,0", *output)
     assert status == 0, err
-    assert "How far the base can go" in out
+    assert "Range of the base" in out
     content = json.loads(path.read_text())
     assert content["start"]["task"]["offset"] == [0.01, 0.0]
     robot = load("original")

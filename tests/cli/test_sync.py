@@ -34,7 +34,7 @@ def test_without_a_choice_the_differences_are_listed(folder: Path) -> None:
     assert "1. link base: mass 6 kg in the URDF, 7.5 kg in the MJCF (+25 %)" in result.stdout
     assert "   robot.urdf:5   robot.xml:7" in result.stdout
     assert "2. joint hip1: effort 21 N m in the URDF, 25 N m in the MJCF" in result.stdout
-    assert "Nothing was changed. --take urdf takes the URDF's values" in result.stdout
+    assert "Nothing was changed. --take urdf writes the URDF's values" in result.stdout
     assert '--take urdf:"link base: mass"' in result.stdout
     assert (folder / "robot.xml").read_bytes() == before
 
@@ -47,7 +47,7 @@ def test_all_is_written_and_said(folder: Path) -> None:
     assert lines[0] == "AGREE URDF and MJCF: attributes written: 2"
     assert lines[2:4] == ["What was written", "robot.xml:7: body base > inertial: mass: 7.5 -> 6"]
     assert lines[4].endswith("motor m_hip1: ctrlrange: -25.0 25.0 -> -21 21")
-    assert lines[5].startswith("the old file is kept: ")
+    assert lines[5].startswith("the old file is kept as ")
     assert lines[6] == f"written: {output}"
     content = json.loads(output.read_text())
     assert content["edits"][0] == {

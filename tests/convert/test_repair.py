@@ -179,6 +179,6 @@ def test_a_robot_whose_links_were_repaired_stands(tmp_path: Path) -> None:
     assert found.passed, found.failures
     assert found.verification is not None
     # With the file as it was published nothing can be said of that joint.
-    with pytest.raises(pa.ModelError, match="'helper' moves nothing that has a mass") as raised:
+    with pytest.raises(pa.ModelError, match="'helper' moves nothing that has mass") as raised:
         pa.load_robot(urdf=path, mjcf=mjcf)
     assert str(path) in raised.value.source

@@ -270,7 +270,7 @@ def test_the_frame_of_a_fixed_base_elsewhere_is_a_note(tmp_path: Path, pose: str
     mjcf, _ = reframed(arm(), [], "base", *POSES[pose])
     comparison = compared(pair(tmp_path, mjcf, urdf=arm()))
     assert comparison.agree
-    said = [note for note in comparison.notes if "the frame of the fixed base" in str(note)]
+    said = [note for note in comparison.notes if "the fixed base's frame" in str(note)]
     assert len(said) == 1
 
 
@@ -282,10 +282,10 @@ def test_a_fixed_base_that_is_turned_in_the_world_is_said_once(tmp_path: Path, n
     mjcf = changed(arm(), "base", quaternion=(0.5, 0.5, 0.5, 0.5))
     comparison = compared(pair(tmp_path, mjcf, urdf=urdf))
     assert comparison.agree
-    said = [str(note) for note in comparison.notes if "stands" in str(note)]
+    said = [str(note) for note in comparison.notes if "is placed" in str(note)]
     assert said == [
-        "the MJCF's fixed base 'base' stands turned by 120 deg about (0.57735, 0.57735, 0.57735), "
-        "in the world; the URDF's was put there"
+        "the MJCF's fixed base 'base' is placed turned by 120 deg about (0.57735, 0.57735, "
+        "0.57735) in the world; the URDF's was placed there"
     ]
     assert set(comparison.joints) == {"turn", "lift", "push"}
 
@@ -308,9 +308,7 @@ def test_the_limits_of_the_one_joint_on_a_base_tell_where_its_zero_is(tmp_path: 
     mjcf, _ = reframed(bare, [], "base", *POSES["turned"])
     comparison = compared(pair(tmp_path, mjcf, urdf=bare))
     assert comparison.agree
-    assert (
-        len([note for note in comparison.notes if "the frame of the fixed base" in str(note)]) == 1
-    )
+    assert len([note for note in comparison.notes if "the fixed base's frame" in str(note)]) == 1
     # With the limits moved by the quarter, it is the zero, or the frame with other limits.
     column = mjcf["column"]
     quarter = math.pi / 2

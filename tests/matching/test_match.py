@@ -269,8 +269,12 @@ def test_loose_objects_and_a_floor_are_no_part_of_the_robot(tmp_path: Path) -> N
     mjcf = mjcf_text(quadruped(), scene=scene, extra=references)
     comparison = compare_texts(tmp_path, URDF, mjcf)
     assert comparison.agree
-    assert "robot.xml: body 'ball' is not part of the robot: left out" in map(str, comparison.notes)
-    assert "robot.xml: body 'door' is not part of the robot: left out" in map(str, comparison.notes)
+    assert "robot.xml: body 'ball' is not part of the robot and was left out" in map(
+        str, comparison.notes
+    )
+    assert "robot.xml: body 'door' is not part of the robot and was left out" in map(
+        str, comparison.notes
+    )
 
 
 def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
@@ -280,7 +284,7 @@ def test_scenery_is_no_part_of_a_fixed_base(tmp_path: Path) -> None:
     comparison = compare_texts(tmp_path, urdf_text(arm()), mjcf)
     assert comparison.agree
     assert comparison.engines == ()
-    assert "robot.xml: body 'table' is not part of the robot: left out" in map(
+    assert "robot.xml: body 'table' is not part of the robot and was left out" in map(
         str, comparison.notes
     )
     heavier = mjcf_text(changed(arm(), "base", mass=3.5), free=False, scene=table)
@@ -616,7 +620,7 @@ def test_a_gripper_of_one_file_is_named_as_such(tmp_path: Path, where: str) -> N
     other = "MJCF" if where == "URDF" else "URDF"
     what = "link" if where == "URDF" else "body"
     assert [str(part) for part in comparison.parts] == [
-        f"the {where} has a gripper that the {other} lacks: {what} hand below push (0.7 kg), with "
+        f"the {where} has a gripper that the {other} lacks: {what} hand on push (0.7 kg), with "
         "joints to_finger0, to_finger1"
     ]
     assert found(comparison) == []

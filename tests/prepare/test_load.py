@@ -82,7 +82,7 @@ def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> No
     whole = quadruped(tmp_path, keyframe="", floor=True)
     there = load(whole)
     robot = load(fused(whole))
-    assert "with the mass of the URDF's 'trunk' (4 kg)" in said(robot, "limbs in the world")
+    assert "with the mass of the URDF's 'trunk' (4 kg)" in said(robot, "limbs to the world")
     stands(robot)
     # It is the robot that it was before, in MuJoCo too.
     assert robot.total_mass == pytest.approx(4 + 4 * 1.1)
@@ -101,7 +101,7 @@ def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:
 
 def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, prefix="rob_"))
-    assert "FL_roll = rob_FL_roll" in said(robot, "another name")
+    assert "FL_roll = rob_FL_roll" in said(robot, "other names")
     stands(robot)
 
 
@@ -326,7 +326,7 @@ def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
     plain = load(biped(tmp_path))
     robot = load(from_the_ground(biped(tmp_path), 0.78))
-    assert "0.880 m higher, to the base's com" in said(robot, "below all limbs")
+    assert "raised by 0.880 m, to the base's com" in said(robot, "below all limbs")
     # The pelvis' com is 0.1 m above the frame that it has otherwise.
     height = plain.stand_height
     one = pa.solve_stand(plain, pa.StandTask(height=height))
@@ -368,7 +368,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     mjcf = pair.mjcf.read_text().replace("<worldbody>", ICOSPHERE.format(text) + "<worldbody>", 1)
     pair.mjcf.write_text(mjcf)
     robot = load(pair)
-    said(robot, "balls that fit to them touch the ground instead")
+    said(robot, "replaced by fitted spheres")
     for radius in robot.foot_radius.values():
         assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
@@ -536,7 +536,7 @@ def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     assert text.count(origin) == 1
     pair.urdf.write_text(text.replace(origin, turned))
     robot = load(pair)
-    assert "FL_knee by +0.3" in said(robot, "zero is elsewhere")
+    assert "FL_knee by +0.3" in said(robot, "another zero angle")
     np.testing.assert_allclose(robot.lower_limits, plain.lower_limits, atol=1e-12)
     one, two = (pa.stance.solve_stand_on_soft_ground(each).qpos for each in (robot, plain))
     np.testing.assert_allclose(one, two, atol=1e-9)
@@ -579,7 +579,7 @@ def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     assert 'range="-1.5 2.5"' in pair.mjcf.read_text()
     pair.mjcf.write_text(pair.mjcf.read_text().replace('range="-1.5 2.5"', 'range="-1.5 0.6"'))
     robot = load(pair)
-    assert "_pitch -1.5 to 0.6" in said(robot, "limits that are narrower in the MJCF")
+    assert "_pitch -1.5 to 0.6" in said(robot, "narrower limits of the MJCF")
     names = [name for name in robot.joint_names if name.endswith("_pitch")]
     found = dict(zip(robot.joint_names, robot.home[7:].tolist(), strict=True))
     assert max(found[name] for name in names) <= 0.6

@@ -147,7 +147,7 @@ def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
     with pytest.raises(pa.StanceUnreachableError) as caught:  # as TRON 1's: it says what it lacks
         pa.solve_stand(robot, pa.StandTask(swing={"left_tilt_link": 0.05}))
     assert caught.value.possible == {}
-    assert "by a leg of six joints, and that of left_tilt_link has 4" in str(caught.value)
+    assert "takes a leg of six joints; that of left_tilt_link has 4" in str(caught.value)
     assert str(caught.value.lacks) in str(caught.value)
 
 

@@ -75,7 +75,7 @@ def test_audit_lists_its_rules() -> None:
     result = run("--list-rules")
     assert result.returncode == 0
     lines = result.stdout.splitlines()
-    assert lines[1] == f"{len(RULES)} rules; --disable RULE leaves one out"
+    assert lines[1] == f"{len(RULES)} rules; --disable RULE skips one"
     assert [line.split()[0] for line in lines[4:] if line[0] != " "] == list(RULES)
 
 

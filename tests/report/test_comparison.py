@@ -132,7 +132,7 @@ def test_the_rest_is_counted_and_printed_with_all(tmp_path: Path) -> None:
 def test_what_is_left_is_printed(files: Files) -> None:
     text = printed(compared(files))
     assert "explained: 100 % of the deviation; with the MJCF's values in the URDF's model " in text
-    assert "something is missing" not in text
+    assert "this list is incomplete" not in text
 
 
 LONG = "knee_of_the_left_hind_leg_whose_name_is_as_long_as_a_whole_line_of_a_terminal_is_wide_1"

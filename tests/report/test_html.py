@@ -337,7 +337,7 @@ def test_lines_of_both_files_are_side_by_side() -> None:
     assert lines[0] == '<mass value="1.625"/>'
     assert lines[1].startswith("<inertial ")
     assert "1.625" in shown(first.find("h3"))
-    rows = page.tables()["All differences, what is to be mended first, first"]
+    rows = page.tables()["All differences, the most important first"]
     assert (rows[0]["kind"], rows[0]["in the URDF"], rows[0]["unit"]) == ("mass", "1.625", "kg")
     assert "✗ DISAGREE" in page.shown()
 

@@ -110,7 +110,8 @@ def test_a_stance_that_fails() -> None:
     )
     assert "without feed-forward, no sag is predicted: why lowest part" in text
     assert (
-        "feet sunk into MuJoCo's soft ground would be out of reach: simulated with joints" in text
+        "compensated for contact penetration it would be out of reach: simulated with joints"
+        in text
     )
     assert "HOLDS" not in text
 
@@ -135,8 +136,8 @@ def test_the_fastest_path_is_printed_with_its_bound() -> None:
     )
     text = " ".join(printed(path_document(least)))
     assert (
-        "least time 3 s, with 21% of every limit in reserve: bound by friction (FR) after 37% of "
-        "segment 2; 2.5 s if the acceleration could jump The path" in text
+        "shortest duration 3 s, with 21% of every limit in reserve: bound by friction (FR) after "
+        "37% of segment 2; 2.5 s with unbounded jerk The path" in text
     )
 
 
@@ -155,7 +156,7 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
     own = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (made,))
     one = loaded()
     one.servos = own
-    said = "on servos that were added at 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
+    said = "on servos that were added to 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
     assert said in " ".join(printed(payload_document(one)))
     push = pushed("one", 0.0, 0.00311)
     push.verdict = judge_stance(run(0.0, passed=True), None, own)
@@ -181,7 +182,7 @@ def test_what_motors_bear_if_legs_share_it_is_told_where_it_is_more() -> None:
     more = loaded()
     more.payload.shared = Sharing(5.678, np.zeros(12), {})
     text = " ".join(printed(payload_document(more)))
-    assert "motors, if the legs share it as these can 5.67 kg servos' stiffness" in text
+    assert "motors, with the best sharing of load among the legs 5.67 kg servos' stiffness" in text
 
 
 def test_motors_without_a_limit_are_named() -> None:

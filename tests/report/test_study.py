@@ -69,7 +69,7 @@ def test_the_report_counts_what_the_table_has() -> None:
     assert unreachable.designs == 6  # of one height
     assert unreachable.share == pytest.approx(1 / 3)
     assert "0.5" in unreachable.reason
-    sag = next(one for one in found.measured if one.measure == "servo_sag")
+    sag = next(one for one in found.measured if one.metric == "servo_sag")
     known = table["servo_sag"].dropna()
     assert (sag.least, sag.median, sag.greatest) == (known.min(), known.median(), known.max())
     assert sag.designs == len(known) == 12
@@ -177,14 +177,14 @@ def test_shares_and_certainties_are_in_their_columns() -> None:
     assert [row[f"{name} (–)"] for name in names] == ["45.6%", "22.2%", "55.5%", "2.2%"]
     other = next(r for r in shares if r["metric"] == "com_margin")
     assert other["Sobol, alone (–)"] == "-"
-    sure = {row["what"]: row for row in tables["How sure the stand is"]}
-    assert sure["It stays up on its servos"]["probability (–)"] == "90.00%"
+    sure = {row["what"]: row for row in tables["Probability that it stands"]}
+    assert sure["It stays upright on its servos"]["probability (–)"] == "90.00%"
     assert sure["knee"]["probability (–)"] == "80.00%"
     assert sure["All motors are under their limits"]["probability (–)"] == "70.00%"
     assert sure["Both"]["at least (95 %) (–)"] == "50.20%"  # Wilson's, of 60 of 100
     (tight,) = tables["The tightest tolerance that is needed"]
     assert tight["range or values"] == "7, 0.25"
-    assert "With 37.5% of the study's spreads" in Page(written(full(), robots=False)).shown()
+    assert "With spreads scaled by 37.5%" in Page(written(full(), robots=False)).shown()
 
 
 def drawing(page: Page, title: str) -> object:
@@ -214,7 +214,7 @@ def test_maps_are_coloured_by_their_means_and_tell_them() -> None:
 
 
 def test_what_becomes_of_designs_is_drawn_by_kind() -> None:
-    svg = drawing(Page(written(outcome(), robots=False)), "What becomes of designs")
+    svg = drawing(Page(written(outcome(), robots=False)), "Outcome of designs")
     lines = {one.get("data-en"): one for one in svg.iter("polyline")}
     assert set(lines) == {"all measured", "unreachable"}
     assert lines["unreachable"].get("data-labels").split("|")[0] == (
@@ -238,7 +238,7 @@ def test_no_mean_leaves_out_what_does_not_stand_in_silence() -> None:
     assert [label.rpartition(" (")[2] for label in told].count("2 / 2)") == 5
     (partial,) = [label for label in told if label.endswith(" (1 / 2)")]
     assert partial.startswith("leg_scale 1.2, height 0.12: ")
-    assert "some do not stand: the mean is of the others alone" in page.shown()
+    assert "contain designs that do not stand; the mean is of the others" in page.shown()
 
 
 def test_a_failure_s_reason_is_in_chinese_too() -> None:

@@ -121,7 +121,7 @@ def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
     found = pa.verify_stand(robot, stand, feedforward=False, duration=20.0, nudged=0)
     assert found.base_height == pytest.approx(sag.base_height, abs=1e-6)
     if pair is four_bars:
-        with pytest.raises(pa.NoEquilibriumError, match="or is not found from loops"):
+        with pytest.raises(pa.NoEquilibriumError, match="or is not found from closed loops"):
             pa.steady_state(robot, pa.solve_stand(robot), feet="sliding")
 
 
@@ -266,7 +266,7 @@ def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> No
     pair.mjcf.write_text(ElementTree.tostring(root, encoding="unicode"))
     robot = load(pair)
     assert pa.solve_stand(robot).solved
-    with pytest.raises(pa.StanceUnreachableError, match="loops and couplings closed, it is in"):
+    with pytest.raises(pa.StanceUnreachableError, match="closed, the stance is in"):
         pa.stance.solve_stand_on_soft_ground(robot)
 
 
@@ -299,9 +299,9 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="binds joints"):
+    with pytest.raises(pa.ConfigurationError, match="couples joints"):
         pa.gravity_compensation(pa.Configuration(robot, qpos))
-    with pytest.raises(pa.ConfigurationError, match="binds joints"):
+    with pytest.raises(pa.ConfigurationError, match="couples joints"):
         pa.gravity_compensation(pa.Configuration(robot, qpos), ())
 
 
@@ -321,7 +321,7 @@ def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="binds joints"):
+    with pytest.raises(pa.ConfigurationError, match="couples joints"):
         pa.statics.gravity_compensations(robot, qpos[None])
 
 
@@ -337,7 +337,7 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
         "the best stance": lambda: pa.best_stance(robot),
     }
     for what, ask in asked.items():
-        with pytest.raises(pa.ConfigurationError, match=f"binds joints.*{what} is not computed"):
+        with pytest.raises(pa.ConfigurationError, match=f"couples joints.*{what} is not computed"):
             ask()
 
 
@@ -370,7 +370,7 @@ def test_robots_with_closed_loops_stand_at_the_command_line(
     said = " ".join((out + err).split())
     assert "HOLDS in MuJoCo" in said
     assert "joints that follow others" in said
-    assert "loops and couplings are open in it by up to" in said
+    assert "soft loops and couplings open by up to" in said
 
 
 @pytest.mark.slow
@@ -386,7 +386,9 @@ def test_pushes_and_gains_are_simulated(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, in_mjcf=False))
-    assert any("(<mimic>), and now in the MJCF: FL_knee" in str(note) for note in robot.notes)
+    assert any(
+        "(<mimic>) are now coupled in the MJCF, too: FL_knee" in str(note) for note in robot.notes
+    )
     stand = holds(robot)
     motor, knee = (at(robot, stand.qpos, f"FL_{name}") for name in ("motor", "knee"))
     assert knee == pytest.approx(-0.2 - 0.8 * motor, abs=0.05)  # but for its give
@@ -412,7 +414,10 @@ def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> 
     assert robot.closure is None
     said = "\n".join(map(str, robot.notes))
     assert "motors of their own have FL_knee, FR_knee, RL_knee, RR_knee" in said
-    assert "of 0.6 kg, which is what the URDF lacks, weigh in both: FL_crank, FL_rod" in said
+    assert (
+        "of 0.6 kg (the mass that the URDF lacks), are counted in both models: FL_crank, FL_rod"
+        in said
+    )
     assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     found = pa.verify_stand(robot, stand)

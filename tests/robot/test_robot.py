@@ -269,7 +269,7 @@ def test_missing_and_unreadable_files_are_refused(tiny_files: Files, tmp_path: P
         (
             TINY_URDF.replace('name="push"', 'name="pull"'),
             TINY_MJCF,
-            "another name in the URDF: pull = push",
+            "other names in the URDF: pull = push",
         ),
     ],
 )

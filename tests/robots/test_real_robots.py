@@ -412,7 +412,7 @@ def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
         said = row.stand.split("; ")  # as published, its shins carry
         assert said[0] == "holds"
         assert re.match(r"as published, torques are off by 4\d %, the height by \+17 mm", said[1])
-        assert said[2].startswith("shapes were kept from touching the ground: FL_calf, FR_calf")
+        assert said[2].startswith("contact with the ground was disabled for FL_calf, FR_calf")
         assert row.torque is not None
         assert row.torque < 1e-2
     else:

@@ -88,5 +88,5 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
 def test_two_wheels_make_no_polygon(tmp_path: Path) -> None:
     files = wheeled(tmp_path, "FL", "FR")
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
-    with pytest.raises(pa.ConfigurationError, match="along one line alone"):
+    with pytest.raises(pa.ConfigurationError, match="along a single line"):
         pa.solve_stand(robot)

@@ -67,7 +67,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"servos": made(Drive.MOTOR)},
         VerdictCode.HOLDS_ON_ADDED_SERVOS,
         True,
-        "on servos that were added at 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
+        "on servos that were added to 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
     ),
     "given": (
         {"servos": ServosUsed(ServoSource.GIVEN, (30.0, 50.0), (2.0, 2.0))},
@@ -92,8 +92,8 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"published": published(0.016)},
         VerdictCode.HOLDS_ALTERED,
         True,
-        "as published, torques are off by 1.6 %, the height by -18 mm; an <exclude> keeps from "
-        "touching: foot and floor (line 17)",
+        "as published, torques are off by 1.6 %, the height by -18 mm; an <exclude> prevents "
+        "contact of foot and floor (line 17)",
     ),
     "not as published": (
         {"published": published(0.65)},

@@ -295,7 +295,7 @@ def test_lifted_foot_is_named() -> None:
     """A knee drawn up: the statics take four feet, the simulation finds three."""
     result = pa.verify_stand(load("original"), bent("original", "FL", 2, -0.6))
     assert not result.passed
-    assert any(str(reason).startswith("foot FL carries nothing") for reason in result.failures)
+    assert any(str(reason).startswith("foot FL carries no load") for reason in result.failures)
     assert result.force_error > 0.5
     assert result.mujoco_foot_error > 0.01
 

@@ -263,5 +263,5 @@ def test_distances_that_no_one_can_tell_are_refused(robot: pa.Robot) -> None:
     def as_field(model: mujoco.MjModel) -> None:
         model.geom_type[next(touching(model))] = mujoco.mjtGeom.mjGEOM_SDF
 
-    with pytest.raises(pa.ModelError, match="is a sdf, of which no distance can be told"):
+    with pytest.raises(pa.ModelError, match="is a sdf, for which no distance can be computed"):
         pa.solve_stand(changed(robot, as_field))

@@ -551,7 +551,7 @@ def test_the_study_command_writes_its_results(
     file.write_text(LEGS)
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
     assert status == 0
-    assert "4 designs, of which 0 are there" in out
+    assert "4 designs, 0 of them already measured" in out
     assert "no equilibrium" in out
     assert not folder.exists()
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--workers", "1")
@@ -565,7 +565,7 @@ def test_the_study_command_writes_its_results(
     assert [float(line[0]), float(line[2])] == pytest.approx([least, most], rel=1e-4)
     assert line[3] == "2"
     status, out, _ = run_command(capfd, "study", str(file), "-o", str(folder), "--dry-run")
-    assert "4 designs, of which 4 are there" in out
+    assert "4 designs, 4 of them already measured" in out
     written = tmp_path / "study.json"
     arguments = ("study", str(file), "-o", str(folder), "--figures", "--json", str(written))
     status, out, _ = run_command(capfd, *arguments)
