@@ -236,7 +236,7 @@ def test_a_dry_run_runs_no_code_beside_the_file(tmp_path: Path) -> None:
         assert not (tmp_path / "run").exists()
     assert pa.Study.read(file).metrics[0].name == "height"
     assert (tmp_path / "run").exists()
-    assert "its code is run" in " ".join(answer("study", "--help").stdout.split())
+    assert "its code is executed" in " ".join(answer("study", "--help").stdout.split())
 
 
 def test_other_arguments_are_checked() -> None:
