@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import linalg
 
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.configuration import UP
-from pupper_analysis.robot.contact import contact_offset
+from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
+from pupper_analysis.stance.sag.solution import Anchor
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -49,84 +48,37 @@ def find_buckling_modes(
         The mu of all modes, the greatest first (1/kg): none buckles below a mass of 1 / mu[0] if
         that is positive, and none at all if not. None if the stand is not stable without payload.
     """
-    mass = loaded.total_mass - robot.total_mass
-    data = robot.pin_model.createData()
-    pin.computeJointJacobians(robot.pin_model, data, robot.pin_convention.q(stand.qpos))
-    pin.updateFramePlacements(robot.pin_model, data)
-    jacobians = {foot: _jacobian(robot, data, foot) for foot in stand.stance_feet}
-    held, normal, rates = _contacts(loaded, stand, laden, jacobians)
-    stiff = normal.T @ (rates[:, None] * normal)
-    joints = robot.pin_convention.v_index
-    stiff[joints, joints] += kp
-    free = linalg.null_space(held)
+    feet, normal = stand.stance_feet, stand.task.ground.normal()
+    laws = [GroundLaw.of(loaded, foot) for foot in feet]
+    pressed = [max(float(laden.contact_forces[foot] @ normal), 0.0) for foot in feet]
+    deep = [law.depth(force) for law, force in zip(laws, pressed, strict=True)]
+    frame = pin.Quaternion.FromTwoVectors(normal, UP).matrix()
+
+    def touching(one: Robot) -> ContactKinematics:
+        config = Configuration(one, stand.qpos)
+        centres = config.foot_places(feet)
+        held = zip(feet, centres, config.foot_rotations(feet), strict=True)
+        anchors = {foot: Anchor(place, turned) for foot, place, turned in held}
+        return ContactKinematics(
+            config, anchors, centres, frame, dict(zip(feet, deep, strict=True))
+        )
+
+    def stiffness(one: Robot, balance: GravityCompensation) -> Array:
+        forces = np.array([balance.contact_forces[foot] for foot in feet]) @ frame.T
+        return touching(one).balance_rates(forces, None) + stiff
+
+    jacobians = touching(loaded).jacobians
+    across, along = jacobians[:, :2].reshape(-1, robot.nv), jacobians[:, 2]
+    rates = np.array([law.rate(depth) for law, depth in zip(laws, deep, strict=True)])
+    stiff = along.T @ (rates[:, None] * along)
+    stiff[6:, 6:] += np.diag(kp)
+    free = linalg.null_space(across)
     one, two = (
-        free.T @ (_geometric(on, stand, balance.contact_forces, data, jacobians) + stiff) @ free
-        for on, balance in ((robot, empty), (loaded, laden))
+        free.T @ stiffness(on, balance) @ free for on, balance in ((robot, empty), (loaded, laden))
     )
-    softer = (one - two) / mass
+    softer = (one - two) / (loaded.total_mass - robot.total_mass)
     try:
         modes: Array = linalg.eigh((softer + softer.T) / 2, (one + one.T) / 2, eigvals_only=True)
     except np.linalg.LinAlgError:
         return None
     return modes[::-1]
-
-
-def _contacts(
-    robot: Robot, stand: Stand, held: GravityCompensation, jacobians: Mapping[str, Array]
-) -> tuple[Array, Array, Array]:
-    """Returns what keeps the contact points (2 n, nv), their rise (n, nv), and N/m per foot (n,).
-
-    Columns are those of Pinocchio's velocity.
-    """
-    tangential, normals, rates = [], [], []
-    for foot in stand.stance_feet:
-        normal, law, jacobian = stand.normals[foot], GroundLaw.of(robot, foot), jacobians[foot]
-        depth = law.depth(max(float(held.contact_forces[foot] @ normal), 0.0))
-        arm = contact_offset(robot.foot_radius[foot], normal, depth)
-        point = jacobian[:3] - pin.skew(arm) @ jacobian[3:]
-        across = pin.Quaternion.FromTwoVectors(normal, UP).matrix()[:2]
-        tangential.append(across @ point)
-        normals.append(normal @ jacobian[:3])
-        rates.append(law.rate(depth))
-    return np.concatenate(tangential), np.array(normals), np.array(rates)
-
-
-def _jacobian(robot: Robot, data: pin.Data, foot: str) -> Array:
-    """Returns the Jacobian (6, nv) of a foot's centre, in world axes and Pinocchio's velocity."""
-    frame = robot.pin_model.getFrameId(robot.foot_frames[foot], pin.FrameType.BODY)
-    jacobian: Array = pin.getFrameJacobian(
-        robot.pin_model, data, frame, pin.LOCAL_WORLD_ALIGNED
-    ).reshape(6, -1)
-    return jacobian
-
-
-def _geometric(
-    robot: Robot,
-    stand: Stand,
-    forces: Mapping[str, Array],
-    at: pin.Data,
-    jacobians: Mapping[str, Array],
-) -> Array:
-    """Returns the derivative (nv, nv) of gravity less contact forces that keep their direction.
-
-    Pinocchio's static torque derivatives are for forces that turn with their link. One that keeps
-    its direction in the world, f at the foot's centre, turns by -omega x f against the link, which
-    takes J_c^T [f]x J_omega away; likewise the moment about the centre of what acts at the contact.
-    """
-    model = robot.pin_model
-    external = pin.StdVec_Force()
-    external.extend([pin.Force.Zero() for _ in range(model.njoints)])
-    turning = np.zeros((model.nv, model.nv))
-    for foot, force in forces.items():
-        frame = model.getFrameId(robot.foot_frames[foot], pin.FrameType.BODY)
-        joint, centre = model.frames[frame].parentJoint, at.oMf[frame].translation
-        arm = contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
-        moment = pin.skew(arm) @ force
-        about_origin = pin.Force(force, moment + pin.skew(centre) @ force)
-        external[joint] = external[joint] + at.oMi[joint].actInv(about_origin)
-        jacobian = jacobians[foot]
-        turning += jacobian[:3].T @ pin.skew(force) @ jacobian[3:]
-        turning += jacobian[3:].T @ pin.skew(moment) @ jacobian[3:]
-    q = robot.pin_convention.q(stand.qpos)
-    turned: Array = pin.computeStaticTorqueDerivatives(model, model.createData(), q, external)
-    return turned - turning

@@ -6,17 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import clarabel
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import sparse
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.payload import point_on_base, with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.first_order import Loads
@@ -28,8 +25,9 @@ from pupper_analysis.stance.payload.servo_limit import (
     find_first_failing,
     servo_limit,
 )
-from pupper_analysis.stance.payload.sharing import Sharing, share_load
+from pupper_analysis.stance.payload.sharing import Sharing, load_per_mass, share_load
 from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
 
 Array = NDArray[np.float64]
@@ -265,8 +263,8 @@ def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) ->
 
     With the mass m at a point whose Jacobian is J_p, balance of the base means, in its six rows,
     g + m |g| J_p^T e_z = J^T f. The greatest m for which some contact forces inside the friction
-    cones give it is a second-order cone programme in (f, m). If it were greater without friction's
-    limit a foot slides first; otherwise a foot would have to pull, and the robot tips.
+    cones give it is a second-order cone programme in (f, m). Where a foot that presses is at its
+    friction's limit it slides first; otherwise a foot would have to pull, and the robot tips.
 
     Args:
         robot: The robot.
@@ -277,91 +275,17 @@ def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) ->
         The limit; infinite if all is borne that is looked at (``UNLIMITED``).
     """
     robot.check_tree("a payload")
-    problem = _problem(robot, stand, np.asarray(point, dtype=float))
-    best, forces = problem.solve(friction=True)
-    if best >= 0.999 * problem.ceiling:
+    config, most = Configuration(robot, stand.qpos), UNLIMITED * robot.total_mass
+    carrying = make_contacts(robot, stand.stance_feet, None, stand.normals, stand.depths)
+    problem = carrying.balance(carrying.jacobian(config), config.load())
+    load = load_per_mass(config, point)[:6]
+    best, forces = problem.greatest_load(load, carrying.friction, most)
+    if best >= 0.999 * most:
         return Bound(math.inf, Failure.NOTHING, ())
-    gripping, _ = problem.solve(friction=False)
-    failure = Failure.SLIDING if gripping > best * (1 + 1e-4) + 1e-6 else Failure.TIPPING
-    return Bound(best, failure, _feet(robot, stand, forces, failure))
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """The base's rows of the balance: gravity + mass * load = contacts f.
-
-    Attributes:
-        gravity: (6,).
-        load: (6,) of one kilogram.
-        contacts: (6, 3 n).
-        normals: (n, 3).
-        friction: (n,).
-        ceiling: Greatest mass looked for (kg).
-    """
-
-    gravity: Array
-    load: Array
-    contacts: Array
-    normals: Array
-    friction: Array
-    ceiling: float
-
-    def solve(self, *, friction: bool) -> tuple[float, Array]:
-        """Maximises the mass (kg); returns it with its forces (n, 3) (N).
-
-        Without ``friction`` no foot can slide. Where not even no mass can be held it is 0.
-        """
-        size = 3 * len(self.normals) + 1  # f / weight, and the mass in kg
-        weight = float(np.abs(self.gravity).max())
-        equal = np.column_stack([self.contacts, -self.load / weight])
-        mass = np.eye(1, size, size - 1)
-        blocks = [equal, mass, -mass]
-        bounds = [self.gravity / weight, np.array([self.ceiling]), np.zeros(1)]
-        cones = [clarabel.ZeroConeT(6), clarabel.NonnegativeConeT(2)]
-        for index, (normal, mu) in enumerate(zip(self.normals, self.friction, strict=True)):
-            cone = np.zeros((4 if friction else 1, size))
-            block = slice(3 * index, 3 * index + 3)
-            cone[0, block] = -(mu if friction else 1.0) * normal
-            cone[1:, block] = -(np.eye(3) - np.outer(normal, normal))[: len(cone) - 1]
-            blocks.append(cone)
-            bounds.append(np.zeros(len(cone)))
-            cones.append(clarabel.SecondOrderConeT(4) if friction else clarabel.NonnegativeConeT(1))
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        solution = clarabel.DefaultSolver(
-            sparse.csc_matrix((size, size)),
-            -mass[0],
-            sparse.csc_matrix(np.concatenate(blocks)),
-            np.concatenate(bounds),
-            cones,
-            settings,
-        ).solve()
-        values = np.array(solution.x)
-        infeasible = (
-            clarabel.SolverStatus.PrimalInfeasible,
-            clarabel.SolverStatus.AlmostPrimalInfeasible,
-        )
-        held = solution.status not in infeasible
-        return max(0.0, float(values[-1])) if held else 0.0, weight * values[:-1].reshape(-1, 3)
-
-
-def _problem(robot: Robot, stand: Stand, point: Array) -> _Problem:
-    config = Configuration(robot, stand.qpos)
-    # In the base's frame a point; in world axes, as the Jacobian has it, it turns with the base.
-    offset = config.base_rotation() @ point
-    load = -robot.gravity @ config.frame_jacobian(robot.base, offset)[:3, :6]
-    jacobians = []
-    for foot in stand.stance_feet:
-        arm = contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
-        jacobians.append(config.frame_jacobian(robot.foot_frames[foot], arm)[:3, :6])
-    return _Problem(
-        gravity=config.load()[:6],
-        load=load,
-        contacts=np.concatenate(jacobians).T,
-        normals=np.array([stand.normals[foot] for foot in stand.stance_feet]),
-        friction=np.array([robot.contacts[foot].sliding_friction for foot in stand.stance_feet]),
-        ceiling=UNLIMITED * robot.total_mass,
-    )
+    for failure in (Failure.SLIDING, Failure.TIPPING):
+        if feet := _feet(robot, stand, forces.reshape(-1, 3), failure):
+            break
+    return Bound(best, failure, feet)
 
 
 def _feet(robot: Robot, stand: Stand, forces: Array, failure: Failure) -> tuple[str, ...]:

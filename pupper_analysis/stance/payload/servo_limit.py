@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -17,7 +16,6 @@ from pupper_analysis.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.results import Result
-from pupper_analysis.robot import contact
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos, own_servos
@@ -311,34 +309,29 @@ def _crept(way: HomotopyPath) -> tuple[Array, SteadyState]:
     return start, describe_pose(way, math.nan)
 
 
+_FAILURES = {
+    "joint-beyond-limit": Failure.JOINT,
+    "foot-idle": Failure.TIPPING,
+    "foot-slides": Failure.SLIDING,
+    "lifted-foot-presses": Failure.GROUND,
+    "body-touches-ground": Failure.GROUND,
+}
+"""{what an equilibrium is told to fail by: what gives way}, what is told before the rest first."""
+
+
 def _judge(
     robot: Robot, stand: Stand, pose: SteadyState, target: Array
 ) -> tuple[Failure | None, tuple[str, ...]]:
     """Returns why a robot does not stand in an equilibrium, and where; None if it does."""
-
-    def joints(chosen: NDArray[np.bool_]) -> tuple[str, ...]:
-        return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
-
     if pose.saturated:
         return Failure.MOTOR, pose.saturated
     low, high = command_ranges(robot).T
     if (beyond := (target < low) | (target > high)).any():
-        return Failure.COMMAND, joints(beyond)
-    angles = pose.qpos[7:]
-    if (beyond := (angles < robot.lower_limits) | (angles > robot.upper_limits)).any():
-        return Failure.JOINT, joints(beyond)
-    pressed = {
-        robot.foot_of(foot)
-        for foot in stand.stance_feet
-        if pose.contact_forces[foot] @ stand.normals[foot] > 0
-    }
-    if idle := tuple(set(robot.feet_with(stand.stance_feet)) - pressed):
-        return Failure.TIPPING, tuple(sorted(idle))
-    if pose.sliding_feet:
-        return Failure.SLIDING, pose.sliding_feet
-    others = find_bodies_on_ground(robot, stand, pose.qpos)
-    if others:
-        return Failure.GROUND, others
+        return Failure.COMMAND, tuple(np.array(robot.joint_names)[beyond].tolist())
+    for failure in dict.fromkeys(_FAILURES.values()):
+        told = [one.subject for one in pose.failures if _FAILURES.get(one.code) is failure]
+        if where := tuple(subject.name for subject in told if subject is not None):
+            return failure, where
     if not pose.stable or pose.base_height < COLLAPSED * stand.qpos[2]:
         return Failure.BUCKLING, ()
     return None, ()
@@ -350,13 +343,3 @@ def _damping(robot: Robot, kp: ArrayLike | None, kd: ArrayLike | None) -> ArrayL
         return kd
     own = own_servos(robot)
     return np.array([own.get(name, (0.0, 0.0))[1] for name in robot.joint_names])
-
-
-def find_bodies_on_ground(robot: Robot, stand: Stand, qpos: Array) -> tuple[str, ...]:
-    """Returns the bodies, but for feet that carry, that touch the ground at a qpos (nq,)."""
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    data = mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_forward(robot.mj_model, data)
-    forces, others = contact.ground_forces(robot.mj_model, data, robot.foot_geoms)
-    return tuple(sorted(others | (set(forces) - set(robot.feet_with(stand.stance_feet)))))

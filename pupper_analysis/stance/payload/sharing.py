@@ -34,6 +34,14 @@ class Sharing(Result):
     normal_forces: dict[str, float]
 
 
+def load_per_mass(config: Configuration, point: Sequence[float] | Array) -> Array:
+    """Returns what a mass at a point of the base's frame (3,) asks of the robot (nv,) (N/kg)."""
+    offset = config.base_rotation() @ np.asarray(point, dtype=float)  # in world axes
+    robot = config.robot
+    load: Array = -robot.gravity @ config.frame_jacobian(robot.base, offset)[:3]
+    return load
+
+
 def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sharing | None:
     """Finds the greatest payload that motors bear with any sharing of the load among the feet.
 
@@ -57,8 +65,7 @@ def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sh
     config, feet = Configuration(robot, stand.qpos), stand.stance_feet
     carrying = make_contacts(robot, feet, None, stand.normals, stand.depths)
     lifting = config.by_motors(carrying.jacobian(config))[:, 2::3]
-    offset = config.base_rotation() @ np.asarray(point, dtype=float)
-    loading = config.by_motors(-robot.gravity @ config.frame_jacobian(robot.base, offset)[:3])
+    loading = config.by_motors(load_per_mass(config, point))
     held, limits = config.by_motors(config.load()), robot.effort_limits
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     # In weights, and masses of the robot: all unknowns are of the order of 1.
