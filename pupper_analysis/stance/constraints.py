@@ -20,7 +20,6 @@ from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
-from pupper_analysis.stance.footholds import choose_pins
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import margin_of_place, polygon_sides
 
@@ -111,33 +110,21 @@ class BaseOrientation(Constraint):
 
 
 class Footholds(Constraint):
-    """The feet's centres are in their places: of a sole as many coordinates as fix it."""
+    """The feet's centres are in their places."""
 
     name, equal = "footholds", True
 
     _reads = _FOOTHOLDS
 
-    @cached_property
-    def pins(self) -> list[tuple[str, int, Array]]:
-        """Contact points, and how many first rows of a rotation (3, 3) are to be in place."""
-        found = []
-        for points in self._shapes.robot.soles.values():
-            fixed = choose_pins([self._begun.targets[point] for point in points])
-            for count, (number, axes) in zip((3, 2, 1), fixed, strict=False):
-                found.append((points[number], count, axes))
-        return found
-
     def residual(self, goal: Goal, at: Kinematics) -> Array:
-        """See ``Constraint``."""
+        """See ``Constraint``: of a sole, its points' follow from each other."""
         feet = at.feet()
-        return np.concatenate(
-            [axes[:rows] @ (feet[one] - goal.targets[one]) for one, rows, axes in self.pins]
-        )
+        return np.concatenate([feet[foot] - there for foot, there in goal.targets.items()])
 
-    def rates(self, _: Goal, at: Configuration) -> Array:
+    def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
         jacobians = at.foot_jacobians()
-        return np.concatenate([axes[:rows] @ jacobians[one] for one, rows, axes in self.pins])
+        return np.concatenate([jacobians[foot] for foot in goal.targets])
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``: the greatest distance of all contact points, pinned or not."""

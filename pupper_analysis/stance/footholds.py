@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
@@ -127,39 +127,3 @@ def move_rigidly(before: Array, after: Array) -> Array:
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     moved: Array = (before - one) @ left @ flip @ right + two
     return moved
-
-
-def choose_pins(places: Sequence[Array]) -> list[tuple[int, Array]]:
-    """Chooses which coordinates of a body's points pin the body down, without saying it twice.
-
-    Args:
-        places: Where its points shall be, (3,) each (m).
-
-    Returns:
-        Number of a point, and a rotation (3, 3) whose first 3, 2 or 1 rows are the directions that
-        count: those of the first point, two of the one that is farthest from it, one of the
-        point that is farthest from the line through both.
-    """
-    chosen = [(0, np.eye(3))]
-    if len(places) == 1:
-        return chosen
-    points = np.array(places)
-    away = points - points[0]
-    second = int(np.argmax(np.linalg.norm(away, axis=1)))
-    length = float(np.linalg.norm(away[second]))
-    if length < _SAME:
-        return chosen
-    along = away[second] / length
-    across = away - np.outer(away @ along, along)
-    third = int(np.argmax(np.linalg.norm(across, axis=1)))
-    if np.linalg.norm(across[third]) < _SAME:
-        least = np.eye(3)[np.argmin(np.abs(along))]
-        side = np.cross(along, least) / np.linalg.norm(np.cross(along, least))
-        return [*chosen, (second, np.array([side, np.cross(along, side), along]))]
-    side = across[third] / np.linalg.norm(across[third])
-    out = np.cross(along, side)
-    return [
-        *chosen,
-        (second, np.array([side, out, along])),
-        (third, np.array([out, along, side])),
-    ]

@@ -75,13 +75,10 @@ class Solver:
         if robot.closure is not None:
             placing = np.concatenate([limb.joints for limb in find_limbs(robot)])
             self._readiness = robot.closure.readiness(placing)
-        kept = context.tasks
-        if len(robot.soles) < len(robot.feet):  # how a sole is pinned down depends on the goal
-            self.tasks = Tasks(context, goal)
-        else:  # tasks that differ in numbers alone
-            if goal.by_base not in kept:
-                kept[goal.by_base] = Tasks(context, goal)
-            self.tasks = kept[goal.by_base]
+        kept = context.tasks  # they differ in numbers alone
+        if goal.by_base not in kept:
+            kept[goal.by_base] = Tasks(context, goal)
+        self.tasks = kept[goal.by_base]
 
     def run(self, joints: Array, place: Array | None = None) -> Point:
         """Solves from joint positions (nu,); the base begins where it puts the com in its place.

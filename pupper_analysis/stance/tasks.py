@@ -72,13 +72,10 @@ class Tasks:
             self._orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
             self._orientation.configure("orientation", "hard")
         elif isinstance(constraint, Footholds):
-            for point, rows, axes in constraint.pins:
-                task = solver.add_position_task(robot.foot_frames[point], goal.targets[point])
-                if rows < 3:
-                    task.mask.set_axises("xyz"[:rows], "custom")
-                    task.mask.R_custom_world = axes
-                task.configure(point, "soft", 1.0)
-                self.feet.append((point, task))
+            for foot, frame in robot.foot_frames.items():
+                task = solver.add_position_task(frame, goal.targets[foot])
+                task.configure(foot, "soft", 1.0)
+                self.feet.append((foot, task))
         elif isinstance(constraint, Loops):
             nothing = np.zeros((0, robot.nq)), np.zeros(0)
             loops = self._loops = solver.add_joint_space_half_spaces_constraint(*nothing)
