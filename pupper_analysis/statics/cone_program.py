@@ -9,15 +9,8 @@ from functools import cached_property
 import clarabel
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.linalg import lapack
-
-from pupper_analysis.statics.small_least_squares import (
-    INDEPENDENT,
-    solve_constrained,
-    solve_least_squares,
-    solve_orthogonal,
-)
 
 Array = NDArray[np.float64]
 
@@ -39,6 +32,10 @@ _PEAK_SLACK = 1e-7
 
 _ROUNDING = 1e-16
 """Residual that one more solution, for it alone, would not make less, relative to the weight."""
+
+_INDEPENDENT = 1e-8
+"""Reciprocal condition from which on rows count as independent. Four feet in a square have 1e-2;
+below it singular values decide, slowly."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -179,21 +176,19 @@ class Balance:
 
     def _without_cones(self, cost: Array | _Metric, target: Array) -> Array | None:
         """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
-        if isinstance(cost, np.ndarray):
-            forces = solve_constrained(cost, target, self.base, self.weight)
-            if forces is not None and self._balances(forces):
-                return forces
-        particular, free = solve_orthogonal(self.base, self.weight) or self._by_singular_values
+        particular, free = self._by_singular_values
         if not self._balances(particular):
             return None
-        best = solve_least_squares(cost @ free, target - cost @ particular)
+        best = np.linalg.lstsq(cost @ free, target - cost @ particular)[0]
         return particular + free @ best  # f = particular + free z
 
     @cached_property
     def _by_singular_values(self) -> tuple[Array, Array]:
         """The shortest f (3 n,) that balances, or nearly, and a basis of those that do nothing."""
-        particular = np.asarray(np.linalg.lstsq(self.base, self.weight, rcond=1e-12)[0], float)
-        return particular, linalg.null_space(self.base, rcond=1e-12)
+        left, sizes, right = np.linalg.svd(self.base)
+        rank = int((sizes > 1e-12 * sizes[0]).sum())
+        particular: Array = (left[:, :rank].T @ self.weight / sizes[:rank]) @ right[:rank]
+        return particular, right[rank:].T
 
     def normal_forces(self, forces: Array) -> Array:
         """Returns the normal parts (n,) of forces (3 n,)."""
@@ -334,7 +329,7 @@ def minimum_tangential_forces(
     pressing = (per_foot * normals).sum(axis=2)
     aside = per_foot - pressing[:, :, None] * normals
     held = np.sqrt((aside * aside).sum(axis=2)) <= friction * pressing
-    found = apart & (condition * INDEPENDENT < 1) & balanced & held.all(axis=1)
+    found = apart & (condition * _INDEPENDENT < 1) & balanced & held.all(axis=1)
     return forces, found
 
 
@@ -388,7 +383,7 @@ class _Metric:
         wanted = np.zeros(size)
         wanted[:count] = right
         triangle, found, _ = lapack.dgels(self._undone(rows.T).T, wanted)
-        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < INDEPENDENT:
+        if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
             return None
         return self._undone(found.ravel())
 
