@@ -192,7 +192,8 @@ class Balance:
 
     def normal_forces(self, forces: Array) -> Array:
         """Returns the normal parts (n,) of forces (3 n,)."""
-        return _along(self.normals, forces)
+        parts: Array = (forces.reshape(-1, 3) * self.normals).sum(axis=1)
+        return parts
 
     def _balances(self, forces: Array) -> bool:
         error = _largest(self.base @ forces - self.weight)
@@ -395,9 +396,3 @@ def _largest(values: Array) -> float:
 
 def _nan_or_max(values: list[float]) -> float:
     return math.nan if math.isnan(sum(values)) else max(values)
-
-
-def _along(normals: Array, forces: Array) -> Array:
-    """Returns the parts (n,) along normals (n, 3) of forces (3 n,)."""
-    parts: Array = (forces.reshape(-1, 3) * normals).sum(axis=1)
-    return parts
