@@ -11,7 +11,7 @@ from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.nudge import Nudge, measure_response, nudged_states
+from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import full_state
 
 
@@ -48,7 +48,7 @@ def keyframe_run(path: Path, duration: float = LASTING) -> KeyframeRun | None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     start = full_state(model, data)
-    nudge = measure_response(model, start, nudged_states(model, start, data.ctrl.copy(), duration))
+    nudge = measure_response(model, start, simulate_nudge(model, start, data.ctrl.copy(), duration))
     stability = step_stability(model, data)
     failures = tuple(find_instability(stability, nudge))
     return KeyframeRun(model.key(0).name, stability, nudge, failures)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pupper_analysis.pupper.drop import DEFAULT_SECONDS, at_home, check_seconds, drop
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import check_display, opened_window, play_steps
+from pupper_analysis.pupper.window import check_display, open_window, play_steps
 from pupper_analysis.pupper.words import print_imu, print_joints, print_readings
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
@@ -49,7 +49,7 @@ def view_variant(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bo
         else:
             mujoco.mj_step(model, data)
 
-    with contextlib.suppress(KeyboardInterrupt), opened_window(model, data) as handle:
+    with contextlib.suppress(KeyboardInterrupt), open_window(model, data) as handle:
         play_steps(handle, model.opt.timestep, step)
 
 

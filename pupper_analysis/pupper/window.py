@@ -59,7 +59,7 @@ def check_display() -> None:
 
 
 @contextlib.contextmanager
-def opened_window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
+def open_window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
     """Opens MuJoCo's passive viewer, and sees it closed before it goes on."""
     check_display()
     from mujoco import viewer
@@ -95,7 +95,7 @@ def show_window(
     model: mujoco.MjModel, data: mujoco.MjData, step: Callable[[], None], count: int
 ) -> None:
     """Opens a window and calls ``step`` in it, ``count`` times in real time, until it is closed."""
-    with opened_window(model, data) as handle:
+    with open_window(model, data) as handle:
         play_steps(handle, float(model.opt.timestep), step, count)
 
 

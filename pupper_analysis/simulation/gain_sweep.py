@@ -32,7 +32,7 @@ from pupper_analysis.simulation.rollout import (
     place_on_ground,
     roll_out,
 )
-from pupper_analysis.simulation.stability import MEETING, judged_at, rest_state
+from pupper_analysis.simulation.stability import MEETING, evaluate_stability, rest_state
 from pupper_analysis.simulation.verify import RESTING
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -243,7 +243,7 @@ class _Trial:
                     rest = self._rests[cell[0]]
                     if rest is None:
                         return deviation, None
-                    return deviation, judged_at(own, rest, ctrl, MEETING)
+                    return deviation, evaluate_stability(own, rest, ctrl, MEETING)
                 if math.isinf(deviation):
                     return deviation, None
                 return deviation, self._judged_at_the_end(own, watcher, start, ctrl)
@@ -270,7 +270,7 @@ class _Trial:
             return None
         if _lies(self.robot, watcher, self.stand, states[-1]):
             return None
-        found = judged_at(drive, states[-1], ctrl, 0.0)
+        found = evaluate_stability(drive, states[-1], ctrl, 0.0)
         return found if found.speed <= RESTING else None
 
     def _deviation(self, watcher: monitor.Watcher, states: Array) -> float:

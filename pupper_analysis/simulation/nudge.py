@@ -65,7 +65,7 @@ class Nudge(Result):
         return self.farthest < LEFT
 
 
-def nudged_states(model: mujoco.MjModel, state: Array, ctrl: Array, duration: float) -> Array:
+def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: float) -> Array:
     """Simulates what becomes of a state when everything is nudged, base and joints.
 
     Args:

@@ -17,7 +17,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
-from pupper_analysis.stance.path.sinking import AT_REST, sunk_motion
+from pupper_analysis.stance.path.sinking import AT_REST, find_sunk_motion
 from pupper_analysis.stance.path.stance_path import StancePath
 from pupper_analysis.stance.stand import Stand
 
@@ -101,7 +101,7 @@ def path_commands(
     # No step goes beyond the end: what the feet still sink would there be at rest of a sudden.
     steps = max(1, math.floor(float(path.time[-1]) / timestep + _WHOLE))
     times: Array = np.linspace(timestep, steps * timestep, steps)
-    motion = sunk_motion(robot, path)
+    motion = find_sunk_motion(robot, path)
     first = replace(first, qpos=motion.qpos[0])
     spline, starts = CubicSpline(path.time, motion.qpos, bc_type=AT_REST), times - timestep
     joints, end = slice(robot.nq - robot.nu, None), path.time[-1]

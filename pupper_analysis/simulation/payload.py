@@ -26,7 +26,7 @@ from pupper_analysis.simulation.rollout import (
     roll_out,
     settled_activations,
 )
-from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.stance.payload.nudge import nudge_velocities
 from pupper_analysis.stance.payload.servo_limit import (
     LASTING,
@@ -139,9 +139,9 @@ def payload_buckling(
     laid.robot.mj_convention.set_state(data, laid.qpos)
     data.act[:] = settled_activations(laid.drive.model, laid.ctrl)
     start = full_state(laid.drive.model, data)
-    rubbing = judged_at(laid.drive, start, laid.ctrl).doubling_time or math.inf
+    rubbing = evaluate_stability(laid.drive, start, laid.ctrl).doubling_time or math.inf
     laid.free()
-    free = judged_at(laid.drive, start, laid.ctrl).doubling_time or math.inf
+    free = evaluate_stability(laid.drive, start, laid.ctrl).doubling_time or math.inf
     return Buckling(float(mass), rubbing, free)
 
 

@@ -17,7 +17,6 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.rollout import (
     FORCED,
     Standing,
@@ -25,7 +24,8 @@ from pupper_analysis.simulation.rollout import (
     forced_commands,
     roll_out,
 )
-from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.settings import SimulationSettings
+from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.stand import Stand
 
@@ -56,7 +56,7 @@ _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
 
 @dataclass(frozen=True, eq=False)
-class Pushed(Held):
+class Pushed(SimulationSettings):
     """What a stand was pushed with, and simulated with.
 
     Attributes:
@@ -223,7 +223,7 @@ class Bench:
         leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), end)
         if monitor.has_fallen(leaning, height, float(self.stand.qpos[2])):
             return False
-        return judged_at(self.drive, end, self.ctrl, 0.0).lasts()
+        return evaluate_stability(self.drive, end, self.ctrl, 0.0).lasts()
 
     def point(self) -> Array:
         """Returns where MuJoCo applies the push (3,), at the com of the base's body (m)."""

@@ -16,9 +16,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
-from pupper_analysis.simulation.nudge import measure_response, nudged_states
+from pupper_analysis.simulation.nudge import measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import STATE, Standing, begin_stand, simulate
-from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verify import NUDGED, RESTING, SETTLED_DRIFT
 from pupper_analysis.simulation.watch import LAST
 from pupper_analysis.stance.stand import Stand
@@ -107,12 +107,12 @@ def comes_to_rest(
     if last is None:
         return False
     model, state = held.drive.model, last.states[-1]
-    judged = judged_at(held.drive, state, held.ctrl, 0.0)
+    judged = evaluate_stability(held.drive, state, held.ctrl, 0.0)
     if judged.speed > RESTING:
-        judged = judged_at(held.drive, held.start, held.ctrl)
+        judged = evaluate_stability(held.drive, held.start, held.ctrl)
     if not judged.lasts():
         return False
-    later = nudged_states(model, state, held.ctrl, _time_to_forget(judged))
+    later = simulate_nudge(model, state, held.ctrl, _time_to_forget(judged))
     if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, later, last.states)

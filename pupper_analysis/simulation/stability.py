@@ -66,7 +66,7 @@ def stand_stability(
         pose = steady_state(robot, stand, kp=kp)
         return rest_stability(robot, stand, pose, kp=kp, kd=kd, integrator=integrator)
     held = begin_stand(robot, stand, kp=kp, kd=kd, integrator=integrator)
-    return judged_at(held.drive, held.start, held.ctrl)
+    return evaluate_stability(held.drive, held.start, held.ctrl)
 
 
 def rest_stability(
@@ -94,7 +94,7 @@ def rest_stability(
     robot = on_ground(robot, stand.task.ground, stand.foot_targets)
     drive = model_with_servos(robot, kp, kd, integrator)
     ctrl = drive.command(robot, stand.joint_positions(robot))
-    return judged_at(drive, rest_state(robot, drive, pose, ctrl), ctrl, MEETING)
+    return evaluate_stability(drive, rest_state(robot, drive, pose, ctrl), ctrl, MEETING)
 
 
 def rest_state(robot: Robot, drive: Servos, pose: SteadyState, ctrl: Array) -> Array:
@@ -113,7 +113,9 @@ def rest_state(robot: Robot, drive: Servos, pose: SteadyState, ctrl: Array) -> A
     return full_state(drive.model, data)
 
 
-def judged_at(drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE) -> Stability:
+def evaluate_stability(
+    drive: Servos, state: Array, ctrl: Array, settle: float = SETTLE
+) -> Stability:
     """Judges a state (mjSTATE_FULLPHYSICS) under a command; see ``step_stability``."""
     data = mujoco.MjData(drive.model)
     mujoco.mj_setState(drive.model, data, state, STATE)

@@ -19,11 +19,11 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.balance import balance_by_mujoco
 from pupper_analysis.simulation.causes import find_chatter, find_creep, find_instability, too_stiff
 from pupper_analysis.simulation.edges import several_contacts
-from pupper_analysis.simulation.held import Held
 from pupper_analysis.simulation.loops import closed_loops, give_way
-from pupper_analysis.simulation.nudge import Nudge, measure_response, nudged_states
+from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import begin_stand, check_stand, simulate
-from pupper_analysis.simulation.stability import judged_at
+from pupper_analysis.simulation.settings import SimulationSettings
+from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.watch import LAST, Watch, watch_contacts
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -61,8 +61,8 @@ _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and res
 
 
 @dataclass(frozen=True, eq=False)
-class StandVerification(Held, Tabular):
-    """What a simulation made of a stand, against the prediction, and how it was ``Held``.
+class StandVerification(SimulationSettings, Tabular):
+    """What a simulation made of a stand, against the prediction, and the ``SimulationSettings``.
 
     Settled values are means over the last second before the nudge. Predictions are Pinocchio's,
     from the URDF.
@@ -186,15 +186,15 @@ def verify_stand(
         drive.model, start, np.tile(ctrl, (max(2, round((duration - after) / timestep)), 1))
     )
     diverged = monitor.has_diverged(quiet, timestep)
-    later = nudged_states(drive.model, quiet[-1], ctrl, after) if after and not diverged else None
+    later = simulate_nudge(drive.model, quiet[-1], ctrl, after) if after and not diverged else None
     states = quiet if later is None else np.concatenate([quiet, later])
     predicted = robot.per_foot(prediction.contact_forces)
     light = LIGHT * sum(force[2] for force in predicted.values())
     loaded = {foot for foot, force in predicted.items() if force[2] >= FORCE_TOLERANCE * light}
     watch = watch_contacts(robot, drive.model, stand, states, ctrl, len(quiet), loaded)
-    judged = judged_at(drive, quiet[-1], ctrl, 0.0)
+    judged = evaluate_stability(drive, quiet[-1], ctrl, 0.0)
     if diverged or judged.speed > RESTING:  # what threw it off grew where it began
-        judged = judged_at(drive, start, ctrl)
+        judged = evaluate_stability(drive, start, ctrl)
     nudge = (
         None
         if later is None

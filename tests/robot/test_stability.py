@@ -133,11 +133,11 @@ def test_own_differences_are_mujocos() -> None:
 def test_what_still_sags_is_not_judged() -> None:
     """On servos of which it sags by centimetres, v3 is half way down after half a second."""
     from pupper_analysis.simulation.rollout import begin_stand
-    from pupper_analysis.simulation.stability import judged_at
+    from pupper_analysis.simulation.stability import evaluate_stability
 
     robot, stand = load("v3"), stand_of("v3")
     held = begin_stand(robot, stand, feedforward=False, kp=2.5, kd=0.4)
-    found = judged_at(held.drive, held.start, held.ctrl)
+    found = evaluate_stability(held.drive, held.start, held.ctrl)
     assert not found.at_rest
     rest = pa.simulation.stand_stability(robot, stand, feedforward=False, kp=2.5, kd=0.4)
     assert rest.at_rest

@@ -48,7 +48,7 @@ class SunkMotion:
     torques: Array
 
 
-def sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
+def find_sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
     """Returns a path with the feet where soft ground has them: sunk, rolled and crept.
 
     The base stays, and legs get longer. (The com moves with them, by a hundredth of the depths.)

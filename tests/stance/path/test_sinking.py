@@ -14,7 +14,7 @@ from pupper_analysis.robot.configuration import UP
 from pupper_analysis.simulation.tracking import TORQUE_TOLERANCE, track_path
 from pupper_analysis.stance.path.creeping import _past_an_edge
 from pupper_analysis.stance.path.fastest import fastest_path
-from pupper_analysis.stance.path.sinking import sunk_motion
+from pupper_analysis.stance.path.sinking import find_sunk_motion
 from pupper_analysis.stance.path.stance_path import stance_path
 from tests.stance.path.test_stance_path import stances
 from tests.support.engines import changed
@@ -25,7 +25,7 @@ def test_ground_forces_accelerate_the_centre_of_mass_of_sunk_legs() -> None:
     """Newton's law, by a spline of the com: the legs' own motion as feet sink is in the forces."""
     robot = soft(load("v3"))
     path = stance_path(robot, stances("v3", "squat")[:2], 0.16, rate=300)
-    found = sunk_motion(robot, path)
+    found = find_sunk_motion(robot, path)
     com = [pa.Configuration(robot, qpos).center_of_mass() for qpos in found.qpos]
     spline = make_interp_spline(path.time, np.array(com), k=5)
     inner = slice(4, -4)

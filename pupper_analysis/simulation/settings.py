@@ -1,4 +1,4 @@
-"""How the servos of a simulated stand held it, as its results say."""
+"""With what a stand was simulated, as its results say."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Held(Result):
+class SimulationSettings(Result):
     """What a stand was simulated with.
 
     Attributes:
