@@ -68,6 +68,11 @@ class EffortStatement(Result):
         return EffortStatement(file, element, name, attribute, (low, high), factor, *ends)
 
     @property
+    def greatest(self) -> float:
+        """What the motor can give one way at the most (N m)."""
+        return max(abs(self.lower), abs(self.upper))
+
+    @property
     def least(self) -> float:
         """What the motor can give either way (N m): the lesser of the two ends; 0 if one is 0."""
         return max(0.0, min(-self.lower, self.upper))
@@ -132,16 +137,10 @@ def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[Ef
 
     Several actuators at a joint add up: what bounds their sum is one statement.
     """
-    found, name = [], str(model.joint(joint).name)
-    if model.jnt_actfrclimited[joint]:
-        found.append(
-            EffortStatement.of(
-                "MJCF", "joint", name, "actuatorfrcrange", model.jnt_actfrcrange[joint]
-            )
-        )
+    found = stated_by_joint(model, joint)
     if len(drives) == 1:
-        return found + _of_actuator(model, drives[0])
-    each = [_of_actuator(model, actuator) for actuator in drives]
+        return found + stated_by_actuator(model, drives[0])
+    each = [stated_by_actuator(model, actuator) for actuator in drives]
     if drives and all(each):
         lower = sum(max(one.lower for one in own) for own in each)
         upper = sum(min(one.upper for one in own) for own in each)
@@ -149,6 +148,14 @@ def _stated(model: mujoco.MjModel, joint: int, drives: Sequence[int]) -> list[Ef
         least = min(each[0], key=lambda one: one.least)
         found.append(EffortStatement.of("MJCF", "actuator", names, least.attribute, (lower, upper)))
     return found
+
+
+def stated_by_joint(model: mujoco.MjModel, joint: int) -> list[EffortStatement]:
+    """Returns what a joint's own attribute states."""
+    if not model.jnt_actfrclimited[joint]:
+        return []
+    name, range_ = str(model.joint(joint).name), model.jnt_actfrcrange[joint]
+    return [EffortStatement.of("MJCF", "joint", name, "actuatorfrcrange", range_)]
 
 
 def effort_limit(model: mujoco.MjModel, joint: int) -> float:
@@ -181,12 +188,11 @@ def _gear_left_out(
     gear = abs(float(actuator_gear(model, drives[0])[0]))
     if abs(gear - 1.0) <= _SAME:
         return None
-    limits = [max(abs(one.lower), abs(one.upper)) for one in stated]
-    same = any(math.isclose(gear * effort, limit, rel_tol=_SAME) for limit in limits)
+    same = any(math.isclose(gear * effort, one.greatest, rel_tol=_SAME) for one in stated)
     return gear if same else None
 
 
-def _of_actuator(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
+def stated_by_actuator(model: mujoco.MjModel, actuator: int) -> list[EffortStatement]:
     """Returns what an actuator's own attributes state."""
     found, name = [], str(model.actuator(actuator).name)
     gear = float(actuator_gear(model, actuator)[0])
