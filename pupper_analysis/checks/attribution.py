@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.armature import armature_differences, armature_of
 from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_acting
-from pupper_analysis.checks.changes import apply_changes, changes_between
-from pupper_analysis.checks.convention_changes import convention_changes
+from pupper_analysis.checks.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, Explanation, RelativeError
 from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without_effects
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
@@ -21,10 +20,10 @@ from pupper_analysis.checks.states import random_states
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.matching.alignment import Alignment, align_frames
 from pupper_analysis.matching.conventions import Conventions
-from pupper_analysis.matching.mimics import Mimics
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.matching.urdf import Mimics
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.robot import Robot

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pupper_analysis.arguments import check_arguments
+from pupper_analysis.checks.armature import armature_notes, unstated_notes
 from pupper_analysis.checks.attribution import EXPLAINED, align_robot, explain_differences
-from pupper_analysis.checks.convention_changes import convention_changes
+from pupper_analysis.checks.changes import convention_changes
 from pupper_analysis.checks.differences import CONVENTIONS, SERVO_GAINS, Difference, Explanation
 from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
+from pupper_analysis.checks.links import mass_shares
 from pupper_analysis.checks.mount import Mount, mount_of
-from pupper_analysis.checks.notes import armature_notes, unstated_notes
 from pupper_analysis.checks.patterns import PatternCause, find_causes
-from pupper_analysis.checks.shares import mass_shares
 from pupper_analysis.checks.states import check_states
 from pupper_analysis.checks.words import FORMATS, in_degrees, number_pair, with_names_of_models
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose

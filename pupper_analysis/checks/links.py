@@ -14,7 +14,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
-from pupper_analysis.matching.places import poses_at_zero
+from pupper_analysis.checks.differences import Difference
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.matching.sources import Sources
+from pupper_analysis.matching.trees import poses_at_zero
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -109,3 +112,41 @@ def from_moments(values: Array) -> TreeBody:
     com = values[1:4] / mass if mass else np.zeros(3)
     shift = mass * (float(com @ com) * np.eye(3) - np.outer(com, com))
     return TreeBody(mass, com, inertia_tensor(values[4:]) - shift)
+
+
+def mass_shares(difference: Difference, urdf: Sources, mjcf: Sources) -> tuple[Diagnostic, ...]:
+    """Says of which links or bodies a mass, a com or an inertia is made, with their lines."""
+    if difference.kind not in ("mass", "com", "inertia"):
+        return ()
+    told = []
+    for file, sources in (("URDF", urdf), ("MJCF", mjcf)):
+        heavy = [(name, mass) for name, mass in sources.members(difference.element) if mass]
+        if len(heavy) < 2:
+            continue
+        total = sum(mass for _, mass in heavy)
+        heavy.sort(key=lambda member: -member[1])
+        members_told = [
+            diagnose(
+                "share-of-a-body",
+                subject=("body", name),
+                mass=Quantity(mass, "kg"),
+                share=Quantity(mass / total, "1"),
+                place=str(sources.weight(difference.kind, name)),
+            )
+            for name, mass in heavy[:_LISTED]
+        ]
+        rest = total - sum(mass for _, mass in heavy[:_LISTED])
+        told.append(
+            diagnose(
+                "body-is-made-of",
+                file=file,
+                members=members_told,
+                more=len(heavy[_LISTED:]),
+                rest=Quantity(rest, "kg"),
+            )
+        )
+    return tuple(told)
+
+
+_LISTED = 6
+"""Links of a body that are listed, the heaviest first."""

@@ -55,7 +55,7 @@ def load(
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.urdf_file import read_urdf
     from pupper_analysis.prepare.load import explain_loading, feet_frames
-    from pupper_analysis.prepare.request import Request
+    from pupper_analysis.prepare.ready import Request
     from pupper_analysis.report.document import Report
     from pupper_analysis.report.documents.preparation import preparation_document
 

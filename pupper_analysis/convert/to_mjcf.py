@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from pupper_analysis.convert import equip
 from pupper_analysis.convert.conversion import ConversionDraft
 from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
-from pupper_analysis.convert.merge import carry_shapes, merge_fixed
 from pupper_analysis.convert.meshes import Meshes
-from pupper_analysis.convert.repair import mend_inertials, repaired_urdf
+from pupper_analysis.convert.repair import carry_shapes, mend_inertials, merge_fixed, repaired_urdf
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.joint_kinds import JointKind

@@ -21,15 +21,15 @@ from pupper_analysis.matching.conventions import (
     pose_told,
     take_conventions,
 )
-from pupper_analysis.matching.loops import ball_joints, open_loops
-from pupper_analysis.matching.mimics import Mimics, urdf_mimics
 from pupper_analysis.matching.mjcf import (
+    ball_joints,
     bodies_of,
     drop_other_objects,
     is_fused,
     list_hinges,
     mjcf_tree,
     name_all,
+    open_loops,
 )
 from pupper_analysis.matching.pairs import pair_up
 from pupper_analysis.matching.reference import Reference
@@ -40,10 +40,12 @@ from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.matching.unstated import take_unknown, take_unstated
 from pupper_analysis.matching.urdf import (
+    Mimics,
     links_of,
     moving_joints,
     strip_roots,
     take_mass_of_base,
+    urdf_mimics,
     without_shapes,
 )
 from pupper_analysis.models.capsules import for_engines

@@ -14,7 +14,7 @@ from lxml import etree
 
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import quarter_turns
-from pupper_analysis.matching.places import at_zero
+from pupper_analysis.matching.trees import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree

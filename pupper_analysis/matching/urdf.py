@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +12,7 @@ from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.places import at_zero
+from pupper_analysis.matching.trees import at_zero
 from pupper_analysis.models import multibody
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.places import one_line
@@ -129,3 +130,18 @@ def urdf_tree(
         raise ModelError(source, diagnose("urdf-not-valid", message=one_line(error))) from error
     names = list(model.names)[2:]
     return multibody.from_pinocchio(model, base, names, {name: name for name in frames})
+
+
+Mimics = Mapping[str, tuple[str, float, float]]
+"""{joint: (the joint that it follows, multiplier, offset)}: q = multiplier q_other + offset."""
+
+
+def urdf_mimics(root: Any) -> dict[str, tuple[str, float, float]]:
+    """Returns the joints of a parsed URDF that follow others: their ``<mimic>``."""
+    found = {}
+    for name, joint in UrdfTree(root).joints.items():
+        mimic = joint.mimic
+        if mimic is not None and not joint.is_fixed:
+            numbers = (float(mimic.get("multiplier", 1)), float(mimic.get("offset", 0)))
+            found[name] = (str(mimic.get("joint")), *numbers)
+    return found

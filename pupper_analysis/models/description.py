@@ -11,9 +11,9 @@ import mujoco
 
 from pupper_analysis.arrays import plain_state
 from pupper_analysis.models.efforts import EffortLimit
-from pupper_analysis.models.joint_drives import MadeServo
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 

@@ -13,12 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.matching.mjcf import name_all
-from pupper_analysis.models.joint_drives import Drive, drive_of
 from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.models.mjcf import compile_spec, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.transmission import actuator_gear, drives_of, is_at_one_joint
+from pupper_analysis.models.transmission import (
+    Drive,
+    actuator_gear,
+    drive_of,
+    drives_of,
+    is_at_one_joint,
+)
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.mjcf import limbs_on_the_world, mjcf_tree
-from pupper_analysis.matching.names import without_affixes
-from pupper_analysis.matching.places import at_zero
+from pupper_analysis.matching.pairs import without_affixes
+from pupper_analysis.matching.trees import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, has_free_joint

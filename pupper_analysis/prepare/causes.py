@@ -9,9 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.models.joint_drives import Drive
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import drives_of
+from pupper_analysis.models.transmission import Drive, drives_of
 from pupper_analysis.prepare.bare import FILTERS, SETTLES, Bare, loose_joints, other_motors
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot

@@ -12,8 +12,15 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.models.joint_kinds import free_joints
-from pupper_analysis.prepare.balls import fit_sphere, osculating_sphere
-from pupper_analysis.prepare.soles import BALL, TILT, TILTS, sole_corners, stays_flat
+from pupper_analysis.prepare.soles import (
+    BALL,
+    TILT,
+    TILTS,
+    fit_sphere,
+    osculating_sphere,
+    sole_corners,
+    stays_flat,
+)
 from pupper_analysis.robot.contact import ground_geom
 
 Array = NDArray[np.float64]

@@ -14,8 +14,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare.ready import ready_robot
-from pupper_analysis.prepare.request import Request
+from pupper_analysis.prepare.ready import Request, ready_robot
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 

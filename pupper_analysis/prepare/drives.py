@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
-from pupper_analysis.models.joint_drives import Drive, MadeServo, drive_of
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.servo_tuning import suggested_gains

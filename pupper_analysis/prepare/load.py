@@ -17,7 +17,7 @@ from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.draft import PassRun
 from pupper_analysis.prepare.passes import run_passes
-from pupper_analysis.prepare.request import Request
+from pupper_analysis.prepare.ready import Request
 from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.results import Result

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.matching.match import Match
-from pupper_analysis.models.joint_drives import MadeServo
-from pupper_analysis.models.transmission import is_at_one_joint
+from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot

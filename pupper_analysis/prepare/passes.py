@@ -28,10 +28,10 @@ from pupper_analysis.prepare.limits import bound_turning_joints, narrow_limits
 from pupper_analysis.prepare.mimics import couple_mimics
 from pupper_analysis.prepare.motors import one_at_each_joint
 from pupper_analysis.prepare.parts import with_parts
-from pupper_analysis.prepare.request import Request
+from pupper_analysis.prepare.ready import Request
 from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import choose_exact_solver
-from pupper_analysis.prepare.start_pose import find_start_pose
+from pupper_analysis.prepare.start import find_start_pose
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
 from pupper_analysis.robot.build import build_robot, with_knowledge_of
 from pupper_analysis.robot.feet import limb_ends

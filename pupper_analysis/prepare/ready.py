@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import mujoco
 
 from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.mimics import urdf_mimics
+from pupper_analysis.matching.urdf import urdf_mimics
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -15,11 +16,31 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import notes
 from pupper_analysis.prepare.base import free_of_friction
 from pupper_analysis.prepare.motors import joints_of_several_motors
-from pupper_analysis.prepare.request import Request
 from pupper_analysis.prepare.solver import solver_error
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What is asked for when a robot is loaded.
+
+    Attributes:
+        feet: {foot: its frames in URDF and MJCF}; None: they are looked for.
+        fixed_base: Whether the base is fixed in the world.
+        name: The robot's name; None: the MJCF's.
+        joints: {joint in the URDF: joint in the MJCF}.
+        keyframe: The MJCF's keyframe to start from; None: the first in which the robot stands.
+        as_is: Whether no servos are added, and no shapes altered.
+    """
+
+    feet: Mapping[str, tuple[str, str]] | None = None
+    fixed_base: bool = False
+    name: str | None = None
+    joints: Mapping[str, str] | None = None
+    keyframe: str | None = None
+    as_is: bool = False
 
 
 def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:

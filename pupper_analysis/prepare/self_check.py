@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.models.joint_drives import Drive
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import (
     Bare,
     Hold,

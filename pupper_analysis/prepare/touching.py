@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-from dataclasses import replace
-
 import mujoco
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
@@ -20,23 +17,10 @@ _BESIDE = 5e-3
 """Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
 
 
-def with_bare_feet(robot: Robot) -> Robot:
-    """Returns a robot whose MuJoCo model lets nothing on the feet's bodies touch but the feet.
-
-    In which it is seen how a robot stands before ``touch_with_feet_alone`` knows what is in the
-    way. What is built from its description has it all again.
-    """
-    model, own = copy.copy(robot.mj_model), start.feet_bodies(robot)
-    for geom in range(model.ngeom):
-        if int(model.body_weldid[model.geom_bodyid[geom]]) in own and geom not in robot.foot_geoms:
-            model.geom_contype[geom] = model.geom_conaffinity[geom] = 0
-    return replace(robot, mj_model=model)
-
-
 def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps shapes beside a foot, of its own body, off the ground into which the foot sinks."""
     try:
-        stand = solve_stand_on_soft_ground(with_bare_feet(robot), explain=False)
+        stand = solve_stand_on_soft_ground(start.with_bare_feet(robot), explain=False)
     except PupperAnalysisError:
         return robot, []
     model, own = robot.mj_model, start.feet_bodies(robot)

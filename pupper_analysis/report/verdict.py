@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.models.joint_drives import MadeServo
+from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.report.document import Text
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import Cause, OwnRun, Published, ServoSource, ServosUsed

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from pupper_analysis.models.joint_drives import MadeServo
+from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.robot.fall import has_collapsed
 
 

@@ -18,8 +18,7 @@ from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.spec_tree import SpecTree, set_inertia
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.robot_model.mjcf import KINDS
-from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Inertial, Link
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Array, Inertial, Link
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 from pupper_analysis.robot_model.usd_joints import Edge
 

@@ -19,8 +19,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot_model.as_mjcf import joints_without, notes_of
-from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link
-from pupper_analysis.robot_model.pose import Pose
+from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link, Pose
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 
 

@@ -27,14 +27,15 @@ from pupper_analysis.robot_model.model import (
     FREE,
     HINGE,
     SLIDE,
+    Array,
     Frame,
     Inertial,
     Joint,
     Link,
     MjcfModel,
+    Pose,
     Shape,
 )
-from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.repair import full_matrix, repair_spec, switched_off_ranges
 from pupper_analysis.robot_model.urdf import half_digit
 

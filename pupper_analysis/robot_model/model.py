@@ -6,12 +6,13 @@ Unlike in an engine's model, links that are fixed to others are kept apart, as i
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import mujoco
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from pupper_analysis.arrays import inertia_of
 from pupper_analysis.diagnostics import Diagnostic
@@ -19,7 +20,39 @@ from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.robot_model.pose import Array, Pose
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """A pose: x = position + rotation x'.
+
+    Attributes:
+        position: (3,) (m).
+        rotation: (3, 3).
+    """
+
+    position: Array = field(default_factory=lambda: np.zeros(3))
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+
+    def __mul__(self, other: Pose) -> Pose:
+        return Pose(self.point(other.position), self.rotation @ other.rotation)
+
+    def point(self, local: Array) -> Array:
+        """Returns a point (3,), or points (n, 3), given in this pose's frame, in the outer one."""
+        moved: Array = local @ self.rotation.T + self.position
+        return moved
+
+    @property
+    def placed(self) -> pin.SE3:
+        """The same, as Pinocchio has it."""
+        return pin.SE3(self.rotation, self.position)
+
+    def inverse(self) -> Pose:
+        """Returns the pose of the outer frame in this one."""
+        return Pose(-self.rotation.T @ self.position, self.rotation.T)
+
 
 HINGE, SLIDE, BALL, FREE, FIXED = "hinge", "slide", "ball", "free", "fixed"
 

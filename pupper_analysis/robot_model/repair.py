@@ -8,8 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.robot_model.model import Inertial
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array, Inertial
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, TypeError, OSError, MemoryError)
 """What MuJoCo's bindings raise when they refuse a model."""

@@ -20,13 +20,14 @@ from pupper_analysis.robot_model.model import (
     FREE,
     HINGE,
     SLIDE,
+    Array,
     Inertial,
     Joint,
     Link,
+    Pose,
     Shape,
     UrdfModel,
 )
-from pupper_analysis.robot_model.pose import Array, Pose
 
 _KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
 

@@ -22,12 +22,13 @@ from pupper_analysis.robot_model.model import (
     FREE,
     HINGE,
     SLIDE,
+    Array,
     Frame,
     Joint,
     Link,
+    Pose,
     RobotModel,
 )
-from pupper_analysis.robot_model.pose import Array, Pose
 from pupper_analysis.robot_model.usd_joints import Edge, UsdDrive, edge_of
 from pupper_analysis.robot_model.usd_mass import Weighed, weigh_body
 from pupper_analysis.robot_model.usd_shapes import (

@@ -13,8 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE
-from pupper_analysis.robot_model.pose import Pose
+from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Pose
 from pupper_analysis.robot_model.usd_shapes import (
     AXES,
     StageUnits,

@@ -14,8 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from pupper_analysis.robot_model.model import Inertial
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array, Inertial
 from pupper_analysis.robot_model.usd_shapes import (
     Placed,
     Solid,

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.alignment import Alignment
 from pupper_analysis.matching.conventions import with_zero
 from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
+from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.multibody import MultibodyTree, with_value_of
 
 Array = NDArray[np.float64]
@@ -103,3 +105,30 @@ def _gauges(own: MultibodyTree, moved: MultibodyTree) -> dict[str, pin.SE3]:
         gauges[name] = pin.SE3.Identity() if gauge.isIdentity(1e-12) else gauge
         waiting += own.children(name)
     return gauges
+
+
+@dataclass(eq=False, kw_only=True)
+class Side:
+    """A file that gets numbers of the other one.
+
+    Attributes:
+        sides: Both robots.
+        wanted: What this file's shall be.
+        digits: Writes the numbers.
+        left: {difference: why it cannot be written}.
+        notes: What else is to be said, per difference.
+    """
+
+    sides: MatchedRobots
+    wanted: MultibodyTree
+    digits: Digits
+    left: dict[Key, Diagnostic] = field(default_factory=dict)
+    notes: dict[Key, Diagnostic] = field(default_factory=dict)
+
+    def on_same_body(self, key: Key) -> bool:
+        """Says whether a frame is on one body in both files; notes why it is left, if not."""
+        name = key[1]
+        same = bool(self.sides.urdf.frames[name][0] == self.sides.mjcf.frames[name][0])
+        if not same:
+            self.left[key] = diagnose("frame-on-other-body-unwritten")
+        return same

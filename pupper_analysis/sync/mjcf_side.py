@@ -20,11 +20,10 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.orientation import orientation_change
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key
+from pupper_analysis.sync.frames import Key, Side
 from pupper_analysis.sync.mjcf_anchor import move_anchors
 from pupper_analysis.sync.mjcf_effort import write_effort
 from pupper_analysis.sync.mjcf_inertials import write_inertial
-from pupper_analysis.sync.side import Side
 
 Array = NDArray[np.float64]
 

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
 from pupper_analysis.checks.attribution import align_robot
-from pupper_analysis.checks.differences import OF_BODIES_AND_PLACES
+from pupper_analysis.checks.differences import LIMITS, OF_BODIES_AND_PLACES, OF_INERTIALS
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.digits import Digits
-from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
-from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.results import Result
-from pupper_analysis.sync.absent import is_absent
 from pupper_analysis.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
@@ -215,3 +215,35 @@ def _words(element: Element) -> str:
         words.append(f"{here.tag} {name}" if name else here.tag)
         here = None if name else here.parent
     return " > ".join(reversed(words))
+
+
+def is_absent(key: Key, whose: str, both: MatchedRobots, urdf: UrdfFile, mjcf: MjcfFile) -> bool:
+    """Says whether the file whose value shall be taken states none.
+
+    A limit that is not there is infinite, a damping or a friction 0, and so is the mass of a body
+    without an <inertial>: that is how the engines read it, and not what anybody has written. A
+    URDF must state an effort, and 0 is what exporters write where they know none.
+
+    Args:
+        key: The kind and the element of a difference.
+        whose: ``"urdf"`` or ``"mjcf"``.
+        both: Both robots.
+        urdf: The URDF.
+        mjcf: The MJCF.
+    """
+    kind, name = key
+    side = both.urdf if whose == "urdf" else both.mjcf
+    if kind == "effort" and whose == "urdf" and name in side.joints:
+        return not 0 < side.joints[name].effort < math.inf
+    attribute = BY_KIND.get(kind)
+    if kind in LIMITS and attribute is not None:
+        return name in side.joints and math.isinf(getattr(side.joints[name], attribute.field))
+    if kind in OF_INERTIALS:
+        return name in side.bodies and not side.bodies[name].mass > 0
+    if attribute is None or attribute.urdf is None or name not in side.joints:
+        return False
+    if getattr(side.joints[name], attribute.field):
+        return False
+    if whose == "mjcf":
+        return mjcf.stated("joint", name, attribute.mjcf) is None
+    return urdf.tree.joints[both.matched.urdf_joint[name]].stated(attribute) is None

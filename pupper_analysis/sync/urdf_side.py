@@ -18,9 +18,8 @@ from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.orientation import origin_changes
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml_bytes import Element
-from pupper_analysis.sync.frames import Key
+from pupper_analysis.sync.frames import Key, Side
 from pupper_analysis.sync.inertia import is_physical, is_same_body, turned_like, without_parts
-from pupper_analysis.sync.side import Side
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import pytest
 
-from pupper_analysis.models.joint_drives import Drive, drive_of
+from pupper_analysis.models.transmission import Drive, drive_of
 
 
 def drive(actuators: str) -> Drive:

@@ -18,7 +18,7 @@ from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.draft import Draft
 from pupper_analysis.prepare.load import explain_loading
 from pupper_analysis.prepare.passes import PASSES, Pass
-from pupper_analysis.prepare.request import Request
+from pupper_analysis.prepare.ready import Request
 from tests.support.legged import Pair, fused, quadruped
 
 

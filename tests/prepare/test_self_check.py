@@ -11,7 +11,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.models.joint_drives import Drive
+from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import Bare
 from pupper_analysis.prepare.self_check import own_run
 from pupper_analysis.report.verdict import in_words, of_the_file

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pupper_analysis.models.joint_drives import Drive, MadeServo
+from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.pupper import comparison
 from pupper_analysis.report.document import Document, Table
 from pupper_analysis.report.documents.analysis import analysis_document

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.usd_file import read_usd
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array
 from pupper_analysis.robot_model.urdf import read_urdf_model
 from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 from pupper_analysis.robot_model.usd_mass import Origin

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pupper_analysis.models.joint_drives import Drive, MadeServo
+from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.report.verdict import in_words
 from pupper_analysis.robot.as_published import (
     Cause,

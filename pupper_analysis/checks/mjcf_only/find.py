@@ -13,14 +13,13 @@ arrays are those of ``mjModel``.
 
 from __future__ import annotations
 
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
+from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, NamedModel
 from pupper_analysis.checks.mjcf_only.joints import (
     find_damping_polynomials,
     find_gravity_compensation,
     find_springs,
     free_joint_friction,
 )
-from pupper_analysis.checks.mjcf_only.named_model import NamedModel
 from pupper_analysis.checks.mjcf_only.others import (
     find_equalities,
     find_flags,

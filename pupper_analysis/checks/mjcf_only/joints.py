@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
-from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
+from pupper_analysis.checks.mjcf_only.effect import DISABLE, MjcfOnlyEffect, NamedModel
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 

@@ -7,9 +7,8 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, Slot
+from pupper_analysis.checks.mjcf_only.effect import DISABLE, MjcfOnlyEffect, NamedModel, Slot
 from pupper_analysis.checks.mjcf_only.mimics import EQUALITY
-from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
 from pupper_analysis.checks.mjcf_only.transmissions import wrapped_bodies
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 

@@ -7,8 +7,13 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, Slot, acts_without_command
-from pupper_analysis.checks.mjcf_only.named_model import DISABLE, NamedModel
+from pupper_analysis.checks.mjcf_only.effect import (
+    DISABLE,
+    MjcfOnlyEffect,
+    NamedModel,
+    Slot,
+    acts_without_command,
+)
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 

@@ -14,11 +14,10 @@ from pupper_analysis.checks.patterns.angles import other_angles
 from pupper_analysis.checks.patterns.case import PatternCase
 from pupper_analysis.checks.patterns.dropped import find_dropped
 from pupper_analysis.checks.patterns.exchanged import find_exchanged
-from pupper_analysis.checks.patterns.gears import before_gears
 from pupper_analysis.checks.patterns.inertials import other_inertials
 from pupper_analysis.checks.patterns.lines import other_lines
 from pupper_analysis.checks.patterns.links import other_links
-from pupper_analysis.checks.patterns.units import other_units
+from pupper_analysis.checks.patterns.units import before_gears, other_units
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.matching.trees import kinematic_trees

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.models.efforts import gear_left_out
 from pupper_analysis.models.xml import MAX_NUMBER
 
 Array = NDArray[np.float64]
@@ -82,3 +84,27 @@ def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic |
                 return diagnose("guess-unit", meant=Term(meant), right=Term(right), file=file)
     decimal = math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3)
     return diagnose("guess-decimal-point") if decimal else None
+
+
+def before_gears(case: PatternCase) -> Found:
+    """Finds efforts that are the MJCF's once they are multiplied by the gears there."""
+    model = case.robot.mj_model
+    found: dict[tuple[float, float], list[str]] = defaultdict(list)
+    for kind, name in case.open:
+        if kind == "effort":
+            effort = case.first.joints[name].effort
+            gear = gear_left_out(model, model.joint(name).id, effort)
+            if gear is not None:
+                found[effort, gear].append(name)
+    if not found:
+        return
+    efforts = [
+        diagnose("effort-times-gear", effort=effort, gear=gear, product=effort * gear, joints=names)
+        for (effort, gear), names in found.items()
+    ]
+    joints = [name for names in found.values() for name in names]
+    yield PatternFinding(
+        "gears",
+        diagnose("efforts-before-gears", count=len(joints), efforts=efforts),
+        {("effort", name) for name in joints},
+    )

@@ -9,8 +9,7 @@ from typing import Any
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.attribution import EXPLAINED
-from pupper_analysis.checks.changes import apply_changes, changes_between
-from pupper_analysis.checks.convention_changes import convention_changes
+from pupper_analysis.checks.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, RelativeError
 from pupper_analysis.checks.versions.behaviour import Trial
 from pupper_analysis.checks.versions.revision import VersionedFile, open_version

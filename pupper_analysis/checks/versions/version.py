@@ -9,15 +9,15 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from pupper_analysis.checks.mjcf_only.effect import NamedModel
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
-from pupper_analysis.checks.mjcf_only.named_model import NamedModel
 from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.mimics import urdf_mimics
 from pupper_analysis.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree, name_all
 from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.urdf import (
     moving_joints,
+    urdf_mimics,
     urdf_tree,
     without_shapes,
 )

@@ -9,8 +9,7 @@ import numpy as np
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.robot_model.geometry import extent_points, link_points
-from pupper_analysis.robot_model.model import Inertial, Link, RobotModel
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array, Inertial, Link, RobotModel
 
 FACTOR = 100.0
 """How far an inertia may be from that of a solid box: units slip by 1000 or more."""

@@ -10,8 +10,7 @@ from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, Vector, describe_bound, diagnose
-from pupper_analysis.robot_model.model import HINGE, Inertial, Joint, Link, RobotModel
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import HINGE, Array, Inertial, Joint, Link, RobotModel
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 """Tolerances: m, relative, m, relative, rad or m."""

@@ -10,8 +10,7 @@ from scipy.spatial import ConvexHull, QhullError
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.robot_model.geometry import extent_points, link_points
-from pupper_analysis.robot_model.model import Link, RobotModel
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array, Link, RobotModel
 
 DENSEST = 20_000.0
 """Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.

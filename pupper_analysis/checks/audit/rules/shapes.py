@@ -8,8 +8,7 @@ import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, Severity, Subject, Term, diagnose
-from pupper_analysis.robot_model.model import Link, RobotModel, Shape
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array, Link, RobotModel, Shape
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""

@@ -18,8 +18,7 @@ from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import base_motion
 from pupper_analysis.robot_model.mjcf import joint_name
-from pupper_analysis.robot_model.model import MjcfModel, RobotModel
-from pupper_analysis.robot_model.pose import Array
+from pupper_analysis.robot_model.model import Array, MjcfModel, RobotModel
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""
