@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +228,7 @@ def _filled(robot: Robot, task: StandTask) -> StandTask:
     com, height = task.com, task.height
     if com is None:
         com = "inside" if task.offset is None and not can_move_com(robot) else "centre"
-    return task.filled(robot.stand_height if height is None else height, com)
+    return replace(task, height=robot.stand_height if height is None else height, com=com)
 
 
 def _centred(task: StandTask) -> bool:

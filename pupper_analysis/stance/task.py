@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -130,12 +129,6 @@ class StandTask:
         if grounds:
             own["ground"] = replace(self.ground, **grounds)
         return replace(self, **own)
-
-    def filled(self, height: float, com: str | Point) -> StandTask:
-        """Returns the task with a robot's own height and com, which need no check: quickly."""
-        other = copy(self)
-        vars(other).update(height=height, com=com)
-        return other
 
     def rotation(self) -> Array:
         """Returns the base's rotation (3, 3) in the world."""

@@ -65,3 +65,18 @@ def test_feet_on_one_line_carry_nothing() -> None:
         goal(0.0)
     corners = np.array(goal(0.004).corners)
     assert np.ptp(corners[:, 0]) == pytest.approx(0.004)
+
+
+@pytest.mark.parametrize(
+    "task", [pa.StandTask(), pa.StandTask(height=0.11), pa.StandTask(offset=(0.01, 0.0))]
+)
+def test_a_goals_task_is_one_that_can_be_asked(task: pa.StandTask) -> None:
+    """What the robot fills in, its height and where the com is, is checked like all else."""
+    filled = make_goal(load("v3"), task, {}).task
+    assert filled == pa.StandTask(**vars(filled))
+    assert None not in (filled.height, filled.com)
+    robot = pa.load_variant("v3")
+    vars(robot)["stand_height"] = -0.1
+    if task.height is None:
+        with pytest.raises(pa.ConfigurationError, match="height"):
+            make_goal(robot, task, {"FL": 0.001})

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -11,8 +12,10 @@ from hypothesis import strategies as st
 from scipy import linalg, optimize
 
 import pupper_analysis as pa
+from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.statics.cone_program import Balance
+from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.engines import addresses, mujoco_at, with_efforts
 from tests.support.states import numbers
@@ -586,7 +589,28 @@ def test_three_feet_do_not_carry_a_com_beyond_their_diagonal() -> None:
     with pytest.raises(pa.StaticsInfeasibleError, match="com outside") as caught:
         pa.gravity_compensation(v3_at_zero(), ["FR", "RR", "RL"])
     assert caught.value.margin < 0
-    assert "RR" in caught.value.feet  # the foot that would have to pull
+    assert caught.value.feet == ("RR",)  # the foot that would have to pull
+
+
+def test_a_foot_that_hardly_presses_does_not_pull() -> None:
+    """With a thirtieth of the weight all forces are below 1 N, and one of them alone is a pull."""
+    description = load("v3").description
+    light = description.mjcf.copy()
+    light.option.gravity = (0.0, 0.0, -0.3)
+    robot = build_robot(replace(description, mjcf=light))
+    with pytest.raises(pa.StaticsInfeasibleError) as caught:
+        pa.gravity_compensation(pa.Configuration(robot, v3_at_zero().qpos), ["FR", "RR", "RL"])
+    assert caught.value.feet == ("RR",)
+
+
+def test_contacts_that_are_shared_cannot_be_changed() -> None:
+    """On level ground they are made once for a robot: whoever changed them would for all."""
+    robot = load("v3")
+    shared = make_contacts(robot, None, None, None, None)
+    assert make_contacts(robot, None, None, None, None) is shared
+    for array in (shared.normals, shared.friction, shared.offsets):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
 
 
 @pytest.mark.parametrize("foot", ["FR", "FL", "RR", "RL"])
