@@ -12,42 +12,14 @@ from pupper_analysis.stance.sag.solution import Anchor
 Array = NDArray[np.float64]
 
 
-class RigidSoles:
-    """Slips of contact points, (n, 2, ...), with those of each sole as one body's.
-
-    A sole is rigid: its points slip along the ground by what moves and turns it. What is left of
-    their slips, micrometres by which it tilts, would have them rub against each other as hard as
-    friction lets them, which creeps away at once.
-
-    Args:
-        soles: {point: the foot that has it}.
-        frame: (3, 3) rotation from the world to the ground's frame.
-    """
-
-    def __init__(self, soles: Mapping[str, str], frame: Array) -> None:
-        self._soles, self._frame = soles, frame
-        self._found: tuple[tuple[str, ...], Array | None] | None = None
-
-    def slips(self, anchors: Mapping[str, Anchor], slips: Array) -> Array:
-        """Returns slips (n, 2, ...) of the points that touch, soles as one body.
-
-        Args:
-            anchors: {point that touches: where it did so first}.
-            slips: (n, 2, ...) of each by itself.
-        """
-        key = tuple(anchors)
-        if self._found is None or self._found[0] != key:
-            self._found = key, rigid_slips(anchors, self._soles, self._frame)
-        whole = self._found[1]
-        return slips if whole is None else np.asarray(np.tensordot(whole, slips, 2), dtype=float)
-
-
 def rigid_slips(
     anchors: Mapping[str, Anchor], soles: Mapping[str, str], frame: Array
 ) -> Array | None:
     """Returns the projection (n, 2, n, 2) of slips on those of rigid soles; None without soles.
 
-    A sole moves along the ground and turns on it: three of the ways in which its points can slip.
+    A sole is rigid: its points slip along the ground by what moves and turns it. What is left of
+    their slips, micrometres by which it tilts, would have them rub against each other as hard as
+    friction lets them, which creeps away at once.
 
     Args:
         anchors: {point that touches: where it did so first}.

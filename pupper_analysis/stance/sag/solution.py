@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,24 +51,3 @@ def integrate_step(qpos: Array, step: Array) -> Array:
     turned = pin.Quaternion(*qpos[3:7].tolist()) * pin.Quaternion(pin.exp3(step[3:6]))
     moved[3:7] = turned.coeffs()[[3, 0, 1, 2]]
     return moved
-
-
-_LONGEST_ROUND = 6  # Newton steps: of 370 searches that did not end, 360 went round in 2, 3 or 6
-_ALIKE = 0.01  # relative: a round that repeats itself so well draws what is near into itself
-
-
-def is_cycling(residuals: Sequence[float]) -> bool:
-    """Tells whether Newton's iteration goes round and will never end.
-
-    Beyond the place where an equilibrium ends there is none to be found; Newton's iteration is then
-    drawn into a cycle of some steps, about where the equilibrium would have been. An iteration that
-    converges never has the same residuals again.
-
-    Args:
-        residuals: After each step so far.
-    """
-    for size in range(2, min(_LONGEST_ROUND, len(residuals) // 2) + 1):
-        last, before = residuals[-size:], residuals[-2 * size : -size]
-        if all(abs(a - b) < _ALIKE * b for a, b in zip(last, before, strict=True)):
-            return True
-    return False

@@ -1,6 +1,5 @@
 """The predicted sag, each number two ways: against differences, balances, MuJoCo, simulations."""
 
-import contextlib
 import math
 from dataclasses import replace
 
@@ -12,12 +11,11 @@ import pupper_analysis as pa
 from pupper_analysis.diagnostics import Subject
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.stance.sag import equilibrium
 from pupper_analysis.stance.sag import steady_state as settle
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.slip import find_slipping_feet
-from pupper_analysis.stance.sag.solution import Solution, integrate_step, is_cycling
+from pupper_analysis.stance.sag.solution import integrate_step
 from pupper_analysis.stance.sag.steady_state import minimum_stiffness, steady_state
 from tests.support.cases import some
 from tests.support.engines import changed, mujoco_at
@@ -510,60 +508,6 @@ def test_minimum_stiffness_of_sliding_feet() -> None:
     assert pa.verify_stand(fast, stand, kp=1.05 * kp, **options).passed
     below = pa.verify_stand(fast, stand, kp=0.9 * kp, **options)
     assert any(one.code == "body-touches-ground" for one in below.failures)
-
-
-def searches(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Solution | None, int]]:
-    """What every search of Newton's finds from now on, and how many steps it takes."""
-    looked, ended = [0], []
-    derivative, newton = SagEquilibrium.derivative, SagEquilibrium._newton
-
-    def counted(self: SagEquilibrium, *args: np.ndarray) -> np.ndarray:
-        looked[0] += 1
-        return derivative(self, *args)
-
-    def watched(self: SagEquilibrium, guess: Solution, *left: float) -> Solution | None:
-        begun = looked[0]
-        found = newton(self, guess, *left)
-        ended.append((found, looked[0] - begun))
-        return found
-
-    monkeypatch.setattr(SagEquilibrium, "derivative", counted)
-    monkeypatch.setattr(SagEquilibrium, "_newton", watched)
-    return ended
-
-
-def test_a_search_that_goes_round_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    ended = searches(monkeypatch)
-    robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=1.5))  # its stand ends half way
-    with pytest.raises(pa.NoEquilibriumError, match="of the feed-forward is removed"):
-        steady_state(robot, pa.solve_stand(robot))
-    lost = [steps for found, steps in ended if found is None]
-    assert len(lost) >= 5
-    assert sum(lost) < 10 * len(lost)  # all took 25 steps
-
-
-@pytest.mark.parametrize("torso", [1.0, 3.0, 5.0])
-def test_a_search_that_finds_something_does_not_go_round(
-    monkeypatch: pytest.MonkeyPatch, torso: float
-) -> None:
-    monkeypatch.setattr(equilibrium, "is_cycling", lambda _: False)
-    ended = searches(monkeypatch)
-    for leg in (0.8, 1.1, 1.4):
-        robot = pa.load_variant(pa.pupper.VariantSpec("v3", leg_scale=leg, torso_mass_scale=torso))
-        with contextlib.suppress(pa.NoEquilibriumError):
-            steady_state(robot, pa.solve_stand(robot))
-    found = [one.residuals for one, _ in ended if one is not None]
-    assert len(found) >= 6
-    for residuals in found:
-        assert not any(is_cycling(residuals[:end]) for end in range(len(residuals)))
-
-
-def test_a_search_that_goes_round_is_recognised() -> None:
-    assert is_cycling([0.1, 3.0, 0.02, 3.1, 0.0201, 3.105])
-    assert is_cycling([1.0, 7.0, 0.16, 0.003, 0.88, 0.16, 0.003, 0.88])
-    assert not is_cycling([1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125])
-    assert not is_cycling([1.0, 0.02, 1.0, 0.01, 1.0, 0.005])  # every other one comes nearer
-    assert not is_cycling([0.5, 0.5, 0.5])
 
 
 def test_instability_is_reported() -> None:
