@@ -22,7 +22,8 @@ def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], di
         robot: The robot.
         units: Its weight, and its height.
     """
-    give, flat = _PLIANT * units.length / units.weight, {}
+    give = _PLIANT * units.length / units.weight
+    flat: dict[str, float] = {}
     for points in robot.soles.values():
         flat |= dict.fromkeys(points, give if len(points) > 1 else 0.0)
     return flat, flat if can_move_com(robot) else dict.fromkeys(robot.feet, give)

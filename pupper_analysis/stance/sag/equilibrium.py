@@ -166,10 +166,8 @@ class SagEquilibrium:
 
     def _turning(self) -> Array | None:
         """Returns the moments (n, 3) on the feet that touch; None if there are none."""
-        if not self.moments:
-            return None
         moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
-        return np.array(moments).reshape(-1, 3)
+        return np.array(moments).reshape(-1, 3) if self.moments else None
 
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
