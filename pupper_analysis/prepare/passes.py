@@ -73,6 +73,22 @@ class Pass:
         return self.concerns(draft)
 
 
+_PASSES: list[Pass] = []
+
+
+def _pass(
+    does: Term, concerns: Callable[[Draft], bool], *, after_refusal: bool = False
+) -> Callable[[Callable[[Draft], Made]], Callable[[Draft], Made]]:
+    """Makes the next pass of a function; it is called as that is."""
+
+    def added(apply: Callable[[Draft], Made]) -> Callable[[Draft], Made]:
+        name = apply.__name__.strip("_").replace("_", "-")
+        _PASSES.append(Pass(name, does, apply, concerns, after_refusal))
+        return apply
+
+    return added
+
+
 def _any(_draft: Draft) -> bool:
     return True
 
@@ -99,6 +115,26 @@ def _altered(draft: Draft) -> bool:
     return _on_feet(draft) and not draft.request.as_is
 
 
+def _rebuilt(draft: Draft, description: Description | None) -> Draft:
+    return draft if description is None else replace(draft, built=build_robot(description))
+
+
+def _feet(
+    robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
+) -> tuple[Foot, ...]:
+    if frames is None:
+        return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
+    return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
+
+
+def _stands_on_no_feet(draft: Draft) -> bool:
+    """Tells whether the base is to be as the file has it: no robot can be made of it otherwise."""
+    if not draft.may_be_held or draft.refused:
+        return draft.may_be_held
+    return draft.robot.floating and start.first_stand(draft.robot) is None
+
+
+@_pass(Term("names bodies and joints that have none"), _any)
 def _name_elements(draft: Draft) -> Made:
     spec = draft.spec.copy()
     name_all(spec, set())
@@ -108,15 +144,18 @@ def _name_elements(draft: Draft) -> Made:
     return replace(draft, spec=spec, keyframes=known), ()
 
 
+@_pass(Term("frees the base of a robot with limbs"), _free)
 def _free_base(draft: Draft) -> Made:
     spec, told = free_base(draft.urdf, draft.spec)
     return replace(draft, spec=spec), told
 
 
+@_pass(Term("puts the base's body where its free joint is"), _free)
 def _lift_base_frame(draft: Draft) -> Made:
     return draft, lift_base_frame(draft.spec)
 
 
+@_pass(Term("finds whose joint is whose"), _any)
 def _match(draft: Draft) -> Made:
     files = draft.urdf, replace(draft.mjcf, spec=draft.spec)
     found = match_models(*files, names=draft.request.joints, complete=True)
@@ -125,17 +164,20 @@ def _match(draft: Draft) -> Made:
     return replace(draft, found=found, description=description), told
 
 
+@_pass(Term("adds parts that only the MJCF has"), _any)
 def _weigh_parts(draft: Draft) -> Made:
     whole, told = with_parts(draft.match, draft.spec)
     name = draft.request.name or draft.spec.modelname
     return replace(draft, description=replace(whole or draft.described, name=name)), told
 
 
+@_pass(Term("couples joints that follow others"), _any)
 def _couple_mimics(draft: Draft) -> Made:
     description, told = couple_mimics(draft.match, draft.described)
     return replace(draft, description=description), told
 
 
+@_pass(Term("builds the robot on its fixed base"), _held)
 def _build_held(draft: Draft) -> Made:
     if draft.request.feet:
         raise ModelError(draft.mjcf.path, diagnose("feet-of-fixed-base"))
@@ -143,42 +185,46 @@ def _build_held(draft: Draft) -> Made:
     return replace(draft, built=robot), ()
 
 
+@_pass(Term("adds a level ground, or makes it level"), _stands)
 def _level_ground(draft: Draft) -> Made:
     ready = draft.described.mjcf.copy()  # which the passes up to the building change in place
     told = level_ground(ready)
     return replace(draft, description=replace(draft.described, mjcf=ready)), told
 
 
+@_pass(Term("takes dry friction off the free joint"), _stands)
 def _free_of_friction(draft: Draft) -> Made:
     return draft, free_of_friction(draft.described.mjcf)
 
 
+@_pass(Term("leaves one motor at each joint"), _stands)
 def _one_motor_at_each_joint(draft: Draft) -> Made:
     return draft, one_at_each_joint(draft.described.mjcf, draft.mjcf.path)
 
 
+@_pass(Term("builds the robot"), _stands)
 def _build(draft: Draft) -> Made:
     return replace(draft, built=build_robot(draft.described)), ()
 
 
+@_pass(Term("limits joints of loops that have none"), _stands)
 def _bound_joints(draft: Draft) -> Made:
     return _rebuilt(draft, bound_turning_joints(draft.robot)), ()
 
 
+@_pass(Term("takes the narrower of both files' joint limits"), _stands)
 def _narrow_limits(draft: Draft) -> Made:
     description, told = narrow_limits(draft.robot)
     return _rebuilt(draft, description), told
 
 
+@_pass(Term("refuses joints that move no mass"), _stands)
 def _check_masses(draft: Draft) -> Made:
     check_masses(draft.robot, draft.urdf)
     return draft, ()
 
 
-def _rebuilt(draft: Draft, description: Description | None) -> Draft:
-    return draft if description is None else replace(draft, built=build_robot(description))
-
-
+@_pass(Term("finds the feet, and their contact points"), _stands)
 def _put_feet(draft: Draft) -> Made:
     bare, given = draft.robot, draft.request.feet
     poses = [start.clip_to_limits(bare, pose) for pose in (*draft.keyframes.values(), None)]
@@ -206,38 +252,42 @@ def _put_feet(draft: Draft) -> Made:
     return replace(draft, built=build_robot(with_feet(bare, feet))), told
 
 
-def _feet(
-    robot: Robot, frames: Mapping[str, tuple[str, str]] | None, poses: Sequence[Array]
-) -> tuple[Foot, ...]:
-    if frames is None:
-        return find_feet(robot, poses) if limb_ends(robot.mj_model) else ()
-    return tuple(named_foot(robot, foot, places, poses[0]) for foot, places in frames.items())
-
-
+@_pass(Term("adds motors to joints of loops that have none"), _altered)
 def _add_motors(draft: Draft) -> Made:
     return replace(draft, built=drives.with_motors(draft.robot)), ()
 
 
-def _start(draft: Draft) -> Made:
+@_pass(Term("finds a pose in which it stands"), _on_feet)
+def _start_pose(draft: Draft) -> Made:
     told = list(notes.tell_planar(draft.robot))
     robot, pose = find_start_pose(draft.robot, draft.keyframes)
     return replace(draft, built=robot), told + pose
 
 
-def _of_robots(step: Callable[[Robot], tuple[Robot, list[Diagnostic]]]) -> Callable[[Draft], Made]:
-    """Makes a pass of what changes a robot."""
-
-    def apply(draft: Draft) -> Made:
-        robot, told = step(draft.robot)
-        return replace(draft, built=robot), told
-
-    return apply
+@_pass(Term("lets feet alone touch the ground"), _altered)
+def _touch_with_feet_alone(draft: Draft) -> Made:
+    robot, told = touching.touch_with_feet_alone(draft.robot)
+    return replace(draft, built=robot), told
 
 
+@_pass(Term("excludes contacts of parts that overlap"), _altered)
+def _keep_apart(draft: Draft) -> Made:
+    robot, told = touching.exclude_overlaps(draft.robot)
+    return replace(draft, built=robot), told
+
+
+@_pass(Term("chooses a solver that solves the equations of motion"), _altered)
+def _solve_exactly(draft: Draft) -> Made:
+    robot, told = choose_exact_solver(draft.robot)
+    return replace(draft, built=robot), told
+
+
+@_pass(Term("tells which joints and motors are not commanded"), _on_feet)
 def _tell_what_follows(draft: Draft) -> Made:
     return draft, (*notes.bound_joints(draft.robot), *notes.tell_uncommanded(draft.robot))
 
 
+@_pass(Term("adds position servos that bring it to rest"), _altered)
 def _add_servos(draft: Draft) -> Made:
     robot = draft.robot
     idle = {robot.joint_names[joint] for joint in drives.following_joints(robot)}
@@ -249,6 +299,7 @@ def _add_servos(draft: Draft) -> Made:
     return draft, () if advice is None else (advice,)
 
 
+@_pass(Term("builds the robot with all that is seen of it"), _any)
 def _build_whole(draft: Draft) -> Made:
     robot = draft.robot
     spec = robot.description.mjcf.copy()
@@ -259,13 +310,7 @@ def _build_whole(draft: Draft) -> Made:
     return replace(draft, built=with_knowledge_of(built, robot)), ()
 
 
-def _stands_on_no_feet(draft: Draft) -> bool:
-    """Tells whether the base is to be as the file has it: no robot can be made of it otherwise."""
-    if not draft.may_be_held or draft.refused:
-        return draft.may_be_held
-    return draft.robot.floating and start.first_stand(draft.robot) is None
-
-
+@_pass(Term("fixes the base where it does not stand"), _stands_on_no_feet, after_refusal=True)
 def _hold_base(draft: Draft) -> Made:
     refused, request = draft.refused, replace(draft.request, fixed_base=True)
     why = diagnose("stands-on-no-feet") if refused is None else refused.cause
@@ -278,81 +323,8 @@ def _hold_base(draft: Draft) -> Made:
     return held, (diagnose("base-kept-in-the-world", why=why),)
 
 
-PASSES = (
-    Pass("name-elements", Term("names bodies and joints that have none"), _name_elements, _any),
-    Pass("free-base", Term("frees the base of a robot with limbs"), _free_base, _free),
-    Pass(
-        "lift-base-frame",
-        Term("puts the base's body where its free joint is"),
-        _lift_base_frame,
-        _free,
-    ),
-    Pass("match", Term("finds whose joint is whose"), _match, _any),
-    Pass("weigh-parts", Term("adds parts that only the MJCF has"), _weigh_parts, _any),
-    Pass("couple-mimics", Term("couples joints that follow others"), _couple_mimics, _any),
-    Pass("build-held", Term("builds the robot on its fixed base"), _build_held, _held),
-    Pass("level-ground", Term("adds a level ground, or makes it level"), _level_ground, _stands),
-    Pass(
-        "free-of-friction",
-        Term("takes dry friction off the free joint"),
-        _free_of_friction,
-        _stands,
-    ),
-    Pass(
-        "one-motor-at-each-joint",
-        Term("leaves one motor at each joint"),
-        _one_motor_at_each_joint,
-        _stands,
-    ),
-    Pass("build", Term("builds the robot"), _build, _stands),
-    Pass("bound-joints", Term("limits joints of loops that have none"), _bound_joints, _stands),
-    Pass(
-        "narrow-limits",
-        Term("takes the narrower of both files' joint limits"),
-        _narrow_limits,
-        _stands,
-    ),
-    Pass("check-masses", Term("refuses joints that move no mass"), _check_masses, _stands),
-    Pass("put-feet", Term("finds the feet, and their contact points"), _put_feet, _stands),
-    Pass(
-        "add-motors", Term("adds motors to joints of loops that have none"), _add_motors, _altered
-    ),
-    Pass("start-pose", Term("finds a pose in which it stands"), _start, _on_feet),
-    Pass(
-        "touch-with-feet-alone",
-        Term("lets feet alone touch the ground"),
-        _of_robots(touching.touch_with_feet_alone),
-        _altered,
-    ),
-    Pass(
-        "keep-apart",
-        Term("excludes contacts of parts that overlap"),
-        _of_robots(touching.exclude_overlaps),
-        _altered,
-    ),
-    Pass(
-        "solve-exactly",
-        Term("chooses a solver that solves the equations of motion"),
-        _of_robots(choose_exact_solver),
-        _altered,
-    ),
-    Pass(
-        "tell-what-follows",
-        Term("tells which joints and motors are not commanded"),
-        _tell_what_follows,
-        _on_feet,
-    ),
-    Pass("add-servos", Term("adds position servos that bring it to rest"), _add_servos, _altered),
-    Pass("build-whole", Term("builds the robot with all that is seen of it"), _build_whole, _any),
-    Pass(
-        "hold-base",
-        Term("fixes the base where it does not stand"),
-        _hold_base,
-        _stands_on_no_feet,
-        after_refusal=True,
-    ),
-)
-"""In the order in which they are run."""
+PASSES = tuple(_PASSES)
+"""In the order in which they are run: that of their functions above."""
 
 
 def run_passes(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[Robot, list[PassRun]]:
