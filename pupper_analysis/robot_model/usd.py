@@ -34,9 +34,9 @@ from pupper_analysis.robot_model.usd_mass import Weighed, weigh_body
 from pupper_analysis.robot_model.usd_shapes import (
     Placed,
     StageUnits,
+    number_of,
     own_prims,
     shapes_of,
-    shortest_decimals,
     split_transform,
     units_of,
     value_of,
@@ -364,15 +364,13 @@ def _gravity(file: UsdFile, units: StageUnits) -> Array | None:
     for prim in Usd.PrimRange(file.stage.GetPseudoRoot()):
         if not prim.IsA(UsdPhysics.Scene):
             continue
-        size = value_of(prim, "physics:gravityMagnitude", "number")
+        size = number_of(prim, "physics:gravityMagnitude")
         way = np.array(value_of(prim, "physics:gravityDirection", "point"), dtype=float)
-        if size is None or not np.isfinite(size) or size < 0:
+        if not np.isfinite(size) or size < 0:
             continue
         if not way.any():
             way = units.up.T @ np.array([0.0, 0.0, -1.0])
-        found: Array = (
-            units.up @ way / np.linalg.norm(way) * float(shortest_decimals(size)) * units.length
-        )
+        found: Array = units.up @ way / np.linalg.norm(way) * size * units.length
         return found
     return None
 
@@ -386,7 +384,7 @@ def _idle(file: UsdFile, prims: Mapping[str, Any], units: StageUnits) -> dict[st
         for prim in own_prims(file, body):
             if prim == body or prim.HasAPI(UsdPhysics.CollisionAPI):
                 continue
-            mass = value_of(prim, "physics:mass", "number")
+            mass = number_of(prim, "physics:mass", 0.0)
             if mass:
-                found[str(prim.GetPath())] = float(shortest_decimals(mass)) * units.mass
+                found[str(prim.GetPath())] = mass * units.mass
     return found

@@ -18,7 +18,7 @@ from pupper_analysis.robot_model.usd_shapes import (
     AXES,
     StageUnits,
     axis_of,
-    shortest_decimals,
+    number_of,
     value_of,
 )
 
@@ -201,19 +201,14 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
     kind = _KINDS.get(str(prim.GetTypeName()))
     if kind is not None:
         axis = AXES[axis_of(prim, "physics:axis", "X")]
-        lower, upper = (
-            default
-            if (value := value_of(prim, f"physics:{end}Limit", "number")) is None
-            else float(shortest_decimals(value))
-            for end, default in (("lower", -math.inf), ("upper", math.inf))
-        )
+        lower = number_of(prim, "physics:lowerLimit", -math.inf)
+        upper = number_of(prim, "physics:upperLimit", math.inf)
         return (kind, axis, *((lower, upper) if kind in (HINGE, SLIDE) else (-math.inf, math.inf)))
     # A general joint is free about and along all axes but those whose limits are exchanged.
     free: dict[str, tuple[float, float]] = {}
     for word in _FREEDOMS:
-        low, high = (value_of(prim, f"limit:{word}:physics:{end}", "number") for end in _ENDS)
-        low = -math.inf if low is None else float(shortest_decimals(low))
-        high = math.inf if high is None else float(shortest_decimals(high))
+        low = number_of(prim, f"limit:{word}:physics:low", -math.inf)
+        high = number_of(prim, f"limit:{word}:physics:high", math.inf)
         if not low > high:
             free[word] = low, high
     if not free:
@@ -223,9 +218,6 @@ def _freedom(prim: Any) -> tuple[str, int, float, float]:
         return HINGE if word.startswith("rot") else SLIDE, AXES[word[-1]], low, high
     ball = set(free) == set(_FREEDOMS[3:])
     return BALL if ball else FREE, 0, -math.inf, math.inf
-
-
-_ENDS: Final = ("low", "high")
 
 
 def _word(prim: Any, kind: str, axis: int) -> str:
@@ -247,8 +239,8 @@ def _stated(
     found = {}
     for statement in statements:
         name = statement.name.format(axis=word)
-        value = value_of(prim, name, "number")
-        if value is None or not np.isfinite(value) or not prim.GetAttribute(name).IsAuthored():
+        value = number_of(prim, name)
+        if not math.isfinite(value) or not prim.GetAttribute(name).IsAuthored():
             continue
         if what == "velocity":
             unit = units.length
@@ -261,7 +253,7 @@ def _stated(
                 unit /= DEGREE
             elif statement.angle:
                 unit = DEGREE
-        found[name] = float(shortest_decimals(value)) * unit
+        found[name] = value * unit
     return found
 
 
@@ -272,10 +264,9 @@ def _effort(motor: Any, unit: float) -> float | None:
     """
 
     def greatest(name: str) -> float | None:
-        ends = [value_of(motor, f"mjc:{name}Range:{end}", "number") for end in ("min", "max")]
-        if None in ends or str(value_of(motor, f"mjc:{name}Limited", "text")) == "false":
-            return None
-        return max(abs(float(shortest_decimals(end))) for end in ends) or None
+        ends = [abs(number_of(motor, f"mjc:{name}Range:{end}")) for end in ("min", "max")]
+        off = str(value_of(motor, f"mjc:{name}Limited", "text")) == "false"
+        return None if off or math.isnan(sum(ends)) else max(ends) or None
 
     limit = greatest("force")
     if limit is None and str(value_of(motor, "mjc:biasType", "text") or "none") == "none":
@@ -312,20 +303,17 @@ def _drive(prim: Any, word: str, turns: bool, units: StageUnits) -> UsdDrive | N
     if f"PhysicsDriveAPI:{word}" not in prim.GetAppliedSchemas():
         return None
 
-    def of(name: str) -> float | None:
-        value = value_of(prim, f"drive:{word}:physics:{name}", "number")
-        return None if value is None else float(shortest_decimals(value))
-
-    accelerates = value_of(prim, f"drive:{word}:physics:type", "text") == "acceleration"
+    start = f"drive:{word}:physics"
+    accelerates = value_of(prim, f"{start}:type", "text") == "acceleration"
     force = 1.0 if accelerates else units.inertia if turns else units.mass
     unit = force / DEGREE if turns else force
-    authored = prim.GetAttribute(f"drive:{word}:physics:targetPosition").IsAuthored()
-    target = of("targetPosition") if authored else None
-    stiffness = of("stiffness") or 0.0
+    authored = prim.GetAttribute(f"{start}:targetPosition").IsAuthored()
+    target = number_of(prim, f"{start}:targetPosition") * (DEGREE if turns else units.length)
+    stiffness = number_of(prim, f"{start}:stiffness", 0.0)
     return UsdDrive(
         stiffness=stiffness * unit,
-        damping=(of("damping") or 0.0) * unit,
-        target=None if target is None else target * (DEGREE if turns else units.length),
+        damping=number_of(prim, f"{start}:damping", 0.0) * unit,
+        target=target if authored and not math.isnan(target) else None,
         accelerates=accelerates,
         written=stiffness,
     )
@@ -344,17 +332,9 @@ def _mimic(
         if leader is None:
             continue
         if name.startswith("newton:"):
-            one, two = (value_of(prim, f"newton:mimicCoef{n}", "number") for n in (1, 0))
-            return (
-                leader,
-                1.0 if one is None else float(shortest_decimals(one)),
-                float(shortest_decimals(two or 0.0)) * unit,
-            )
+            offset = number_of(prim, "newton:mimicCoef0", 0.0) * unit
+            return leader, number_of(prim, "newton:mimicCoef1", 1.0), offset
         start = name.removesuffix(":referenceJoint")
-        gearing, offset = (value_of(prim, f"{start}:{w}", "number") for w in ("gearing", "offset"))
-        return (
-            leader,
-            -float(shortest_decimals(gearing or 0.0)),
-            -float(shortest_decimals(offset or 0.0)) * unit,
-        )
+        offset = -number_of(prim, f"{start}:offset", 0.0) * unit
+        return leader, -number_of(prim, f"{start}:gearing", 0.0), offset
     return None

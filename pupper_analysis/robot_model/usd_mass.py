@@ -20,6 +20,7 @@ from pupper_analysis.robot_model.usd_shapes import (
     Solid,
     StageUnits,
     UsdShape,
+    number_of,
     rotation_of,
     shortest_decimals,
     value_of,
@@ -82,8 +83,8 @@ def weigh_body(body: Any, place: Placed, shapes: Sequence[UsdShape], units: Stag
         shapes: Its shapes.
         units: Of the stage.
     """
-    below = value_of(body, "physics:mass", "number") or 0.0
-    mass = (_positive(body, "physics:mass") or min(float(below), 0.0)) * units.mass
+    below = min(number_of(body, "physics:mass", 0.0), 0.0)
+    mass = (_positive(body, "physics:mass") or below) * units.mass
     com = _vector(body, "physics:centerOfMass")
     com = None if com is None else com * place.scale
     moments = _vector(body, "physics:diagonalInertia")
@@ -187,12 +188,8 @@ def _square(d: Array) -> Array:
 
 def _positive(prim: Any, name: str) -> float:
     """Returns a number that states something if it is above 0; else 0."""
-    value = value_of(prim, name, "number")
-    return (
-        max(float(shortest_decimals(value)), 0.0)
-        if value is not None and np.isfinite(value)
-        else 0.0
-    )
+    value = number_of(prim, name, 0.0)
+    return max(value, 0.0) if np.isfinite(value) else 0.0
 
 
 def _vector(prim: Any, name: str) -> Array | None:

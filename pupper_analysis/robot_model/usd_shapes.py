@@ -122,6 +122,12 @@ def value_of(prim: Any, name: str, kind: str) -> Any:
     return value
 
 
+def number_of(prim: Any, name: str, usual: float = math.nan) -> float:
+    """Returns a number that an attribute states, as it is written; the usual one where none is."""
+    value = value_of(prim, name, "number")
+    return usual if value is None else float(shortest_decimals(value))
+
+
 def _finite(*values: float) -> bool:
     return bool(np.isfinite(values).all())
 
@@ -270,10 +276,6 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
     """Returns a shape, of where it is in its body: a rotation times a scale, in m."""
     from pxr import UsdGeom
 
-    def of(name: str, default: float) -> float:
-        value = value_of(prim, name, "number")
-        return default if value is None else float(shortest_decimals(value))
-
     kind = str(prim.GetTypeName()).removesuffix("_1").lower()
     axis = axis_of(prim, "axis", "Z")
     turn = (
@@ -286,14 +288,14 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
     round_ = abs(scale[0] - scale[1]) <= 1e-4 * scale[0]
     match kind:
         case "cube":
-            kind, size = "box", tuple(of("size", 2.0) / 2 * scale)
+            kind, size = "box", tuple(number_of(prim, "size", 2.0) / 2 * scale)
         case "sphere":
-            size = tuple(of("radius", 1.0) * scale)
+            size = tuple(number_of(prim, "radius", 1.0) * scale)
             alike = float(np.ptp(scale)) <= 1e-4 * float(scale.max())
             kind, size = ("sphere", size[:1]) if alike else ("ellipsoid", size)
         case "cylinder" | "capsule" | "cone" if round_:
-            half = of("height", 1.0 if kind == "capsule" else 2.0) / 2
-            radius = of("radius", 0.5 if kind == "capsule" else 1.0)
+            half = number_of(prim, "height", 1.0 if kind == "capsule" else 2.0) / 2
+            radius = number_of(prim, "radius", 0.5 if kind == "capsule" else 1.0)
             size = (float(radius * scale[0]), float(half * scale[2]))
         case "mesh":
             points = value_of(prim, "points", "list")
