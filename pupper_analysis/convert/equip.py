@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from pupper_analysis.convert.from_urdf import UrdfBodies
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf_xml import MjcfXml
-from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.xml_text import write_numbers
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.robot import Robot
@@ -24,7 +23,7 @@ _KEY_DIGITS = 6
 """Decimals of the keyframe's angles and height: a micrometre, which the servos make up for."""
 
 
-def add_imu(mjcf: MjcfEdits, bodies: UrdfBodies) -> Diagnostic:
+def add_imu(mjcf: MjcfXml, bodies: UrdfBodies) -> Diagnostic:
     """Adds an IMU: on the link that is named after one, otherwise at the base's origin.
 
     Returns:
@@ -38,7 +37,7 @@ def add_imu(mjcf: MjcfEdits, bodies: UrdfBodies) -> Diagnostic:
     return diagnose("imu-added", link=named[0] if named else None)
 
 
-def add_servos(mjcf: MjcfEdits, bodies: UrdfBodies, gains: Gains) -> None:
+def add_servos(mjcf: MjcfXml, bodies: UrdfBodies, gains: Gains) -> None:
     """Adds a position servo for each joint that follows no other.
 
     Args:

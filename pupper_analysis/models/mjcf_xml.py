@@ -158,7 +158,7 @@ class XmlBody:
 
 @dataclass(frozen=True, eq=False)
 class MjcfXml:
-    """An MJCF: what it can be given is that of `model_tree.MjcfEdits`.
+    """An MJCF: what it can be given for a simulation has the verbs of `SpecTree`.
 
     Attributes:
         root: Its ``<mujoco>``.

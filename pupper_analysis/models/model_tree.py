@@ -1,17 +1,16 @@
 """What can be asked of the links and joints of a model file, and changed in them, in either format.
 
-Who changes both files of a robot writes the change once, and does it to each tree in turn. What an
-MJCF alone can be given has the same verbs, whether it is MuJoCo's editable model or new XML.
+Who changes both files of a robot writes the change once, and does it to each tree in turn.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final, Protocol
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pupper_analysis.models.attributes import JointAttribute
 
@@ -88,46 +87,3 @@ class ModelTree(Protocol):
 
     def scale(self, joint: str, attribute: JointAttribute, factor: float) -> None:
         """Multiplies a number of a joint; what is not stated, or has no words, stays so."""
-
-
-class MjcfEdits(Protocol):
-    """What an MJCF is given for a simulation: by `prepare` in memory, by `convert` in a file."""
-
-    def use_implicit_damping(self) -> None:
-        """Steps so that a servo's damping does not shake light joints."""
-
-    def add_floor(self) -> object:
-        """Adds a level floor at z = 0."""
-
-    def add_imu(self, body: str, site: str) -> None:
-        """Adds an IMU at a site of a body, which is added at its origin where there is none."""
-
-    def add_coupling(
-        self, follower: str, leader: str, multiplier: Number, offset: Number
-    ) -> object:
-        """Makes a joint follow another: q = offset + multiplier q of the leader."""
-
-    def add_position_servo(
-        self,
-        joint: str,
-        kp: float,
-        kd: float,
-        limits: tuple[Number, Number] | None = None,
-    ) -> None:
-        """Makes a joint's motor a position servo; where it has none, one is added.
-
-        Args:
-            joint: The joint.
-            kp: N m/rad or N/m, at the joint.
-            kd: N m s/rad or N s/m, at the joint.
-            limits: Its least and greatest torque at the joint (N m or N); None: it has no limits.
-        """
-
-    def exclude_contact(self, one: str, two: str) -> None:
-        """Lets two bodies not touch each other."""
-
-    def add_ball(self, name: str, body: str, radius: float, place: ArrayLike) -> object:
-        """Adds a sphere that touches and weighs nothing, at a place (3,) in its body (m)."""
-
-    def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
-        """Makes a pose the keyframe to start from."""

@@ -35,7 +35,7 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SpecTree:
-    """The bodies and joints of an MJCF: a `ModelTree` with the verbs of `MjcfEdits`.
+    """The bodies and joints of an MJCF: a `ModelTree`, and what else an MJCF is given.
 
     Attributes:
         spec: MuJoCo's editable model.

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
 from pupper_analysis.prepare import notes, start
@@ -248,7 +247,7 @@ def spec_with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) ->
     not shake light joints.
     """
     spec, own = spec.copy(), own_servos(robot)
-    tree: MjcfEdits = SpecTree(spec)
+    tree = SpecTree(spec)
     idle = {robot.joint_names[joint] for joint in following_joints(robot)}
     for name, stiffness, damping, limit in zip(
         robot.joint_names, kp, kd, robot.efforts, strict=True

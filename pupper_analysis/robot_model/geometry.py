@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -143,3 +145,50 @@ def outside_hull(points: Array, point: Array) -> float:
     except (QhullError, ValueError):
         return float(np.max(np.maximum(points.min(0) - point, point - points.max(0))))
     return float(np.max(faces[:, :3] @ point + faces[:, 3]))
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """What a shape would be of a density of 1.
+
+    Attributes:
+        volume: m^3.
+        com: (3,) in the shape's frame (m).
+        inertia: (3, 3) about the com, of 1 kg/m^3 (m^5).
+    """
+
+    volume: float
+    com: Array
+    inertia: Array
+
+
+def solid_of(kind: str, size: tuple[float, ...]) -> Solid | None:
+    """Returns a shape's volume and second moments in closed form, z its axis."""
+    middle = np.zeros(3)
+    match kind, size:
+        case "box", (a, b, c):
+            volume = 8 * a * b * c
+            moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 3
+        case "sphere", (r,):
+            volume, moments = 4 / 3 * math.pi * r**3, np.full(3, 0.4 * r * r)
+        case "ellipsoid", (a, b, c):
+            volume = 4 / 3 * math.pi * a * b * c
+            moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 5
+        case "cylinder", (r, h):
+            volume = 2 * math.pi * r * r * h
+            across = r * r / 4 + h * h / 3
+            moments = np.array([across, across, r * r / 2])
+        case "cone", (r, h):
+            volume = 2 / 3 * math.pi * r * r * h
+            across = 0.15 * (r * r + h * h)  # 3/80 of the height squared, which is 2 h
+            moments = np.array([across, across, 0.3 * r * r])
+            middle = np.array([0.0, 0.0, -h / 2])  # a quarter of the height above the base
+        case "capsule", (r, h):
+            tube, ball = 2 * math.pi * r * r * h, 4 / 3 * math.pi * r**3
+            volume = tube + ball
+            # The two halves of the ball, their coms 3/8 r beyond the ends of the tube.
+            across = tube * (r * r / 4 + h * h / 3) + ball * (0.4 * r * r + h * h + 0.75 * h * r)
+            moments = np.array([across, across, (tube / 2 + 0.4 * ball) * r * r]) / volume
+        case _:
+            return None
+    return Solid(float(volume), middle, np.diag(volume * moments))

@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from pupper_analysis.robot_model.geometry import Solid
 from pupper_analysis.robot_model.model import Array, Inertial
 from pupper_analysis.robot_model.usd_shapes import (
     Placed,
-    Solid,
     StageUnits,
     UsdShape,
     number_of,

@@ -15,6 +15,7 @@ from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Vector, diagnose
 from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.usd_file import UsdFile
+from pupper_analysis.robot_model.geometry import Solid, solid_of
 from pupper_analysis.robot_model.model import Array, Pose, Shape
 
 SCALE_ROUNDING: Final = 1e-6
@@ -202,21 +203,6 @@ def split_transform(file: UsdFile, prim: Any, matrix: Any, units: StageUnits) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
-    """What a shape would be of a density of 1.
-
-    Attributes:
-        volume: m^3.
-        com: (3,) in the shape's frame (m).
-        inertia: (3, 3) about the com, of 1 kg/m^3 (m^5).
-    """
-
-    volume: float
-    com: Array
-    inertia: Array
-
-
-@dataclass(frozen=True, eq=False)
 class UsdShape(Shape):
     """A shape of a USD.
 
@@ -233,7 +219,7 @@ class UsdShape(Shape):
     @cached_property
     def solid(self) -> Solid | None:
         """What it would weigh; None where that is not known: a mesh that is not closed."""
-        return _mesh_solid(self) if self.kind == "mesh" else _solid(self.kind, self.size)
+        return _mesh_solid(self) if self.kind == "mesh" else solid_of(self.kind, self.size)
 
 
 def shapes_of(
@@ -311,38 +297,6 @@ def _shape(prim: Any, local: Pose, collides: bool) -> UsdShape:
         case _:
             kind = "plane" if prim.IsA(UsdGeom.Plane) else "other"
     return UsdShape(prim.GetName(), kind, pose, size, collides, prim=prim, scale=own)
-
-
-def _solid(kind: str, size: tuple[float, ...]) -> Solid | None:
-    """Returns a shape's volume and second moments in closed form, z its axis."""
-    middle = np.zeros(3)
-    match kind, size:
-        case "box", (a, b, c):
-            volume = 8 * a * b * c
-            moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 3
-        case "sphere", (r,):
-            volume, moments = 4 / 3 * math.pi * r**3, np.full(3, 0.4 * r * r)
-        case "ellipsoid", (a, b, c):
-            volume = 4 / 3 * math.pi * a * b * c
-            moments = np.array([b * b + c * c, a * a + c * c, a * a + b * b]) / 5
-        case "cylinder", (r, h):
-            volume = 2 * math.pi * r * r * h
-            across = r * r / 4 + h * h / 3
-            moments = np.array([across, across, r * r / 2])
-        case "cone", (r, h):
-            volume = 2 / 3 * math.pi * r * r * h
-            across = 0.15 * (r * r + h * h)  # 3/80 of the height squared, which is 2 h
-            moments = np.array([across, across, 0.3 * r * r])
-            middle = np.array([0.0, 0.0, -h / 2])  # a quarter of the height above the base
-        case "capsule", (r, h):
-            tube, ball = 2 * math.pi * r * r * h, 4 / 3 * math.pi * r**3
-            volume = tube + ball
-            # The two halves of the ball, their coms 3/8 r beyond the ends of the tube.
-            across = tube * (r * r / 4 + h * h / 3) + ball * (0.4 * r * r + h * h + 0.75 * h * r)
-            moments = np.array([across, across, (tube / 2 + 0.4 * ball) * r * r]) / volume
-        case _:
-            return None
-    return Solid(float(volume), middle, np.diag(volume * moments))
 
 
 def _mesh_solid(shape: UsdShape) -> Solid | None:

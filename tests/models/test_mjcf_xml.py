@@ -8,7 +8,6 @@ import pinocchio as pin
 import pytest
 
 from pupper_analysis.models.mjcf_xml import MjcfXml
-from pupper_analysis.models.model_tree import MjcfEdits
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.xml_text import add_element
 
@@ -34,7 +33,7 @@ def robot() -> MjcfXml:
     return mjcf
 
 
-def edit(mjcf: MjcfEdits) -> None:
+def edit(mjcf: MjcfXml | SpecTree) -> None:
     mjcf.use_implicit_damping()
     mjcf.add_imu("two", "imu")
     mjcf.add_coupling("three_joint", "two_joint", "-0.5", "0.25")

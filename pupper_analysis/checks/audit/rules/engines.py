@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.robot_model.geometry import solid_of
 from pupper_analysis.robot_model.model import Shape, UrdfModel
 
 WATER = 1000.0
@@ -55,17 +55,6 @@ def massless_link_collides(robot: UrdfModel) -> Iterator[Found]:
 
 def _water(shapes: Sequence[Shape]) -> float | None:
     """Returns the mass of shapes full of water (kg); None if one is a mesh."""
-    total = 0.0
-    for shape in shapes:
-        match shape.kind, shape.size:
-            case "box", (x, y, z):
-                total += 8 * x * y * z
-            case "sphere", (radius,):
-                total += 4 / 3 * math.pi * radius**3
-            case "cylinder", (radius, half):
-                total += 2 * math.pi * radius**2 * half
-            case "capsule", (radius, half):
-                total += math.pi * radius**2 * (2 * half + 4 / 3 * radius)
-            case _:
-                return None
-    return WATER * total
+    solids = [solid_of(shape.kind, shape.size) for shape in shapes]
+    known = [solid.volume for solid in solids if solid is not None]
+    return WATER * sum(known) if len(known) == len(solids) else None
