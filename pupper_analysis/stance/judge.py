@@ -34,11 +34,13 @@ Array = NDArray[np.float64]
 
 _CLEARANCES = (GroundClearance, SelfClearance)
 
-_MISSED = (
-    *("footholds", "loops", "joint-limits", "base-orientation", "base-height", "com-place"),
-    "base-place",
-)
-"""What a stand has an error of, by its constraint; those that a goal does not ask for are met."""
+_ERRORS = {
+    "base-orientation": "orientation_error",
+    "base-height": "height_error",
+    "com-place": "com_error",
+    "base-place": "com_error",
+}
+"""{constraint: the error of a stand by which it is missed}; by all others it is ``foot_error``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +56,8 @@ class Stand(Result):
         normals: {foot that carries: (3,) direction out of the ground}.
         contact_points: {foot that carries: (3,) where it touches the ground (m)}.
         foot_error: The largest distance of a foot from its target (m), or by how much a closed loop
-            or a coupling of joints is open, or a joint is beyond its limit less the task's margin,
-            if that is more (m, rad).
+            or a coupling of joints is open, a joint is beyond its limit less the task's margin, or
+            something else is missed that has no error of its own, if that is more (m, rad).
         orientation_error: Angle between the base's orientation and the task's (rad).
         height_error: Of the base frame (m).
         com_error: Horizontal distance of the com from where it shall be (m); with an offset, of the
@@ -203,12 +205,14 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
     """
     robot, task = shapes.robot, goal.task
     at = shapes.at(qpos)
-    missed, near = dict.fromkeys(_MISSED, 0.0), dict[str, Clearance | None]()
+    errors = dict.fromkeys(("foot_error", *_ERRORS.values()), 0.0)
+    near: dict[str, Clearance | None] = {}
     for one in constraints_of(shapes, goal):
         if isinstance(one, _CLEARANCES):
             near[one.name] = one.nearest(goal, at)
-        elif one.name in missed:  # the com's margin is a result, see com_short
-            missed[one.name] = one.missed(goal, at)
+        elif one.name != "support-margin":  # the com's margin is a result, see com_short
+            error = _ERRORS.get(one.name, "foot_error")
+            errors[error] = max(errors[error], one.missed(goal, at))
     ground, apart = near["ground-clearance"], near.get("self-clearance")
     if ground is None and task.ground_clearance > 0.0:
         raise ConfigurationError(
@@ -225,10 +229,7 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         stance_feet=goal.stance_feet,
         normals=goal.normals,
         contact_points=goal.touches,
-        foot_error=max(missed["footholds"], missed["loops"], missed["joint-limits"]),
-        orientation_error=missed["base-orientation"],
-        height_error=missed["base-height"],
-        com_error=max(missed["com-place"], missed["base-place"]),
+        **errors,
         com_margin=margin_of_place((x, y), goal.corners),
         ground_clearance=ground,
         self_clearance=apart,
