@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import StrEnum
 
@@ -11,9 +12,15 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import Effort, load_to_pass, path_effort
 from pupper_analysis.stance.path.geometry import PathPlace
+from pupper_analysis.stance.path.pyramid import is_pyramid
 from pupper_analysis.statics.cone_program import ForceBounds
 
 Array = NDArray[np.float64]
+
+
+ROUND = math.sqrt(0.5)
+"""Of the friction coefficient, where MuJoCo's cone is a pyramid: that of the round cone inside it,
+which a force may use in any direction. (|f_x| + |f_y| <= mu f_n is the pyramid.)"""
 
 
 class PathLimit(StrEnum):
@@ -48,7 +55,8 @@ class PathLimits:
         self.weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
         share = 1.0 - reserve
         self.friction = {
-            foot: share * contact.sliding_friction for foot, contact in robot.contacts.items()
+            foot: share * (ROUND if is_pyramid(robot, foot) else 1.0) * contact.sliding_friction
+            for foot, contact in robot.contacts.items()
         }
         self.torques: Array = share * robot.effort_limits
         self.velocities: Array = share * robot.velocity_limits
