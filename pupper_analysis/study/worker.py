@@ -1,4 +1,4 @@
-"""What a worker does: it metrics some designs, in a process of its own or in a thread."""
+"""What a worker does: it measures some designs, in a process of its own or in a thread."""
 
 from __future__ import annotations
 
