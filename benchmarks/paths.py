@@ -60,7 +60,7 @@ def row(name: str, robot: pa.Robot, demo: str, reserve: float) -> str:
         f"{found.seconds:.3f}",
         f"{found.lower_bound:.3f}",
         f"{binding.limit.value} ({', '.join(binding.names)}), {binding.progress:.0%} of leg "
-        f"{binding.leg}",
+        f"{binding.segment}",
         f"{found.path.peak_utilisation:.0%}",
         f"{found.path.peak_speed_utilisation:.0%}",
         f"{found.path.friction_utilisation.max():.0%}",

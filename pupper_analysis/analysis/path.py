@@ -13,7 +13,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.tracking import PathTracking, track_path
 from pupper_analysis.stance.path.fastest import fastest_path
-from pupper_analysis.stance.path.leg_time import BindingLimit
+from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask

@@ -24,8 +24,8 @@ from pupper_analysis.report.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import judge_stance
 from pupper_analysis.stance.optimize.best import Objective
-from pupper_analysis.stance.path.leg_time import BindingLimit
 from pupper_analysis.stance.path.path_limits import PathLimit
+from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.payload.sharing import Sharing
 from tests.support import printing
 from tests.support.stubs import (

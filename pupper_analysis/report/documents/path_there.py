@@ -15,7 +15,7 @@ from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
-from pupper_analysis.stance.path.leg_time import BindingLimit
+from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath
 
 
@@ -71,7 +71,7 @@ def _binding(binding: BindingLimit) -> doc.Words:
     limit: doc.Words = word(binding.limit.value)
     if binding.names:
         limit = text("limit-of", limit=limit, names=join_words(map(doc.Name, binding.names)))
-    return text("binds-after", limit=limit, progress=binding.progress, leg=binding.leg)
+    return text("binds-after", limit=limit, progress=binding.progress, segment=binding.segment)
 
 
 def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ...]:

@@ -66,13 +66,13 @@ def path_effort(
 ) -> Effort:
     """Returns what a sample of a path takes, with minimum tangential forces.
 
-    Towards a leg of the path on which fewer feet carry, the load passes to those: a mean of two
+    Towards a segment of the path on which fewer feet carry, the load passes to those: a mean of two
     sets of forces that balance the robot does so too. Where ``bounds`` are given, they say how.
 
     Args:
         robot: The robot.
         place: The sample.
-        rate: Of the leg's share (1/s).
+        rate: Of the segment's share (1/s).
         acceleration: Of it (1/s^2).
         friction: {foot: coefficient}; by default those of MuJoCo's contacts.
         bounds: On forces and torques, in the order of the sample's feet, if any.
@@ -140,27 +140,27 @@ def load_to_pass(robot: Robot, place: PathPlace, foot: str) -> float:
     """Returns what a foot may carry at most (N), so that its load is gone where it lifts.
 
     The weight times the share of the way that is left: where the com comes over the other feet at
-    the end of a leg, what the lifting foot has to carry at rest is less than that all along, and so
-    is that of one that has landed. Infinite for the other feet.
+    the end of a segment, what the lifting foot has to carry at rest is less than that all along,
+    and so is that of one that has landed. Infinite for the other feet.
     """
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    leg = place.leg
-    left = [1.0 - place.share] if foot not in leg.after else []
-    left += [place.share] if foot not in leg.before else []
+    segment = place.segment
+    left = [1.0 - place.share] if foot not in segment.after else []
+    left += [place.share] if foot not in segment.before else []
     return weight * min(left) if left else math.inf
 
 
 def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:
-    """Returns feet that are left carrying beside the leg, how near that is, and the margin there.
+    """Returns feet that are left carrying beside the segment, how near that is, and its margin.
 
-    Near is from 0 to 1; the margin is that of the com in the stance between the legs (m).
+    Near is from 0 to 1; the margin is that of the com in the stance between the segments (m).
     """
-    leg, stance_feet = place.leg, place.stand.stance_feet
+    segment, stance_feet = place.segment, place.stand.stance_feet
     return [
         (feet, near, key.margin(feet))
         for feet, key, near in (
-            (leg.before, leg.start, 1 - place.share),
-            (leg.after, leg.end, place.share),
+            (segment.before, segment.start, 1 - place.share),
+            (segment.after, segment.end, place.share),
         )
         if set(feet) < set(stance_feet)
     ]

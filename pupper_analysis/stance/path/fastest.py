@@ -18,8 +18,8 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import path_effort
 from pupper_analysis.stance.path.geometry import Geometry, path_geometry
-from pupper_analysis.stance.path.leg_time import BindingLimit, LegTime
 from pupper_analysis.stance.path.path_limits import PathLimits
+from pupper_analysis.stance.path.segment_time import BindingLimit, SegmentTime
 from pupper_analysis.stance.path.stance_path import (
     MAX_SAMPLES,
     StancePath,
@@ -32,8 +32,8 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 
 SAMPLES = 64
-"""Samples per leg at which the limits are looked at: with twice as many the least times of seven
-paths are shorter by 0.4 % at most, and the lower bounds by 0.2 %."""
+"""Samples per segment at which the limits are looked at: with twice as many the least times of
+seven paths are shorter by 0.4 % at most, and the lower bounds by 0.2 %."""
 
 RESERVE = 0.2
 """What is left unused by default: MuJoCo then confirms all least times of squat, sway and lift
@@ -56,9 +56,9 @@ class FastestPath(Result):
         lower_bound: The least time of an acceleration that may jump (s): no motion along this way
             is faster within the same limits. Soft ground and servos do not follow such jumps.
         binding: What binds most of all.
-        leg_seconds: (legs,) of each leg (s).
-        leg_lower_bounds: (legs,) each one's lower bound (s).
-        leg_bindings: What binds each; None where nothing moves.
+        segment_seconds: (segments,) of each segment (s).
+        segment_lower_bounds: (segments,) each one's lower bound (s).
+        segment_bindings: What binds each; None where nothing moves.
         reserve: Share of every limit that is left unused.
         rise: How long the acceleration takes to rise from none to the greatest that it has at the
             lower bound, at least (s).
@@ -69,9 +69,9 @@ class FastestPath(Result):
     seconds: float
     lower_bound: float
     binding: BindingLimit
-    leg_seconds: Array
-    leg_lower_bounds: Array
-    leg_bindings: tuple[BindingLimit | None, ...]
+    segment_seconds: Array
+    segment_lower_bounds: Array
+    segment_bindings: tuple[BindingLimit | None, ...]
     reserve: float
     rise: float
     path: StancePath
@@ -90,13 +90,12 @@ def fastest_path(
     """Finds the least time for a path through stances, at rest in each of them.
 
     Where a path goes does not depend on its time, so its configurations and their derivatives are
-    solved once. The speed along it, leg by leg, is that of the least time for which in each sample
-    there are contact forces inside the friction cones, which nowhere pull, that balance
-    M qacc + h + r, with the motors' torques and velocities within their limits, and the
-    acceleration does not change faster than J (``rise``): a sequence of second-order cone
-    programmes in squared speed and contact forces (``time_optimum``). Where motors bind, the forces
-    are chosen so that they bear it; of all that are within the limits, the path has the
-    minimum-tangential ones.
+    solved once. The speed along it, segment by segment, is that of the least time for which in each
+    sample there are contact forces inside the friction cones, which nowhere pull, that balance M
+    qacc + h + r, with the motors' torques and velocities within their limits, and the acceleration
+    does not change faster than J (``rise``): a sequence of second-order cone programmes in squared
+    speed and contact forces (``time_optimum``). Where motors bind, the forces are chosen so that
+    they bear it; of all that are within the limits, the path has the minimum-tangential ones.
 
     The lower bound is the time of the same programme without J.
 
@@ -108,10 +107,10 @@ def fastest_path(
             and after; from 0 to below 1. Without reserve a foot's load just comes to zero, and so
             does its grip: the path is at the limit, but no robot will follow it to a few percent.
             The default is one at which MuJoCo does (``RESERVE``); 0 is what the models allow.
-        rise: How long the acceleration along a leg takes at least to rise from none to the greatest
-            that it has at the lower bound (s). By default ``RISE`` times as long as the ground's
-            depth is behind a load that grows evenly (``ground_lag``): faster than that, feet do
-            not follow.
+        rise: How long the acceleration along a segment takes at least to rise from none to the
+            greatest that it has at the lower bound (s). By default ``RISE`` times as long as the
+            ground's depth is behind a load that grows evenly (``ground_lag``): faster than that,
+            feet do not follow.
         rate: Least number of samples per second of the path that is returned (Hz).
         rolling: Whether the feet roll.
 
@@ -130,29 +129,31 @@ def fastest_path(
     checked_stances(stances)
     geometry = path_geometry(robot, stances, SAMPLES, rolling=rolling)
     limits = PathLimits(robot, left)
-    legs = [LegTime(limits, geometry, number, rise) for number in range(len(geometry.legs))]
-    bindings = [leg.binding for leg in legs]
+    segments = [
+        SegmentTime(limits, geometry, number, rise) for number in range(len(geometry.segments))
+    ]
+    bindings = [segment.binding for segment in segments]
     binding = max(filter(None, bindings), key=lambda found: found.price, default=None)
     if binding is None:
         raise ConfigurationError("stances", diagnose("stances-all-alike"))
-    finest = max(leg.longest_step for leg in legs) * rate
+    finest = max(segment.longest_step for segment in segments) * rate
     if finest > 1:
-        per_leg = math.ceil(SAMPLES * finest)
-        if per_leg * len(legs) > MAX_SAMPLES:
+        per_segment = math.ceil(SAMPLES * finest)
+        if per_segment * len(segments) > MAX_SAMPLES:
             raise ConfigurationError("rate", diagnose("too-many-samples", most=MAX_SAMPLES))
         geometry, limits = (
-            path_geometry(robot, stances, per_leg, rolling=rolling),
+            path_geometry(robot, stances, per_segment, rolling=rolling),
             PathLimits(robot, left),
         )
-    path = _within_limits(limits, geometry, _timing(legs, geometry.per_leg))
-    slower = float(path.time[-1]) / sum(leg.seconds for leg in legs)
+    path = _within_limits(limits, geometry, _timing(segments, geometry.per_segment))
+    slower = float(path.time[-1]) / sum(segment.seconds for segment in segments)
     return FastestPath(
         seconds=float(path.time[-1]),
-        lower_bound=sum(leg.lower_bound for leg in legs),
+        lower_bound=sum(segment.lower_bound for segment in segments),
         binding=binding,
-        leg_seconds=slower * np.array([leg.seconds for leg in legs]),
-        leg_lower_bounds=np.array([leg.lower_bound for leg in legs]),
-        leg_bindings=tuple(bindings),
+        segment_seconds=slower * np.array([segment.seconds for segment in segments]),
+        segment_lower_bounds=np.array([segment.lower_bound for segment in segments]),
+        segment_bindings=tuple(bindings),
         reserve=left,
         rise=rise,
         path=path,
@@ -185,13 +186,13 @@ def ground_lag(robot: Robot) -> float:
     return max(lags)
 
 
-def _timing(legs: Sequence[LegTime], per_leg: int) -> Timing:
-    """Returns when the samples of a path are reached, ``per_leg`` of each leg."""
-    progress = np.arange(per_leg + 1) / per_leg
+def _timing(segments: Sequence[SegmentTime], per_segment: int) -> Timing:
+    """Returns when the samples of a path are reached, ``per_segment`` of each segment."""
+    progress = np.arange(per_segment + 1) / per_segment
     time, rates, accelerations = [np.zeros(1)], [np.zeros(1)], [np.zeros(1)]
-    for leg in legs:
-        rate, acceleration = leg.rates(progress)
-        time.append(time[-1][-1] + leg.moments(progress)[1:])
+    for segment in segments:
+        rate, acceleration = segment.rates(progress)
+        time.append(time[-1][-1] + segment.moments(progress)[1:])
         rates.append(rate[1:])
         accelerations.append(acceleration[1:])
     return Timing(np.concatenate(time), np.concatenate(rates), np.concatenate(accelerations))

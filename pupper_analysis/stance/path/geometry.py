@@ -18,7 +18,7 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.legs import TOUCHING, Leg, legs_of, task_between
+from pupper_analysis.stance.path.segments import TOUCHING, Segment, segments_of, task_between
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -36,16 +36,16 @@ class PathPlace:
     """A sample of a path's geometry.
 
     Attributes:
-        leg: The leg of the path.
+        segment: The segment of the path.
         number: Which one, from 0.
-        progress: Of the leg's time by the minimum-jerk law, from 0 to 1.
+        progress: Of the segment's time by the minimum-jerk law, from 0 to 1.
         share: Of the way, from 0 to 1: the minimum-jerk law of ``progress``.
         stand: The configuration, and which feet carry.
         tangent: (nv,) dq/ds, with s the share: qvel = tangent ds/dt.
         curvature: (nv,) its derivative: qacc = curvature (ds/dt)^2 + tangent d2s/dt2.
     """
 
-    leg: Leg
+    segment: Segment
     number: int
     progress: float
     share: float
@@ -70,19 +70,19 @@ class Geometry:
 
     Attributes:
         stances: The stances, solved.
-        legs: From each to the next.
-        places: Samples, evenly spaced in each leg's ``progress``; each stance is one.
-        per_leg: Samples from a stance to the next.
+        segments: From each to the next.
+        places: Samples, evenly spaced in each segment's ``progress``; each stance is one.
+        per_segment: Samples from a stance to the next.
     """
 
     stances: tuple[Stand, ...]
-    legs: list[Leg]
+    segments: list[Segment]
     places: list[PathPlace]
-    per_leg: int
+    per_segment: int
 
     def where(self, index: int, moment: float | None = None) -> Diagnostic:
         """Says where a sample is, and when (s), if that is given."""
-        return _where(index, self.per_leg, moment)
+        return _where(index, self.per_segment, moment)
 
 
 def minimum_jerk(progress: float) -> tuple[float, float, float]:
@@ -102,7 +102,7 @@ def minimum_jerk(progress: float) -> tuple[float, float, float]:
 def path_geometry(
     robot: Robot,
     stances: Sequence[StandTask],
-    per_leg: int,
+    per_segment: int,
     *,
     rolling: bool = True,
     seconds: float | None = None,
@@ -112,7 +112,7 @@ def path_geometry(
     Args:
         robot: A robot with a floating base.
         stances: The tasks.
-        per_leg: Samples from a stance to the next, at least 2.
+        per_segment: Samples from a stance to the next, at least 2.
         rolling: Whether the feet roll; otherwise their centres stay.
         seconds: Time for all (s), if errors shall say when.
 
@@ -123,21 +123,21 @@ def path_geometry(
         StanceUnreachableError: If a sample is out of reach; says where.
         StaticsInfeasibleError: If the com leaves the feet; says where.
     """
-    legs, solved = legs_of(robot, stances)
+    segments, solved = segments_of(robot, stances)
     places: list[PathPlace] = []
     ik_seed = np.array(solved[0].joint_positions(robot))
     roll = _Roll(robot, solved[0])
-    for index in range(per_leg * len(legs) + 1):
-        number = max(0, (index - 1) // per_leg)
-        leg, progress = legs[number], index / per_leg - number
+    for index in range(per_segment * len(segments) + 1):
+        number = max(0, (index - 1) // per_segment)
+        segment, progress = segments[number], index / per_segment - number
         share = minimum_jerk(progress)[0]
-        feet = leg.stance_feet
-        if index == per_leg * (number + 1):  # in a stance only what carries on both sides
-            feet = tuple(foot for foot in feet if foot in leg.after)
-        moment = None if seconds is None else seconds * index / (per_leg * len(legs))
-        where = _where(index, per_leg, moment)
+        feet = segment.stance_feet
+        if index == per_segment * (number + 1):  # in a stance only what carries on both sides
+            feet = tuple(foot for foot in feet if foot in segment.after)
+        moment = None if seconds is None else seconds * index / (per_segment * len(segments))
+        where = _where(index, per_segment, moment)
         try:
-            stand = roll.solve(leg, feet, share, ik_seed, rolling=rolling)
+            stand = roll.solve(segment, feet, share, ik_seed, rolling=rolling)
         except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
             raise error.at(where) from None
         if places and stand.qpos[3:7] @ places[-1].qpos[3:7] < 0:
@@ -152,16 +152,16 @@ def path_geometry(
             )
             raise ConfigurationError("stances", told)
         ik_seed = stand.joint_positions(robot)
-        tangent, curvature = _derivatives(robot, leg, share, stand.qpos, rolling=rolling)
-        places.append(PathPlace(leg, number, progress, share, stand, tangent, curvature))
-    return Geometry(solved, legs, places, per_leg)
+        tangent, curvature = _derivatives(robot, segment, share, stand.qpos, rolling=rolling)
+        places.append(PathPlace(segment, number, progress, share, stand, tangent, curvature))
+    return Geometry(solved, segments, places, per_segment)
 
 
-def _where(index: int, per_leg: int, moment: float | None) -> Diagnostic:
-    number = max(0, (index - 1) // per_leg)
+def _where(index: int, per_segment: int, moment: float | None) -> Diagnostic:
+    number = max(0, (index - 1) // per_segment)
     one, two = number + 1, number + 2
     if moment is None:
-        share = minimum_jerk(index / per_leg - number)[0]
+        share = minimum_jerk(index / per_segment - number)[0]
         return diagnose("on-the-way", share=share, one=one, two=two)
     return diagnose("at-the-time", time=moment, one=one, two=two)
 
@@ -180,13 +180,19 @@ class _Roll:
         return {foot: config.frame_rotation(self.robot.foot_frames[foot]) for foot in self.away}
 
     def solve(
-        self, leg: Leg, stance_feet: Sequence[str], share: float, ik_seed: Array, *, rolling: bool
+        self,
+        segment: Segment,
+        stance_feet: Sequence[str],
+        share: float,
+        ik_seed: Array,
+        *,
+        rolling: bool,
     ) -> Stand:
         """Solves a sample; how far the feet roll and the legs' angles determine each other."""
-        robot, normal = self.robot, leg.start.task.ground.normal()
+        robot, normal = self.robot, segment.start.task.ground.normal()
         away = {foot: place + self.step[foot] for foot, place in self.away.items()}
         for _ in range(_MAX_ITERATIONS):
-            task = task_between(robot, leg, stance_feet, share, ik_seed, away)
+            task = task_between(robot, segment, stance_feet, share, ik_seed, away)
             stand = solve_stand(robot, task, explain=False)
             if not rolling:
                 return stand
@@ -208,7 +214,7 @@ class _Roll:
 
 
 def _derivatives(
-    robot: Robot, leg: Leg, share: float, qpos: Array, *, rolling: bool
+    robot: Robot, segment: Segment, share: float, qpos: Array, *, rolling: bool
 ) -> tuple[Array, Array]:
     """Returns dq/ds and its derivative (nv,), in coordinates of qvel, of what the legs hold.
 
@@ -220,7 +226,7 @@ def _derivatives(
     swing feet, the base's height, and the com or the base's place move evenly; the base turns as
     roll, pitch and yaw change evenly.
     """
-    one, two = leg.start, leg.end
+    one, two = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])
     rpy, change = angles[0] + share * (angles[1] - angles[0]), angles[1] - angles[0]
     turn = pin.rpy.computeRpyJacobian(rpy, pin.LOCAL)
@@ -238,13 +244,13 @@ def _derivatives(
         wanted.append((two.com - one.com)[:2])
     offsets = {
         foot: -robot.foot_radius[foot] * normal
-        if rolling and foot in leg.stance_feet
+        if rolling and foot in segment.stance_feet
         else np.zeros(3)
         for foot in robot.feet
     }
     for foot, offset in offsets.items():
         rows.append(still.frame_jacobian(robot.foot_frames[foot], offset)[:3])
-        moves = np.zeros(3) if foot in leg.stance_feet else two.feet[foot] - one.feet[foot]
+        moves = np.zeros(3) if foot in segment.stance_feet else two.feet[foot] - one.feet[foot]
         wanted.append(moves)
     jacobian = np.concatenate(rows)
     tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(wanted))[0]

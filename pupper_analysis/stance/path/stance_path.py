@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 MAX_SAMPLES = 20_000
 """The most samples that a path may have."""
 
-LEAST_PER_LEG = 16
-"""Samples that a leg has at least: its peaks of acceleration are then met to 1 %."""
+LEAST_PER_SEGMENT = 16
+"""Samples that a segment has at least: its peaks of acceleration are then met to 1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,16 +176,16 @@ def stance_path(
     """Finds a smooth path through stances, solved on the whole body at every sample.
 
     All numbers of the tasks move along a minimum-jerk law, which is at rest, without velocity or
-    acceleration, in every stance; each leg of the path takes the same time. The place that moves
-    evenly is the com's or, next to a stance that has an offset, the base's.
+    acceleration, in every stance; each segment of the path takes the same time. The place that
+    moves evenly is the com's or, next to a stance that has an offset, the base's.
 
     Torques and contact forces are those of the motion (``inverse_dynamics``): inertia, damping and
     dry friction of the joints, and the ground's resistance to feet that roll are in them. Of the
     forces that balance it, they are the minimum-tangential ones.
 
     A foot that is lifted in a stance carries nothing from the stance before to the one after: the
-    com must be over the other feet there already. On a leg before or after, its load fades out or
-    in, so that the torques are continuous.
+    com must be over the other feet there already. On a segment before or after, its load fades out
+    or in, so that the torques are continuous.
 
     A foot that carries stays where it is, but a sphere that friction holds rolls as its leg turns:
     its centre moves with omega x r n, by 2 mm as v3 squats by a fifth of its height. So after the
@@ -197,7 +197,7 @@ def stance_path(
         stances: The tasks, at least two, on one ground; to stay in one, give it twice. The ik_seed
             of the first counts, the others follow from it.
         seconds: Time for all (s).
-        rate: Least number of samples per second (Hz); a leg has ``LEAST_PER_LEG`` or more.
+        rate: Least number of samples per second (Hz); a segment has ``LEAST_PER_SEGMENT`` or more.
         rolling: Whether the feet roll; otherwise their centres stay, and they must slip.
         beyond: Return also a path that contacts do not allow, being too fast: with the torques of
             feet that are held to the ground, and ``infeasible`` where.
@@ -211,8 +211,8 @@ def stance_path(
         StaticsInfeasibleError: If a sample cannot be held, or not at this speed; says when.
     """
     robot.check_tree("a path")
-    per_leg = _samples(seconds, rate, stances)
-    geometry = path_geometry(robot, stances, per_leg, rolling=rolling, seconds=float(seconds))
+    per_segment = _samples(seconds, rate, stances)
+    geometry = path_geometry(robot, stances, per_segment, rolling=rolling, seconds=float(seconds))
     return timed_path(robot, geometry, even_times(geometry, float(seconds)), beyond=beyond)
 
 
@@ -222,7 +222,7 @@ class Timing:
 
     Attributes:
         time: (n,) s.
-        rates: (n,) of each leg's share (1/s).
+        rates: (n,) of each segment's share (1/s).
         accelerations: (n,) of it (1/s^2).
     """
 
@@ -236,11 +236,11 @@ class Timing:
 
 
 def even_times(geometry: Geometry, seconds: float) -> Timing:
-    """Returns the minimum-jerk law in every leg, each of the same time; (s) in all."""
-    per_leg = seconds / len(geometry.legs)
+    """Returns the minimum-jerk law in every segment, each of the same time; (s) in all."""
+    per_segment = seconds / len(geometry.segments)
     laws = np.array([minimum_jerk(place.progress) for place in geometry.places])
     time = np.linspace(0.0, seconds, len(laws))
-    return Timing(time, laws[:, 1] / per_leg, laws[:, 2] / per_leg**2)
+    return Timing(time, laws[:, 1] / per_segment, laws[:, 2] / per_segment**2)
 
 
 def timed_path(
@@ -341,7 +341,7 @@ SHORTEST = 1e-3
 
 
 def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
-    """Checks the arguments' kinds; returns how many samples a leg has."""
+    """Checks the arguments' kinds; returns how many samples a segment has."""
     checked_stances(stances)
     given: dict[str, object] = {"seconds": seconds, "rate": rate}
     for name, value in given.items():
@@ -351,7 +351,7 @@ def _samples(seconds: float, rate: float, stances: Sequence[StandTask]) -> int:
     if seconds < SHORTEST:
         told = diagnose("shorter-than-least", seconds=seconds, least=SHORTEST)
         raise ConfigurationError("seconds", told)
-    if max(seconds * rate, LEAST_PER_LEG * len(stances)) > MAX_SAMPLES:
+    if max(seconds * rate, LEAST_PER_SEGMENT * len(stances)) > MAX_SAMPLES:
         told = diagnose("too-many-samples", most=MAX_SAMPLES)
         raise ConfigurationError("seconds, rate", told)
-    return max(LEAST_PER_LEG, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))
+    return max(LEAST_PER_SEGMENT, math.ceil(seconds * rate / (len(stances) - 1) - 1e-9))

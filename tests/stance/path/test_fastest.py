@@ -95,8 +95,8 @@ def test_the_fastest_path_is_faster_than_minimum_jerk_and_slower_than_its_bound(
     robot, tasks = load("original"), aside("original")
     found = fastest_path(robot, tasks, reserve=0.0)
     assert found.lower_bound < found.seconds
-    assert found.seconds == pytest.approx(found.leg_seconds.sum())
-    assert found.lower_bound == pytest.approx(found.leg_lower_bounds.sum())
+    assert found.seconds == pytest.approx(found.segment_seconds.sum())
+    assert found.lower_bound == pytest.approx(found.segment_lower_bounds.sum())
     with pytest.raises(pa.StaticsInfeasibleError):
         stance_path(robot, tasks, found.seconds)
     slow = fastest_path(robot, tasks, reserve=0.0, rise=1.0)

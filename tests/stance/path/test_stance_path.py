@@ -333,7 +333,7 @@ FL, FR, RL = ({foot: 0.02} for foot in ("FL", "FR", "RL"))
         ([Task(), Task(ground=pa.Ground(slope=0.1))], 1.0, 50.0, "different grounds"),
         ([Task(com="inside"), Task(com=(0.0, 0.0))], 1.0, 50.0, "inside"),
         ([Task(com="inside"), Task(offset=(0.0, 0.0))], 1.0, 50.0, "inside"),
-        ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries between"),
+        ([Task(), Task(foot_offsets={"FL": (0.01, 0.0)})], 1.0, 50.0, "FL carries load between"),
         ([Task(swing=FL), Task(swing=FR)], 1.0, 50.0, "only 2 feet carry between stances 1 and"),
         ([Task(swing=FL), Task(), Task(swing=FR)], 1.0, 50.0, "lands and another lifts"),
         ([Task(), Task(yaw=0.3), Task(yaw=-0.3)], 1.0, 0.1, "jumps"),
@@ -344,7 +344,7 @@ def test_a_path_refuses_bad_arguments(
 ) -> None:
     if named == "jumps":
         tasks = [Task(height=0.15), Task(height=0.08)]
-        monkeypatch.setattr("pupper_analysis.stance.path.stance_path.LEAST_PER_LEG", 2)
+        monkeypatch.setattr("pupper_analysis.stance.path.stance_path.LEAST_PER_SEGMENT", 2)
     with pytest.raises(pa.ConfigurationError, match=named) as caught:
         stance_path(load("v3"), tasks, seconds, rate=rate)
     assert "\n" not in str(caught.value)

@@ -1,4 +1,4 @@
-"""The legs of a path: from one stance to the next, and the task of each moment between."""
+"""The segments of a path: from one stance to the next, and the task of each moment between."""
 
 from __future__ import annotations
 
@@ -55,15 +55,15 @@ class Key:
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
+class Segment:
     """From one stance to the next.
 
     Attributes:
         start: Where it begins.
         end: Where it ends.
         stance_feet: The feet that carry all along it.
-        before: Those that carry on the leg before.
-        after: Those that carry on the leg after.
+        before: Those that carry on the segment before.
+        after: Those that carry on the segment after.
     """
 
     start: Key
@@ -73,7 +73,9 @@ class Leg:
     after: tuple[str, ...]
 
 
-def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tuple[Stand, ...]]:
+def segments_of(
+    robot: Robot, stances: Sequence[StandTask]
+) -> tuple[list[Segment], tuple[Stand, ...]]:
     """Solves the stances, and checks that they can follow each other.
 
     Raises:
@@ -114,16 +116,16 @@ def legs_of(robot: Robot, stances: Sequence[StandTask]) -> tuple[list[Leg], tupl
             problem = diagnose("lands-as-another-lifts", number=number)
             raise ConfigurationError("stances", problem)
     sets = [sets[0], *sets, sets[-1]]
-    legs = [
-        Leg(one, two, sets[number], sets[number - 1], sets[number + 1])
+    segments = [
+        Segment(one, two, sets[number], sets[number - 1], sets[number + 1])
         for number, (one, two) in enumerate(pairwise(keys), 1)
     ]
-    return legs, tuple(solved)
+    return segments, tuple(solved)
 
 
 def task_between(
     robot: Robot,
-    leg: Leg,
+    segment: Segment,
     stance_feet: Sequence[str],
     share: float,
     ik_seed: Array,
@@ -133,23 +135,23 @@ def task_between(
 
     Args:
         robot: The robot.
-        leg: The leg of the path.
+        segment: The segment of the path.
         stance_feet: The feet that carry.
-        share: Of the leg's way, from 0 to 1.
+        share: Of the segment's way, from 0 to 1.
         ik_seed: (nu,) joint positions to start from (rad).
         away: {foot: (2,) how far it has rolled from its place (m)}.
 
     Raises:
         StaticsInfeasibleError: If the com is less inside the feet than the tasks demand.
     """
-    one, two = leg.start.task, leg.end.task
+    one, two = segment.start.task, segment.end.task
 
     def between(start: float, end: float) -> float:
         return start + share * (end - start)
 
     ground, normal = one.ground, one.ground.normal()
-    places = {foot: leg.start.feet[foot] for foot in robot.feet}
-    places |= {foot: p + share * (leg.end.feet[foot] - p) for foot, p in places.items()}
+    places = {foot: segment.start.feet[foot] for foot in robot.feet}
+    places |= {foot: p + share * (segment.end.feet[foot] - p) for foot, p in places.items()}
     points = {point: place[:2] + away[point] for point, place in places.items()}
     feet = {}
     for foot, own in robot.soles.items():
@@ -161,8 +163,8 @@ def task_between(
         for point in stance_feet
     }
     centre = np.mean(list(contacts.values()), axis=0)
-    base = leg.start.base + share * (leg.end.base - leg.start.base)
-    com = leg.start.com + share * (leg.end.com - leg.start.com)
+    base = segment.start.base + share * (segment.end.base - segment.start.base)
+    com = segment.start.com + share * (segment.end.com - segment.start.com)
     by_base = one.offset is not None or two.offset is not None
     needed = max(1e-6, between(one.com_margin, two.com_margin) - 1e-9)
     margin = com_margin(com, contacts)

@@ -1,4 +1,4 @@
-"""The least time of one leg of a path, and what binds it."""
+"""The least time of one segment of a path, and what binds it."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import Infeasibility, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.stance.path.geometry import Geometry, PathPlace, minimum_jerk
-from pupper_analysis.stance.path.leg_motion import LegMotion
 from pupper_analysis.stance.path.path_limits import PathLimit, PathLimits
+from pupper_analysis.stance.path.segment_motion import SegmentMotion
 from pupper_analysis.stance.path.time_optimum import (
     Grid,
     Optimum,
@@ -33,13 +33,13 @@ _NARROWED = 1e-3
 finds must be within the limits themselves."""
 
 _SETTLED = 1e-3
-"""Relative change of a leg's time at which the iterations end."""
+"""Relative change of a segment's time at which the iterations end."""
 
 _ITERATIONS = 12
 """At most; five do as a rule."""
 
 _STILL = 1e-9
-"""A leg along which nothing moves faster than that does not move (rad or m per way)."""
+"""A segment along which nothing moves faster than that does not move (rad or m per way)."""
 
 MINIMUM_JERK = 60.0
 """Largest third derivative of the minimum-jerk law from 0 to 1, at its ends."""
@@ -53,31 +53,31 @@ _FINE = 16
 
 @dataclass(frozen=True)
 class BindingLimit(Result):
-    """What binds a leg of a path most: the robot's limit that it would pay most to raise.
+    """What binds a segment of a path most: the robot's limit that it would pay most to raise.
 
     Attributes:
         limit: Which limit.
         names: The joint, or the foot; none for the acceleration's rise.
-        leg: Of the path, from 1.
-        progress: Where it costs most, as a share of the leg's way.
-        price: By how much the leg would be shorter per relative increase of this limit, as the
+        segment: Of the path, from 1.
+        progress: Where it costs most, as a share of the segment's way.
+        price: By how much the segment would be shorter per relative increase of this limit, as the
             programme's multiplier has it (s).
     """
 
     limit: PathLimit
     names: tuple[str, ...]
-    leg: int
+    segment: int
     progress: float
     price: float
 
     def __str__(self) -> str:
         """Names limit, place and moment."""
         names = f" ({', '.join(self.names)})" if self.names else ""
-        return f"{self.limit.value}{names} after {self.progress:.0%} of segment {self.leg}"
+        return f"{self.limit.value}{names} after {self.progress:.0%} of segment {self.segment}"
 
 
-class LegTime:
-    """The least time of one leg.
+class SegmentTime:
+    """The least time of one segment.
 
     Attributes:
         seconds: s.
@@ -87,11 +87,11 @@ class LegTime:
     """
 
     def __init__(self, limits: PathLimits, geometry: Geometry, number: int, rise: float) -> None:
-        first = number * geometry.per_leg
-        self._places = geometry.places[first : first + geometry.per_leg + 1]
-        second, leg = self._places[1], geometry.legs[number]
-        # The stance is the last sample of the leg before, too.
-        start = replace(self._places[0], leg=leg, number=number, progress=0.0, share=0.0)
+        first = number * geometry.per_segment
+        self._places = geometry.places[first : first + geometry.per_segment + 1]
+        second, segment = self._places[1], geometry.segments[number]
+        # The stance is the last sample of the segment before, too.
+        start = replace(self._places[0], segment=segment, number=number, progress=0.0, share=0.0)
         self._places[0] = replace(start, tangent=second.tangent, curvature=second.curvature)
         self._limits = limits.narrowed(_NARROWED)
         self._number = number
@@ -107,7 +107,7 @@ class LegTime:
         self.longest_step = float(np.diff(self.moments(self._progress)).max())
 
     def moments(self, progress: Array) -> Array:
-        """Returns when the leg is at these values of its progress, from 0 on (s)."""
+        """Returns when the segment is at these values of its progress, from 0 on (s)."""
         from scipy.integrate import cumulative_simpson  # slow to import
 
         parts = np.linspace(progress[:-1], progress[1:], _FINE, endpoint=False, axis=1)
@@ -117,7 +117,7 @@ class LegTime:
         return found
 
     def rates(self, progress: Array) -> tuple[Array, Array]:
-        """Returns rate (1/s) and acceleration (1/s^2) of the leg's share at its progress."""
+        """Returns rate (1/s) and acceleration (1/s^2) of the segment's share at its progress."""
         law = self._law()
         square, acceleration = law(progress), law(progress, 1) / 2
         _, first, second = np.array([minimum_jerk(x) for x in progress]).T
@@ -129,7 +129,7 @@ class LegTime:
         return CubicSpline(self._progress[::2], self.square)
 
     def _hold(self) -> None:
-        """Checks that the leg can be held at rest, with the reserve.
+        """Checks that the segment can be held at rest, with the reserve.
 
         Raises:
             StaticsInfeasibleError: If it cannot.
@@ -144,9 +144,9 @@ class LegTime:
                         "not-held-however-slow",
                         problem=error.diagnostic,
                         share=place.share,
-                        leg=place.number + 1,
+                        segment=place.number + 1,
                     ),
-                    margin=place.leg.start.margin(place.stand.stance_feet),
+                    margin=place.segment.start.margin(place.stand.stance_feet),
                     friction_needed=error.friction_needed,
                     feet=error.feet,
                 ) from None
@@ -155,7 +155,7 @@ class LegTime:
         """Finds the lower bound; returns the greatest acceleration of its share (1/s^2)."""
         shares = np.array([place.share for place in self._places])
         grid = free_grid(shares)
-        motion = LegMotion(
+        motion = SegmentMotion(
             self._limits, self._places[1::2], np.tile([1.0, 0.0], (len(grid.spans), 1))
         )
         _, rates, _ = np.array([minimum_jerk(x) for x in self._progress[::2]]).T
@@ -171,7 +171,7 @@ class LegTime:
         _, first, second = np.array([minimum_jerk(x) for x in self._progress]).T
         along = np.column_stack([first, second])
         grid = smooth_grid(self._progress, along)
-        motion = LegMotion(self._limits, self._places, along)
+        motion = SegmentMotion(self._limits, self._places, along)
         even = self._solve(even_grid(along), motion, np.array([self.lower_bound**-2 / 2]), None)
         jerk = max(jerk, MINIMUM_JERK * even.seconds**-3)
         # Between the lower bound and what the rise of the acceleration adds, as a rule.
@@ -180,7 +180,9 @@ class LegTime:
         self.square = best.square
         self.binding = self._binding(best)
 
-    def _solve(self, grid: Grid, motion: LegMotion, guess: Array, jerk: float | None) -> Optimum:
+    def _solve(
+        self, grid: Grid, motion: SegmentMotion, guess: Array, jerk: float | None
+    ) -> Optimum:
         """Iterates tangents and resistances.
 
         Raises:
@@ -197,14 +199,14 @@ class LegTime:
             if settled:
                 break
         if best is None:
-            detail = diagnose("no-speed-within-limits", leg=self._number + 1)
-            leg = self._places[-1].leg
-            margin = leg.start.margin(leg.stance_feet)
+            detail = diagnose("no-speed-within-limits", segment=self._number + 1)
+            segment = self._places[-1].segment
+            margin = segment.start.margin(segment.stance_feet)
             raise StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin)
         return best
 
     def _binding(self, best: Optimum) -> BindingLimit:
-        feet, robot = self._places[-1].leg.stance_feet, self._limits.robot
+        feet, robot = self._places[-1].segment.stance_feet, self._limits.robot
         torque = self._limits.torques
         rated = np.flatnonzero(np.isfinite(torque) & (torque > 0))
         names: dict[str, list[tuple[str, ...]]] = {

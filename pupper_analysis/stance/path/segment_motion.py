@@ -1,4 +1,4 @@
-"""What a leg of a path demands of motors, feet and ground: the programme of its least time."""
+"""What a segment of a path demands of motors, feet and ground: the programme of its least time."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _STILL = 1e-9
 """A joint that turns by less along the whole way does not move (rad)."""
 
 
-class LegMotion:
-    """Places of a leg, in motion along a parameter of it.
+class SegmentMotion:
+    """Places of a segment, in motion along a parameter of it.
 
     Args:
         limits: What must not be exceeded.
@@ -37,12 +37,12 @@ class LegMotion:
 
     def __init__(self, limits: PathLimits, places: Sequence[PathPlace], rates: Array) -> None:
         robot: Robot = limits.robot
-        self.limits, self.places, self.feet = limits, places, places[-1].leg.stance_feet
+        self.limits, self.places, self.feet = limits, places, places[-1].segment.stance_feet
         self._directions = [
             (first * place.tangent, first**2 * place.curvature + second * place.tangent)
             for place, (first, second) in zip(places, rates, strict=True)
         ]
-        normal = places[0].leg.start.task.ground.normal()
+        normal = places[0].segment.start.task.ground.normal()
         self._normals = dict.fromkeys(self.feet, normal)
         self._contacts = make_contacts(robot, self.feet, limits.friction, self._normals, None)
         self._motions, self._jacobians = [], []
