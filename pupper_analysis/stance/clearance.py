@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import functools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from pupper_analysis.robot.kinematics import Kinematics
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import ContactShape, excluded_pairs
 from pupper_analysis.stance.parts import Direction, Part, to_part
-from pupper_analysis.stance.solids import SolidPair, Solids, measure_distance, to_transform
+from pupper_analysis.stance.solids import SolidPair, measure_distance
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -80,10 +81,6 @@ class ClearanceShapes:
         return self.kinematics
 
     @functools.cached_property
-    def _solids(self) -> Solids:
-        return Solids(self.robot)
-
-    @functools.cached_property
     def _pairs(self) -> IntArray:
         """Pairs (n, 2) of shapes whose distances count: not those of neighbours.
 
@@ -102,7 +99,9 @@ class ClearanceShapes:
             if frozenset((shapes[one].body, shapes[other].body)) in excepted:
                 never.add(links[one, other])
         looked = [both for both in every if links[both] in able - never]
-        near = self._solids.nearest_pairs(self.robot.home, _numbers(looked), len(looked))
+        for shape in shapes:
+            shape.solid.computeLocalAABB()  # the balls round them
+        near = self._nearest(self.robot.home, _numbers(looked), len(looked))
         never |= {links[pair.one, pair.other] for pair in near if pair.distance <= 0}
         return _numbers(both for both in looked if links[both] not in never)
 
@@ -115,7 +114,36 @@ class ClearanceShapes:
 
     def nearest_pairs(self, qpos: Array, most: int) -> list[SolidPair]:
         """Returns the nearest pairs of shapes on links that are not neighbours, in order."""
-        return self._solids.nearest_pairs(qpos, self._pairs, most)
+        return self._nearest(qpos, self._pairs, most)
+
+    def _nearest(self, qpos: Array, pairs: IntArray, most: int) -> list[SolidPair]:
+        """Returns the nearest of some pairs of shapes (n, 2), in order.
+
+        Balls round the shapes tell that most pairs are too far apart to be looked at.
+        """
+        solids, at = [shape.solid for shape in self.shapes], self._places(self.at(qpos))
+        centres = np.array(
+            [place.transform(one.aabb_center) for place, one in zip(at, solids, strict=True)]
+        )
+        radii = np.array([one.aabb_radius for one in solids])
+        one, other = pairs.T
+        apart = np.linalg.norm(centres[one] - centres[other], axis=1) - radii[one] - radii[other]
+        found: list[SolidPair] = []
+        for index in np.argsort(apart, kind="stable"):
+            if len(found) >= most and apart[index] > found[most - 1].distance:
+                break
+            a, b = pairs[index].tolist()
+            near = measure_distance(solids[a], at[a], solids[b], at[b])
+            bisect.insort(found, SolidPair(a, b, near), key=lambda pair: pair.distance)
+        return found[:most]
+
+    def _places(self, at: Kinematics) -> list[coal.Transform3s]:
+        """Returns where the shapes are."""
+        links = [at.link(shape.link) for shape in self.shapes]
+        return [
+            coal.Transform3s(turn @ shape.place.rotation, turn @ shape.place.translation + place)
+            for (turn, place), shape in zip(links, self.shapes, strict=True)
+        ]
 
     def distance_rates(self, at: Configuration, most: int) -> Array:
         """Returns how the distances of ``nearest_pairs`` change (n, nv) with the robot's motion."""
@@ -167,9 +195,7 @@ class ClearanceShapes:
             normal: Direction = tuple(ground.normal().tolist())
             heights = [part.form.height(at.link(part.form.link), normal) for part in self.parts]
         else:
-            heights = [
-                float(near.min_distance) for near in self._above_steps(at.qpos, ground, places)
-            ]
+            heights = [float(near.min_distance) for near in self._above_steps(at, ground, places)]
         return [
             height if part.sunk is None else height + depths.get(part.sunk, 0.0)
             for height, part in zip(heights, self.parts, strict=True)
@@ -180,13 +206,13 @@ class ClearanceShapes:
 
         What is nearest moves as the point of the part that is there.
         """
-        link = self.at(at.qpos).link
+        there = self.at(at.qpos)
         if _is_plane(ground):
             normal = ground.normal()
             forms = [part.form for part in self.parts]
-            ends = [(form.lowest(link(form.link), normal), normal) for form in forms]
+            ends = [(form.lowest(there.link(form.link), normal), normal) for form in forms]
         else:
-            steps = self._above_steps(at.qpos, ground, places)
+            steps = self._above_steps(there, ground, places)
             ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
         rates = [
             out @ at.point_jacobian(part.shape.link, point)
@@ -195,10 +221,10 @@ class ClearanceShapes:
         return np.array(rates).reshape(-1, self.robot.nv)
 
     def _above_steps(
-        self, qpos: Array, ground: Ground, places: Mapping[str, Array]
+        self, at: Kinematics, ground: Ground, places: Mapping[str, Array]
     ) -> Iterator[coal.DistanceResult]:
         """Yields what of slope and steps is nearest to each of ``parts``."""
-        at = self._solids.placed(qpos)
+        where = self._places(at)
         obstacles: list[tuple[coal.CollisionGeometry, coal.Transform3s]] = [
             (coal.Halfspace(ground.normal(), 0.0), coal.Transform3s())
         ]
@@ -206,8 +232,8 @@ class ClearanceShapes:
             box = coal.Box(2 * half)
             obstacles.append((box, coal.Transform3s(ground.rotation(), centre)))
         for part in self.parts:
-            where = to_transform(at[part.number])
-            near = [measure_distance(part.shape.solid, where, *one) for one in obstacles]
+            own = part.shape.solid, where[part.number]
+            near = [measure_distance(*own, *one) for one in obstacles]
             yield min(near, key=lambda found: float(found.min_distance))
 
     def _not_feet(self) -> Iterator[OffGround]:
@@ -240,7 +266,8 @@ class ClearanceShapes:
         turn, place = self.kinematics.link(shape.link)
         centre = turn.T @ (np.array(self.kinematics.feet()[foot]) - place)
         ball, there = coal.Sphere(self.robot.foot_radius[foot]), coal.Transform3s(np.eye(3), centre)
-        near = measure_distance(shape.solid, to_transform(shape.place), ball, there)
+        own = coal.Transform3s(shape.place.rotation, shape.place.translation)
+        near = measure_distance(shape.solid, own, ball, there)
         return bool(near.min_distance < 0)
 
 
