@@ -23,7 +23,8 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
 from pupper_analysis.stance.context import Context, context_of
 from pupper_analysis.stance.problem import Goal, make_goal
-from pupper_analysis.stance.search import search_from_com, search_from_joints
+from pupper_analysis.stance.search import meet_constraints, search_from_joints
+from pupper_analysis.stance.seeds import make_seed
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 
@@ -292,7 +293,10 @@ def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand
     for joints in seeds:
         if (stand := search_from_joints(context, goal, joints)) is not None:
             return stand
-        stand = search_from_com(context, goal, joints, goal.place)
+        if not goal.com_is_free:
+            continue
+        seed = make_seed(context.robot, goal, joints, goal.place)
+        stand = meet_constraints(context, goal, seed)
         if stand is not None and clear_of_ground(context.robot, stand):
             return stand
     return None

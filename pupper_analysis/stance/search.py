@@ -92,28 +92,13 @@ def follow_stand(context: Context, goal: Goal, near: Stand) -> Stand | None:
     """
     found = search_from_joints(context, goal, near.joint_positions(context.robot))
     if found is None and goal.com_is_free:
-        com = Configuration(context.robot, near.qpos).center_of_mass()[:2]
-        found = search_from_com(context, goal, near.joint_positions(context.robot), com)
+        found = meet_constraints(context, goal, near.qpos)
     return found
 
 
 def search_from_joints(context: Context, goal: Goal, joints: Array) -> Stand | None:
     """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
     return _Search(context, goal).add(Solver(context, goal).run(joints))
-
-
-def search_from_com(context: Context, goal: Goal, joints: Array, com: Array) -> Stand | None:
-    """Looks for a stand with the com anywhere inside, if the task lets it, from one start alone.
-
-    Args:
-        context: The robot's.
-        goal: The goal.
-        joints: (nu,) where to start (rad).
-        com: (2,) where the com begins (m).
-    """
-    if not goal.com_is_free:
-        return None
-    return meet_constraints(context, goal, make_seed(context.robot, goal, joints, com))
 
 
 def meet_constraints(context: Context, goal: Goal, qpos: Array) -> Stand | None:

@@ -17,10 +17,6 @@ from pupper_analysis.stance.tasks import Tasks
 Array = NDArray[np.float64]
 
 
-Step = tuple[Array, float]
-"""PlaCo's q after a step, and the step's length squared (rad^2, m^2)."""
-
-
 @dataclass(frozen=True, eq=False)
 class Point:
     """Where a sequence of programmes has ended."""
@@ -80,16 +76,10 @@ class Solver:
             kept[goal.by_base] = Tasks(context, goal)
         self.tasks = kept[goal.by_base]
 
-    def run(self, joints: Array, place: Array | None = None) -> Point:
-        """Solves from joint positions (nu,); the base begins where it puts the com in its place.
-
-        Args:
-            joints: (nu,) where to start (rad).
-            place: (2,) where the com, or the base, begins (m); by default where it shall be.
-        """
+    def run(self, joints: Array) -> Point:
+        """Solves from joint positions (nu,); the base begins where it puts the com in its place."""
         self.tasks.aim(self.goal)
-        q = self.begin(joints, self.goal.place if place is None else place)
-        return self._solved(q)
+        return self._solved(self.begin(joints, self.goal.place))
 
     def go_on(self, qpos: Array) -> Point:
         """Solves from a configuration (nq,) that is next to the goal's, as far as can be foreseen.
@@ -106,12 +96,11 @@ class Solver:
         if self.robot.closure is not None:
             if not self._closes(q):
                 return Point(self.robot.pin_convention.qpos(q), math.inf, 0)
-            return self._watched(self.context.wrapper.state.q.copy(), [])
-        steps: list[Step] = []
-        return self._straight(steps) or self._watched(q, steps)
+            return self._watched(self.context.wrapper.state.q.copy())
+        return self._straight() or self._watched(q)
 
-    def _straight(self, steps: list[Step]) -> Point | None:
-        """Takes full steps for as long as they converge quickly; adds them to ``steps``.
+    def _straight(self) -> Point | None:
+        """Takes full steps for as long as they converge quickly.
 
         What is ever less of a step leads somewhere, and whether the feet are in place there is
         looked at when it has come there. None where that is not the way, or not the place.
@@ -120,17 +109,15 @@ class Solver:
         solve, move = tasks.solver.solve, wrapper.update_kinematics
         tasks.solver.dt = _TRUST_RADIUS
         last = math.inf
-        for _ in range(_STRAIGHT):
+        for taken in range(1, _STRAIGHT + 1):
             try:
                 step = solve(True)
             except RuntimeError:
                 return None
             move()
             moved = float(step.dot(step))
-            q = wrapper.state.q.copy()
-            steps.append((q, moved))
             if _arrives(moved, last) or (moved < _NEXT and last == math.inf and self._exact()):
-                point = self._point(q, len(steps))
+                point = self._point(wrapper.state.q, taken)
                 return point if point.miss < TASK_TOLERANCE / 2 else None
             if moved > _QUICKLY * last:
                 return None
@@ -142,14 +129,10 @@ class Solver:
         self.tasks.look()
         return self.tasks.error() < _EXACT**2
 
-    def _watched(self, q: Array, ahead: list[Step]) -> Point:
-        """Takes steps that are forward: in a trust region, looking at the tasks after each.
+    def _watched(self, q: Array) -> Point:
+        """Takes steps from a q in a trust region, looking at the tasks after each.
 
         Where a step makes things worse it is undone, and the next one is shorter.
-
-        Args:
-            q: Where it begins.
-            ahead: Full steps from there that have been taken already.
         """
         wrapper, tasks = self.context.wrapper, self.tasks
         convention = self.robot.pin_convention
@@ -161,27 +144,22 @@ class Solver:
             left = _MAX_ITERATIONS - iterations
             if radius * self._size * left < math.sqrt(error) / 2 < math.inf:
                 break  # too far for all steps that are left, though the feet are not in place
-            if ahead:
-                closes, (after, moved) = True, ahead.pop(0)
-                self._put(after)
-            else:
-                tasks.solver.dt = radius
-                tasks.bind(convention.qpos(q), q)
-                try:
-                    step = tasks.solver.solve(True)
-                except RuntimeError:
-                    # An infeasible programme: within a shorter step it may be feasible.
-                    radius /= 4
-                    self._put(q)
-                    continue
-                wrapper.update_kinematics()
-                closes = self._closes(wrapper.state.q)
-                after, moved = wrapper.state.q.copy(), float(step.dot(step))
+            tasks.solver.dt = radius
+            tasks.bind(convention.qpos(q), q)
+            try:
+                step = tasks.solver.solve(True)
+            except RuntimeError:
+                # An infeasible programme: within a shorter step it may be feasible.
+                radius /= 4
+                self._put(q)
+                continue
+            wrapper.update_kinematics()
+            closes = self._closes(wrapper.state.q)
+            after, moved = wrapper.state.q.copy(), float(step.dot(step))
             tasks.look()
             new_error = tasks.error() if closes else math.inf
             if new_error > error and new_error > TASK_TOLERANCE**2:
                 radius, last = radius / 4, math.inf
-                ahead.clear()
                 self._put(q)
                 continue
             nearer = math.sqrt(error) - math.sqrt(new_error)

@@ -89,20 +89,19 @@ def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
-    """Where they come to a stand; otherwise each of them is looked at after all, to the bit."""
+    """Where they come to a stand; otherwise they are taken once more, and looked at, to the bit."""
     robot, straight = load(name), 0
     context = Context(robot)
     home = robot.home[robot.nq - robot.nu :]
     for task in some_tasks(robot, 40):
         solver = Solver(context, make_goal(robot, task, {}))
         point = solver.run(home)
-        watched = solver._watched(solver.begin(home, solver.goal.place), [])
+        watched = solver._watched(solver.begin(home, solver.goal.place))
         assert point.iterations == watched.iterations
-        if solver._straight([]) is None:  # it stands where it ended: there is nothing to do
+        if solver._straight() is None:  # it stands where it ended: there is nothing to do
             assert watched.miss > 1e-9
-        again: list[tuple[np.ndarray, float]] = []
         solver.begin(home, solver.goal.place)
-        if solver._straight(again) is None:
+        if solver._straight() is None:
             np.testing.assert_array_equal(point.qpos, watched.qpos)
         else:
             straight += 1
