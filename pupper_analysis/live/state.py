@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 from urllib.parse import quote, unquote
 
@@ -163,18 +164,12 @@ def _finite(field: Field, value: Any) -> Any:
         # A foot that is where it is anyway is not moved, and stands on no step.
         return FrozenDict(
             {
-                foot: _finite_one(f"{field.address} {foot}", one)
+                foot: _each(one, partial(check_finite, f"{field.address} {foot}"))
                 for foot, one in value.items()
                 if field.open or any(number for _, number in _numbers(one))
             }
         )
-    return _finite_one(field.name, value)
-
-
-def _finite_one(name: str, value: Any) -> float | tuple[float, ...]:
-    if isinstance(value, tuple):
-        return tuple(check_finite(name, number) for number in value)
-    return check_finite(name, value)
+    return _each(value, partial(check_finite, field.name))
 
 
 def _numbers(value: Any) -> Iterator[tuple[str, float]]:
@@ -186,24 +181,25 @@ def _numbers(value: Any) -> Iterator[tuple[str, float]]:
 
 def in_si(field: Field, value: Any) -> Any:
     """Returns a field's value in SI units."""
-    if isinstance(value, dict):
-        return {foot: in_si(field, one) for foot, one in value.items()}
-    if isinstance(value, tuple):
-        return tuple(in_si(field, number) for number in value)
     unit, _ = PAGE_UNITS[field.kind]
     if isinstance(value, str) or unit not in ("mm", "°"):
         return value
-    return parse_length(value) if unit == "mm" else parse_angle(value)
+    return _each(value, parse_length if unit == "mm" else parse_angle)
 
 
 def on_page(field: Field, value: Any) -> Any:
     """Returns a field's value, in SI units, as a slider has it: without the noise of the change."""
-    if isinstance(value, dict):
-        return {foot: on_page(field, one) for foot, one in value.items()}
-    if isinstance(value, tuple):
-        return tuple(on_page(field, number) for number in value)
     _, factor = PAGE_UNITS[field.kind]
-    return round(factor * value, 9)
+    return _each(value, lambda number: round(factor * number, 9))
+
+
+def _each(value: Any, change: Callable[[float], float]) -> Any:
+    """Returns a value, of feet or not, with each of its numbers changed."""
+    if isinstance(value, dict):
+        return {foot: _each(one, change) for foot, one in value.items()}
+    if isinstance(value, tuple):
+        return tuple(change(number) for number in value)
+    return change(value)
 
 
 def halfway_state(one: State, other: State) -> State | None:
