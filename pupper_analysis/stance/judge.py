@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -129,26 +129,23 @@ class Stand(Result):
                     distance=Quantity(abs(self.com_margin), "m"),
                 )
             )
-        near, least = self.ground_clearance, self.task.ground_clearance
-        if near is not None and near.distance < least - TOUCHING:
-            found.append(
-                diagnose(
-                    "part-above-ground" if near.distance >= 0 else "part-in-ground",
-                    subject=("link", near.links[0]),
-                    distance=Quantity(abs(near.distance), "m"),
-                )
-            )
-        near, least = self.self_clearance, self.task.self_clearance or 0.0
-        if near is not None and near.distance < least - TOUCHING:
-            found.append(
-                diagnose(
-                    "links-too-near" if near.distance >= 0 else "links-overlap",
-                    subject=("link", near.links[0]),
-                    other=near.links[1],
-                    distance=Quantity(abs(near.distance), "m"),
-                )
-            )
+        for near, least, codes in self._clearances():
+            if near.distance < least - TOUCHING:
+                other: dict[str, Any] = {"other": near.links[1]} if len(near.links) > 1 else {}
+                distance = Quantity(abs(near.distance), "m")
+                subject = ("link", near.links[0])
+                code = codes[near.distance < 0]
+                found.append(diagnose(code, subject=subject, distance=distance, **other))
         return tuple(found)
+
+    def _clearances(self) -> Iterator[tuple[Clearance, float, tuple[str, str]]]:
+        """Yields what is near, the least that is asked, and what is told of less, of an overlap."""
+        if self.ground_clearance is not None:
+            codes = ("part-above-ground", "part-in-ground")
+            yield self.ground_clearance, self.task.ground_clearance, codes
+        if self.self_clearance is not None:
+            codes = ("links-too-near", "links-overlap")
+            yield self.self_clearance, self.task.self_clearance or 0.0, codes
 
     @property
     def com_short(self) -> float:
@@ -163,12 +160,8 @@ class Stand(Result):
     @property
     def room(self) -> float:
         """How much nearer than allowed anything is, negative (m)."""
-        least = -self.com_short
-        if self.ground_clearance is not None:
-            least = min(least, self.ground_clearance.distance - self.task.ground_clearance)
-        if self.self_clearance is not None:
-            least = min(least, self.self_clearance.distance - (self.task.self_clearance or 0.0))
-        return least
+        rooms = (near.distance - least for near, least, _ in self._clearances())
+        return min([-self.com_short, *rooms])
 
     @property
     def solved(self) -> bool:

@@ -181,13 +181,6 @@ def open_loops(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array
     return robot.closure.give(stand.qpos, left[robot.nv - robot.nu :])
 
 
-_SOLE_STEPS = 30
-"""Newton steps to a sole's plane: four do, but where corners lift."""
-
-_SOLE_TOLERANCE = 1e-12
-"""Of a sole's load: rounding."""
-
-
 def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[str, float]:
     """Returns the depths of flat feet's contact points (m), which are on one body: a plane's.
 
@@ -212,7 +205,7 @@ def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[s
 def _plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> Array:
     """Returns the depths (n,) in a plane whose forces have the resultant of others.
 
-    Their potential is convex: Newton's steps, shortened until what is left gets less, find it.
+    Their potential is convex: there is one root.
 
     Args:
         table: (n, 4) what a plane's numbers make of a sole's points: its height, its slopes.
@@ -228,21 +221,18 @@ def _plane(table: Array, laws: Sequence[GroundLaw], given: Sequence[float]) -> A
             ]
         )
 
-    wanted = table.T @ forces(np.array(given))
-    depths: Array = table @ np.linalg.lstsq(table, np.array(given))[0]
-    left = wanted - table.T @ forces(depths)
-    for _ in range(_SOLE_STEPS):
-        if float(np.abs(left).max()) <= _SOLE_TOLERANCE * float(np.abs(wanted).max()):
-            break
-        rates = np.array([law.rate(d) for law, d in zip(laws, depths.tolist(), strict=True)])
-        step = table @ np.linalg.lstsq(table.T @ (rates[:, None] * table), left)[0]
-        for _ in range(_SOLE_STEPS):
-            tried = depths + step
-            remaining = wanted - table.T @ forces(tried)
-            if np.linalg.norm(remaining) < np.linalg.norm(left):
-                break
-            step = step / 2
-        else:
-            break
-        depths, left = tried, remaining
+    from scipy import linalg, optimize  # slow to import
+
+    ways = linalg.orth(table)  # points in a line have fewer than the table
+    wanted, start = ways.T @ forces(np.array(given)), ways.T @ np.array(given)
+
+    def left(place: Array) -> Array:
+        return np.asarray(ways.T @ forces(ways @ place) - wanted)
+
+    def rates(place: Array) -> Array:
+        depths = (ways @ place).tolist()
+        stiff = np.array([law.rate(d) for law, d in zip(laws, depths, strict=True)])
+        return np.asarray(ways.T @ (stiff[:, None] * ways))
+
+    depths: Array = ways @ optimize.root(left, start, jac=rates, options={"xtol": 1e-14}).x
     return depths

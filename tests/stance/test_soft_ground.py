@@ -8,7 +8,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE
 from pupper_analysis.stance.path.sinking import depths_of
-from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+from pupper_analysis.stance.soft_ground import _plane, solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.variants import NAMES, load
 
@@ -121,3 +121,22 @@ def test_depth_follows_the_force_as_in_mujoco(name: str) -> None:
     assert late > 0.05  # it lags
     slow, _ = depths_of(law, 100 * time, force, np.zeros(len(time)))
     np.testing.assert_allclose(slow, quasi_static, rtol=2e-2)
+
+
+def test_a_sole_with_corners_that_lift_bears_its_load() -> None:
+    """Of depths in no plane, some of them none: force and moments are the same in the plane."""
+    law, random = GroundLaw.of(load("v3"), "FL"), np.random.default_rng(0)
+    corners = np.array([(1.0, 1.0, 0.3), (1.0, 1.0, -0.3), (1.0, -1.0, 0.3), (1.0, -1.0, -0.3)])
+
+    def load_of(depths: np.ndarray) -> np.ndarray:
+        return corners.T @ [law.force(max(-law.margin, depth)) for depth in depths.tolist()]
+
+    lifted = 0
+    for _ in range(60):
+        given = np.maximum(0.0, random.normal(2e-4, 4e-4, 4))
+        if not given.any():
+            continue
+        found = _plane(corners, [law] * 4, given.tolist())
+        lifted += bool((found < -law.margin).any())
+        np.testing.assert_allclose(load_of(found), load_of(given), atol=1e-10 * load_of(given)[0])
+    assert lifted > 10
