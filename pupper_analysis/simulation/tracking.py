@@ -100,8 +100,8 @@ def track_path(
 
     The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
     they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
-    ground under the loads in motion (``sunk_motion``), and the torques are the path's, in motion,
-    plus those that make the legs longer.
+    ground under the loads in motion (``find_sunk_motion``), and the torques are the path's, in
+    motion, plus those that make the legs longer.
 
     A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
     ``TORQUE_TOLERANCE``, no motor is at its limit, stance feet stay on the ground, swing feet

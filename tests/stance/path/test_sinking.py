@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -16,11 +17,12 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.simulation.tracking import TORQUE_TOLERANCE, track_path
-from pupper_analysis.stance.path.fastest import fastest_path
+from pupper_analysis.stance.path.fastest import RISE, fastest_path, ground_lag
 from pupper_analysis.stance.path.pyramid import contact_frame, sink_in_pyramid
 from pupper_analysis.stance.path.sinking import find_sunk_motion
 from pupper_analysis.stance.path.stance_path import stance_path
 from tests.stance.path.test_stance_path import stances
+from tests.support.bases import gym
 from tests.support.engines import changed
 from tests.support.variants import load
 
@@ -124,3 +126,15 @@ def test_a_fast_sway_on_pyramidal_cones_is_tracked_and_stays_inside_them() -> No
     carrying = path.loads > 0
     assert (edges <= 0.8 * mu * path.loads + 1e-6)[carrying].all()
     assert track_path(robot, path).torque_error < 0.6 * TORQUE_TOLERANCE
+
+
+@pytest.mark.longest
+def test_a_fast_squat_keeps_feet_on_the_ground_that_sink_by_half_their_radius(
+    tmp_path: Path,
+) -> None:
+    pair = gym("spot/spot.xml")(tmp_path)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
+    tasks = [pa.StandTask(height=share * robot.stand_height) for share in (1.0, 0.9, 1.0)]
+    found = fastest_path(robot, tasks)
+    assert found.rise > RISE * ground_lag(robot)  # or the feet would slip, and be off by 10 %
+    assert track_path(robot, found.path).torque_error < 0.6 * TORQUE_TOLERANCE
