@@ -42,6 +42,39 @@ def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
     ]
 
 
+@dataclass(frozen=True)
+class ActuatorLaw:
+    """The force of an actuator at a hinge or slide: gain ctrl - stiffness l - damping dl/dt.
+
+    Its length l is the gear times the joint's position, and so it acts on the joint.
+
+    Attributes:
+        gain: Of a servo its kp (N m/rad), of a motor N m per unit of ctrl.
+        stiffness: N m/rad; 0 of a motor.
+        damping: N m s/rad.
+        gear: Ratio.
+    """
+
+    gain: float
+    stiffness: float
+    damping: float
+    gear: float
+
+    @property
+    def at_joint(self) -> tuple[float, float]:
+        """Stiffness and damping at the joint (N m/rad, N m s/rad)."""
+        return self.stiffness * self.gear**2, self.damping * self.gear**2
+
+
+def law_of(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
+    """Returns the law of an actuator; without an affine bias it has neither of the latter two."""
+    gain = float(model.actuator_gainprm[actuator, 0])
+    affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
+    stiffness, damping = -model.actuator_biasprm[actuator, 1:3] if affine else (0.0, 0.0)
+    gear = float(actuator_gear(model, actuator)[0])
+    return ActuatorLaw(gain, float(stiffness), float(damping), gear)
+
+
 _ALIKE = 1e-5
 """Share within which a servo's gain is its stiffness, as ``robot.servos`` has it."""
 
@@ -95,20 +128,12 @@ def drive_of(model: mujoco.MjModel, joint: int) -> Drive:
     if len(motors) == 1:
         return kinds[0]
     if Drive.WRONG_SIGN in kinds:
-        stiffness = sum(_stiffness(model, motor)[0] for motor in motors)
+        stiffness = sum(law_of(model, motor).at_joint[0] for motor in motors)
         return Drive.SERVO if stiffness > 0 else Drive.WRONG_SIGN
     return next((kind for kind in _ORDER if kind in kinds), Drive.OTHER)
 
 
 _ORDER = (Drive.SERVO, Drive.MOTOR, Drive.OTHER, Drive.NO_STIFFNESS)
-
-
-def _stiffness(model: mujoco.MjModel, motor: int) -> tuple[float, float]:
-    """Returns -dF/dq at the joint, and dF/dctrl times the gear, which is as much in a servo."""
-    gear = float(actuator_gear(model, motor)[0])
-    gain = float(model.actuator_gainprm[motor, 0]) * gear**2
-    affine = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE.value
-    return (-float(model.actuator_biasprm[motor, 1]) * gear**2 if affine else 0.0), gain
 
 
 def _kind(model: mujoco.MjModel, motor: int) -> Drive:
@@ -119,7 +144,8 @@ def _kind(model: mujoco.MjModel, motor: int) -> Drive:
         mujoco.mjtBias.mjBIAS_AFFINE.value,
     ):
         return Drive.OTHER
-    stiffness, gain = _stiffness(model, motor)
+    law = law_of(model, motor)
+    stiffness, gain = law.at_joint[0], law.gain * law.gear**2
     if stiffness < 0 or (stiffness > 0 and gain < 0):
         return Drive.WRONG_SIGN
     if stiffness > 0:

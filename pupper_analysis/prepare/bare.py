@@ -19,10 +19,10 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import (
     Drive,
-    actuator_gear,
     drive_of,
     drives_of,
     is_at_one_joint,
+    law_of,
 )
 from pupper_analysis.robot.robot import Robot
 
@@ -224,18 +224,15 @@ def _command(
     model: mujoco.MjModel, motors: list[int], ctrl: Array, goal: float, torque: float
 ) -> None:
     """Tells the servos at a joint to hold it, each its part of the torque by its stiffness."""
-    gears = {motor: float(actuator_gear(model, motor)[0]) for motor in motors}
-    stiffness = {m: -float(model.actuator_biasprm[m, 1]) * gear**2 for m, gear in gears.items()}
-    whole = sum(stiffness.values())
-    for motor, gear in gears.items():
-        gain = float(model.actuator_gainprm[motor, 0])
-        if gain == 0 or stiffness[motor] == 0:
+    laws = {motor: law_of(model, motor) for motor in motors}
+    whole = sum(law.at_joint[0] for law in laws.values())
+    for motor, law in laws.items():
+        if law.gain == 0 or law.at_joint[0] == 0:
             continue
-        share = torque * stiffness[motor] / whole if whole else 0.0
-        force = share / gear if gear else 0.0
-        bias = float(model.actuator_biasprm[motor, 0])
-        bias += float(model.actuator_biasprm[motor, 1]) * gear * goal
-        ctrl[int(model.actuator_ctrladr[motor])] = (force - bias) / gain
+        share = torque * law.at_joint[0] / whole if whole else 0.0
+        force = share / law.gear - float(model.actuator_biasprm[motor, 0])
+        ahead = force + law.stiffness * law.gear * goal
+        ctrl[int(model.actuator_ctrladr[motor])] = ahead / law.gain
 
 
 def _filters(model: mujoco.MjModel, ctrl: Array) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, law_of
 
 
 def one_at_each_joint(spec: mujoco.MjSpec, source: Path) -> list[Diagnostic]:
@@ -55,23 +55,15 @@ def joints_of_several_motors(model: mujoco.MjModel) -> dict[int, list[int]]:
     return {joint: motors for joint, motors in found.items() if len(motors) > 1}
 
 
-def _gains(model: mujoco.MjModel, motor: int) -> tuple[float, float, float]:
-    """Returns -dF/dq and -dF/dqdot at the joint under no command, and the gear."""
-    gear = float(actuator_gear(model, motor)[0])
-    if model.actuator_biastype[motor] != mujoco.mjtBias.mjBIAS_AFFINE.value:
-        return 0.0, 0.0, gear
-    _, stiffness, damping = -model.actuator_biasprm[motor, :3] * gear**2
-    return float(stiffness), float(damping), gear
-
-
 def _kept(model: mujoco.MjModel, drives: list[int]) -> int:
     """Returns the motor that stays: a position servo, else a plain motor, else the first."""
 
     def rank(motor: int) -> int:
-        if _gains(model, motor)[0] > 0:
+        law = law_of(model, motor)
+        if law.at_joint[0] > 0:
             return 0
         plain = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_FIXED.value
-        return 1 if plain and not _gains(model, motor)[1] else 2
+        return 1 if plain and not law.at_joint[1] else 2
 
     return min(drives, key=rank)
 
@@ -80,10 +72,11 @@ def _take_gains(
     model: mujoco.MjModel, servo: mujoco.MjsActuator, kept: int, others: list[int]
 ) -> None:
     """Adds other servos' gains, and their limits, to a servo."""
-    stiffness, _, gear = _gains(model, kept)
-    if not (stiffness > 0 and gear):
+    law = law_of(model, kept)
+    gear = law.gear
+    if not (law.at_joint[0] > 0 and gear):
         return
-    given = [_gains(model, motor) for motor in others]
+    given = [law_of(model, motor).at_joint for motor in others]
     more = sum(each[0] for each in given) / gear**2
     bias = np.array(servo.biasprm)
     bias[1] -= more

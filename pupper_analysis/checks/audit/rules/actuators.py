@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import mujoco
 import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, Severity, Term, diagnose
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of
 from pupper_analysis.robot_model.mjcf import joint_name
 from pupper_analysis.robot_model.model import MjcfModel
 
 
 @dataclass(frozen=True)
-class ActuatorDrive:
+class ActuatorDrive(ActuatorLaw):
     """An actuator of constant gain on a hinge or slide.
 
     Attributes:
@@ -31,10 +31,6 @@ class ActuatorDrive:
         control: The number of its first control.
         joint: Its joint's number.
         joint_name: Its joint's name.
-        kp: The gain (N m/rad for a servo, N m per unit of ctrl for a motor).
-        stiffness: -dF/dq (N m/rad); 0 for a motor.
-        kd: -dF/dqdot (N m s/rad).
-        gear: Ratio.
     """
 
     name: str
@@ -42,10 +38,6 @@ class ActuatorDrive:
     control: int
     joint: int
     joint_name: str
-    kp: float
-    stiffness: float
-    kd: float
-    gear: float
 
     @property
     def servo(self) -> bool:
@@ -55,26 +47,18 @@ class ActuatorDrive:
 
 def drives(model: mujoco.MjModel) -> Iterator[ActuatorDrive]:
     """Yields the actuators with a constant gain on hinges and slides."""
-    for actuator in range(model.nactuator):
+    constant = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value
+    for actuator in np.flatnonzero(constant).tolist():
         joint = int(model.actuator_trnid[actuator, 0])
-        if (
-            not is_at_one_joint(model, actuator)
-            or model.actuator_gaintype[actuator] != mujoco.mjtGain.mjGAIN_FIXED.value
-        ):
-            continue
-        affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE.value
-        bias = model.actuator_biasprm[actuator] if affine else np.zeros(3)
-        yield ActuatorDrive(
-            name=model.actuator(actuator).name or joint_name(model, joint),
-            id=actuator,
-            control=int(model.actuator_ctrladr[actuator]),
-            joint=joint,
-            joint_name=joint_name(model, joint),
-            kp=float(model.actuator_gainprm[actuator, 0]),
-            stiffness=-float(bias[1]),
-            kd=-float(bias[2]),
-            gear=float(actuator_gear(model, actuator)[0]),
-        )
+        if is_at_one_joint(model, actuator):
+            yield ActuatorDrive(
+                **asdict(law_of(model, actuator)),
+                name=model.actuator(actuator).name or joint_name(model, joint),
+                id=actuator,
+                control=int(model.actuator_ctrladr[actuator]),
+                joint=joint,
+                joint_name=joint_name(model, joint),
+            )
 
 
 def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
@@ -87,8 +71,8 @@ def _drives(robot: MjcfModel) -> Iterator[tuple[mujoco.MjModel, ActuatorDrive]]:
 def actuator_without_effect(robot: MjcfModel) -> Iterator[Found]:
     """Finds gains and gears of 0."""
     for _, drive in _drives(robot):
-        if drive.kp == 0 or drive.gear == 0:
-            told = diagnose("actuator-without-effect", gain=drive.kp, gear=drive.gear)
+        if drive.gain == 0 or drive.gear == 0:
+            told = diagnose("actuator-without-effect", gain=drive.gain, gear=drive.gear)
             yield Found("actuator", drive.name, told)
 
 
@@ -100,8 +84,8 @@ def servo_drives_away(robot: MjcfModel) -> Iterator[Found]:
             stiffness = Quantity(drive.stiffness, "N m/rad")
             told = diagnose("servo-drives-away", stiffness=stiffness)
             yield Found("actuator", drive.name, told)
-        if drive.kd < 0:
-            damping = Quantity(drive.kd, "N m s/rad")
+        if drive.damping < 0:
+            damping = Quantity(drive.damping, "N m s/rad")
             yield Found("actuator", drive.name, diagnose("damping-drives", damping=damping))
 
 
@@ -151,13 +135,13 @@ def forcerange_without_zero(robot: MjcfModel) -> Iterator[Found]:
 def servo_gains_contradict(robot: MjcfModel) -> Iterator[Found]:
     """Finds kp != k, which k < 0 is too; MuJoCo takes kd < 0 for a damping ratio."""
     for _, drive in _drives(robot):
-        differ = drive.servo and not math.isclose(drive.kp, drive.stiffness, rel_tol=1e-6)
-        if differ and drive.kp != 0:
+        differ = drive.servo and not math.isclose(drive.gain, drive.stiffness, rel_tol=1e-6)
+        if differ and drive.gain != 0:
             told = diagnose(
                 "servo-gains-contradict",
-                ctrl=Quantity(drive.kp, "N m/rad"),
+                ctrl=Quantity(drive.gain, "N m/rad"),
                 q=Quantity(-drive.stiffness, "N m/rad"),
-                qdot=Quantity(-drive.kd, "N m s/rad"),
+                qdot=Quantity(-drive.damping, "N m s/rad"),
             )
             yield Found("actuator", drive.name, told)
 
@@ -170,7 +154,7 @@ def actuator_unlimited(robot: MjcfModel) -> Iterator[Found]:
         by_input = not drive.servo and model.actuator_ctrllimited[drive.control]
         if not limited and not by_input:
             kind = Term("position servo" if drive.servo else "motor")
-            told = diagnose("actuator-unlimited", kind=kind, gain=drive.kp)
+            told = diagnose("actuator-unlimited", kind=kind, gain=drive.gain)
             yield Found("actuator", drive.name, told)
 
 

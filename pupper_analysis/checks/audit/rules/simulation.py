@@ -52,7 +52,7 @@ def servo_unstable(robot: MjcfModel) -> Iterator[Found]:
     model = robot.mj_model
     if model is None or model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER.value:
         return
-    used = [drive for drive in drives(model) if drive.kd > 0 or drive.stiffness > 0]
+    used = [drive for drive in drives(model) if drive.damping > 0 or drive.stiffness > 0]
     if not used:
         return
     data = mujoco.MjData(model)
@@ -62,15 +62,15 @@ def servo_unstable(robot: MjcfModel) -> Iterator[Found]:
     for drive in used:
         dof = model.jnt_dofadr[drive.joint]
         stiffness[dof] += drive.gear**2 * max(drive.stiffness, 0.0)
-        damping[dof] += drive.gear**2 * max(drive.kd, 0.0)
+        damping[dof] += drive.gear**2 * max(drive.damping, 0.0)
         implicit[dof] += drive.gear**2 * model.actuator_damping[drive.id]
     found = servo_stability(model, data, stiffness, damping, implicit)
     if found is not None and found.ratio > 1:
         drive = max(used, key=lambda drive: float(found.shares[model.jnt_dofadr[drive.joint]]))
         told = diagnose(
             "servo-unstable",
-            kp=Quantity(drive.kp, "N m/rad"),
-            kd=Quantity(drive.kd, "N m s/rad"),
+            kp=Quantity(drive.gain, "N m/rad"),
+            kd=Quantity(drive.damping, "N m s/rad"),
             step=Quantity(model.opt.timestep, "s"),
             times=found.ratio,
         )

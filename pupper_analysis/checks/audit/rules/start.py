@@ -130,7 +130,7 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
             angle = float(model.key_qpos[key, model.jnt_qposadr[drive.joint]])
             if drive.stiffness <= 0 or drive.gear == 0:
                 continue
-            command = float(model.key_ctrl[key, drive.control]) * drive.kp / drive.stiffness
+            command = float(model.key_ctrl[key, drive.control]) * drive.gain / drive.stiffness
             limit = effort_limit(model, drive.joint) / (drive.stiffness * drive.gear**2)
             off = command / drive.gear - angle
             if abs(off) > 1e-3 + (limit if math.isfinite(limit) else LARGEST_SAG):
@@ -196,7 +196,7 @@ def _held(robot: MjcfModel, data: mujoco.MjData) -> bool:
     holding = [drive for drive in drives(robot.mj_model) if drive.servo]
     for drive in holding:
         angle = float(data.qpos[robot.mj_model.jnt_qposadr[drive.joint]])
-        data.ctrl[drive.control] = drive.gear * angle * drive.stiffness / (drive.kp or 1.0)
+        data.ctrl[drive.control] = drive.gear * angle * drive.stiffness / (drive.gain or 1.0)
     return 2 * len(holding) >= max(1, sum(joint.moves for joint in robot.joints.values()))
 
 
