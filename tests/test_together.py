@@ -12,7 +12,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.errors import OutputError
 from pupper_analysis.models.xml_bytes import read_document
-from pupper_analysis.sync.writing import as_given, stage_files
+from pupper_analysis.sync.models import as_given, stage_files
 from pupper_analysis.together import Writing, write_together
 from tests.support.robots import changed, quadruped, write_parts
 

@@ -20,9 +20,8 @@ from pupper_analysis.checks.states import random_states
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.matching.alignment import Alignment, align_frames
 from pupper_analysis.matching.conventions import Conventions
-from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.matching.trees import Reference, kinematic_trees
 from pupper_analysis.matching.urdf import Mimics
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree

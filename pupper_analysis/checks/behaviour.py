@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.checks.size import Entries
 from pupper_analysis.checks.states import States
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import Reference
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.joint_kinds import JointKind

@@ -34,7 +34,7 @@ from pupper_analysis.checks.size import affordable_states, is_large, size_notes,
 from pupper_analysis.checks.states import States, check_states, random_states
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import Reference
 from pupper_analysis.matching.urdf import Mimics, urdf_mimics
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.mjcf import silence_mujoco

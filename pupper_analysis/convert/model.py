@@ -9,9 +9,8 @@ from pathlib import Path
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.convert.conversion import Conversion, ConversionDraft
+from pupper_analysis.convert.conversion import Conversion, ConversionDraft, keyframe_run
 from pupper_analysis.convert.from_urdf import check_joints
-from pupper_analysis.convert.last_check import keyframe_run
 from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft

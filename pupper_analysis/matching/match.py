@@ -32,12 +32,11 @@ from pupper_analysis.matching.mjcf import (
     open_loops,
 )
 from pupper_analysis.matching.pairs import pair_up
-from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.structure import common_frames
 from pupper_analysis.matching.subtrees import removable_subtrees, take_off
 from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import base_pose, kinematic_trees
+from pupper_analysis.matching.trees import Reference, base_pose, kinematic_trees
 from pupper_analysis.matching.unstated import take_unknown, take_unstated
 from pupper_analysis.matching.urdf import (
     Mimics,

@@ -12,8 +12,8 @@ from lxml import etree
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.matching.mjcf import mjcf_tree
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
+from pupper_analysis.models.spec_tree import state_number
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot_model.as_mjcf import state_number
 
 
 def take_unstated(

@@ -22,6 +22,10 @@ from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SE
 Array = NDArray[np.float64]
 
 
+NARROW = 1e-9
+"""MuJoCo refuses a range from 0 to 0, which converters write of a URDF without a range."""
+
+
 def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
     """States an inertia of a body, in its own frame, in the place of what it states."""
     entries = inertia_entries(np.array(inertia.inertia))
@@ -31,6 +35,20 @@ def set_inertia(body: mujoco.MjsBody, inertia: pin.Inertia) -> None:
         body.fullinertia = entries
     else:
         body.inertia = entries[:3]
+
+
+def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
+    """Gives a joint of a spec a number, in SI units; an effort is a limit to either side."""
+    if attribute.kind == "effort":
+        value = max(value, NARROW)
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        joint.actfrcrange = (-value, value)
+        return
+    word = attribute.mjcf[0]
+    # Some are polynomials of the speed or the way, of which this is the first coefficient.
+    powers = np.zeros(np.size(getattr(joint, word)))
+    powers[0] = value
+    setattr(joint, word, powers if len(powers) > 1 else value)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,12 +20,10 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import drives, notes, start, touching
-from pupper_analysis.prepare.base import free_base, free_of_friction
-from pupper_analysis.prepare.base_frame import lift_base_frame
+from pupper_analysis.prepare.base import free_base, free_of_friction, lift_base_frame
 from pupper_analysis.prepare.draft import Draft, PassRun
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
-from pupper_analysis.prepare.limits import bound_turning_joints, narrow_limits
-from pupper_analysis.prepare.mimics import couple_mimics
+from pupper_analysis.prepare.limits import bound_turning_joints, couple_mimics, narrow_limits
 from pupper_analysis.prepare.motors import one_at_each_joint
 from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.ready import Request

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -32,7 +32,6 @@ from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvent
 from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.floor import floor_of
-from pupper_analysis.robot.options import option_notes
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -336,3 +335,37 @@ def _pinocchio_model(
 def _root_link(model: pin.Model) -> str:
     """Returns the name of the URDF's root link."""
     return str(next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY))
+
+
+_EARTH = np.array([0.0, 0.0, -9.81])
+
+_NEAR = 0.05
+"""Gravity that differs from 9.81 m/s^2 downwards by more is not the Earth's, or not upright: from
+pole to equator it changes by 0.05."""
+
+_DISABLE = mujoco.mjtDisableBit
+
+_FLAGS = (
+    (_DISABLE.mjDSBL_CONTACT, "contact"),
+    (_DISABLE.mjDSBL_CONSTRAINT, "constraint"),
+    (_DISABLE.mjDSBL_ACTUATION, "actuation"),
+)
+"""What holds a robot."""
+
+
+def option_notes(model: mujoco.MjModel) -> Iterator[Diagnostic]:
+    """Yields what a model's options make other than a robot on the Earth expects."""
+    acts = acting_gravity(model)
+    if float(np.linalg.norm(acts - _EARTH)) > _NEAR:
+        yield diagnose("gravity-not-the-earths", gravity=acts)
+    for bit, word in _FLAGS:
+        if model.opt.disableflags & bit.value:
+            yield diagnose("flag-disables", flag=word, motors=word == "actuation")
+    groups = model.actuator_group
+    off = [
+        model.actuator(motor).name or f"#{motor}"
+        for motor in range(model.nactuator)
+        if 0 <= groups[motor] < 31 and int(model.opt.disableactuator) >> int(groups[motor]) & 1
+    ]
+    if off:
+        yield diagnose("actuators-switched-off", actuators=off)

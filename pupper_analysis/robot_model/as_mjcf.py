@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, Vector, diagnose
-from pupper_analysis.models.attributes import BY_KIND, JointAttribute
+from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.models.spec_tree import SpecTree, set_inertia
+from pupper_analysis.models.spec_tree import NARROW, SpecTree, set_inertia, state_number
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.robot_model.mjcf import KINDS
 from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Array, Inertial, Link
@@ -144,7 +144,7 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
         if math.isfinite(joint.lower) or math.isfinite(joint.upper):
             added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
             lower, upper = np.clip((joint.lower, joint.upper), -_FAR, _FAR)
-            added.range = lower, upper + (_NARROW if lower == upper else 0.0)
+            added.range = lower, upper + (NARROW if lower == upper else 0.0)
         for kind in ("armature", "damping", "friction", "spring", "effort"):
             if kind in joint.stated:
                 state_number(added, BY_KIND[kind], joint.stated[kind])
@@ -152,23 +152,6 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
 
 _FAR = 1e6
 """rad, m: where MuJoCo wants two limits, and a joint has one."""
-
-_NARROW = 1e-9
-"""MuJoCo refuses a range from 0 to 0, which converters write of a URDF without a range."""
-
-
-def state_number(joint: mujoco.MjsJoint, attribute: JointAttribute, value: float) -> None:
-    """Gives a joint of a spec a number, in SI units; an effort is a limit to either side."""
-    if attribute.kind == "effort":
-        value = max(value, _NARROW)
-        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        joint.actfrcrange = (-value, value)
-        return
-    word = attribute.mjcf[0]
-    # Some are polynomials of the speed or the way, of which this is the first coefficient.
-    powers = np.zeros(np.size(getattr(joint, word)))
-    powers[0] = value
-    setattr(joint, word, powers if len(powers) > 1 else value)
 
 
 def _acceptable(model: UsdModel) -> dict[str, Inertial]:

@@ -15,8 +15,8 @@ from pupper_analysis.matching.conventions import with_zero
 from pupper_analysis.matching.match import Match
 from pupper_analysis.matching.trees import base_pose, kinematic_trees
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
-from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.multibody import MultibodyTree, with_value_of
+from pupper_analysis.models.xml_text import Digits
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.models.digits import SAME
 from pupper_analysis.models.efforts import (
     EffortStatement,
     effort_limit,
@@ -18,6 +17,7 @@ from pupper_analysis.models.efforts import (
 )
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.xml_bytes import Element
+from pupper_analysis.models.xml_text import SAME
 from pupper_analysis.sync.frames import Key
 
 if TYPE_CHECKING:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.conversion import inertia_of_body
-from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_in_place import elements_within
 from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.xml_bytes import Element
+from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.inertia import is_physical, is_same_body, turned_like, without_parts
 

@@ -14,12 +14,12 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
-from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
+from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.results import Result
 from pupper_analysis.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.sync.mjcf_side import MjcfSide

@@ -22,8 +22,8 @@ from pupper_analysis.checks.mjcf_only.effect import as_it_is, without_effects
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.checks.mjcf_only.mimics import split_mimics
 from pupper_analysis.checks.states import random_states
-from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.matching.trees import Reference
 from tests.support.robots import (
     Files,
     all_changed,

@@ -20,8 +20,7 @@ from pupper_analysis.checks.behaviour import Behaviour
 from pupper_analysis.checks.engines import URDF_MUJOCO, URDF_READ, cross_check
 from pupper_analysis.checks.size import MOST_IN_PINOCCHIO, affordable_states, size_notes, some_of
 from pupper_analysis.checks.states import random_states
-from pupper_analysis.matching.reference import Reference
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.matching.trees import Reference, kinematic_trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.robot.structure import Structure
 from tests.support.cases import some

@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare import solver
-from pupper_analysis.robot.exactness import INEXACT, left_out
+from pupper_analysis.prepare.solver import INEXACT, left_out
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of
 

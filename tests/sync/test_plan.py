@@ -17,8 +17,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.arrays import inertia_of
-from pupper_analysis.models.digits import Digits
 from pupper_analysis.models.xml_bytes import read_document
+from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.sync.inertia import is_same_body
 from pupper_analysis.sync.plan import UnwrittenCause
 from tests.support.robots import (

@@ -11,8 +11,7 @@ import numpy as np
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
-from pupper_analysis.checks.audit.registry import CHECKS, RULES, Found, Rule
-from pupper_analysis.checks.audit.result import Audit, Finding
+from pupper_analysis.checks.audit.registry import CHECKS, RULES, Audit, Finding, Found, Rule
 from pupper_analysis.diagnostics import Severity, Subject, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model

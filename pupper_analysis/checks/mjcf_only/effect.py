@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import Reference
 from pupper_analysis.models.joint_kinds import JointKind
 
 Slot = tuple[str, int | slice]

@@ -28,7 +28,7 @@ from pupper_analysis.checks.mjcf_only.others import (
     find_plugins,
 )
 from pupper_analysis.checks.mjcf_only.transmissions import find_actuators, find_tendons
-from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import Reference
 
 
 def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:

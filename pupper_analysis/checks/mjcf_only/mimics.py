@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import mujoco
 
 from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
-from pupper_analysis.matching.reference import Reference
+from pupper_analysis.matching.trees import Reference
 from pupper_analysis.matching.urdf import Mimics
 
 EQUALITY = mujoco.mjtEq

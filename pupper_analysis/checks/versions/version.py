@@ -13,8 +13,8 @@ from pupper_analysis.checks.mjcf_only.effect import NamedModel
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree, name_all
-from pupper_analysis.matching.reference import Reference
 from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
+from pupper_analysis.matching.trees import Reference
 from pupper_analysis.matching.urdf import (
     moving_joints,
     urdf_mimics,
