@@ -193,16 +193,17 @@ def test_pushing_and_rolling_share_one_cone_as_in_mujoco() -> None:
 def test_as_a_path_begins_on_a_slope_next_to_nothing_accelerates() -> None:
     """Feet push along the ground, and where they touch it is a radius below their centres.
 
-    With their forces on the other side of these, the base would begin with 0.19 m/s^2 instead of
-    0.004, and joints with 1.15 rad/s^2 instead of 0.17.
+    With their forces on the other side of these, the base would begin with 0.19 m/s^2. And feet
+    that are pushed begin to creep from rest: if they crept at once, joints would begin with an
+    acceleration that grows with the path's rate (0.7 rad/s^2 at 200 Hz).
     """
     robot, ground = load("v3"), pa.Ground(slope=0.15)
     height = robot.stand_height
     tasks = [pa.StandTask(ground=ground, height=height - down) for down in (0.0, 0.003)]
-    plan = path_commands(robot, stance_path(robot, tasks, 2.0))
+    plan = path_commands(robot, stance_path(robot, tasks, 0.5, rate=200))
     model, data = plan.drive.model, mujoco.MjData(plan.drive.model)
     mujoco.mj_setState(model, data, plan.start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
     data.ctrl[:] = plan.ctrl[0]
     mujoco.mj_forward(model, data)
-    assert np.abs(data.qacc[:3]).max() < 0.02  # m/s^2
-    assert np.abs(data.qacc[3:]).max() < 0.4  # rad/s^2
+    assert np.abs(data.qacc[:3]).max() < 0.01  # m/s^2
+    assert np.abs(data.qacc[3:]).max() < 0.1  # rad/s^2

@@ -73,7 +73,7 @@ def integrate_creep(robot: Robot, path: StancePath, motion: Array, forces: Array
 
 def _followed(time: Array, speeds: Array, damping: Array) -> Array:
     """Returns speeds (n, feet, 3) that follow these by dv/dt = b (w - v), as contacts have it."""
-    found = speeds.copy()
+    found = np.zeros_like(speeds)  # it begins at rest
     left = np.exp(-np.diff(time)[:, None] * damping)[..., None]
     for index, share in enumerate(left):
         wanted = (speeds[index] + speeds[index + 1]) / 2
