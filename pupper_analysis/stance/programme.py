@@ -33,8 +33,9 @@ slopes are less exact, with shorter ones rounding counts."""
 _MET = 1e-6
 """Constraints that are missed by less are met (m, rad): the search does the rest."""
 
-_ITERATIONS = 50
-"""Of 150 solutions of many demands that led to a stand all took fewer."""
+_ITERATIONS = (20, 50)
+"""How many at most without demands to give, and with some: 1,500 of 1,500 that led to a stand took
+12 or fewer, and of 350 nine in ten 45 or fewer."""
 
 _FINE = 200.0
 """Parts of a stand height in which distances of the feet are when these are to be least and little
@@ -44,12 +45,11 @@ and thousands of parts on the way. At the end of reach it takes some 45 steps.""
 _LONG = 100
 """How many they are at most."""
 
-_FEW = 20
-"""The same without demands to give: 1,500 of 1,500 took 12 or fewer."""
-
-_HARDLY, _STALLED = 0.9, 4
-"""A solution ends after so many steps each of which leaves more than such a part of what has been
-missed least: of 138 that led to a stand one took more, of 206 that led to none two thirds did."""
+_HARDLY, _STALLED = 0.9, (4, 32)
+"""A solution ends after so many steps, without demands to give and with some, each of which leaves
+more than such a part of what has been missed least: demands that give go by way of such steps. Of
+138 and 350 that led to a stand one each took more; of 206 that led to none two thirds did, and of
+633 one in eight."""
 
 _DEPENDENT = 1e-6
 """Equalities of which less is independent follow from the others: SLSQP cannot have them twice."""
@@ -99,13 +99,18 @@ class _NoProgressError(Exception):
 class _Progress:
     """How the steps of a solution get on.
 
+    Args:
+        enough: What is missed by no more is met (m, rad).
+        patience: After how many steps in a row that did not help it ends.
+
     Attributes:
         x: Where the constraints have been missed least.
     """
 
     x: Array
 
-    def __init__(self) -> None:
+    def __init__(self, enough: float, patience: int) -> None:
+        self._enough, self._patience = enough, patience
         self._least, self._in_vain = math.inf, 0
 
     def look(self, x: Array, missed: float) -> None:
@@ -114,11 +119,11 @@ class _Progress:
         Raises:
             _NoProgressError: After some steps in a row that did not help.
         """
-        helps = missed <= max(TASK_TOLERANCE, _HARDLY * self._least)
+        helps = missed <= max(self._enough, _HARDLY * self._least)
         self._in_vain = 0 if helps else self._in_vain + 1
         if missed < self._least:
             self._least, self.x = missed, x.copy()
-        if self._in_vain > _STALLED:
+        if self._in_vain > self._patience:
             raise _NoProgressError
 
 
@@ -173,10 +178,15 @@ class Programme:
             qpos: (nq,) where to start.
             task: What the demands are there; by default what is asked.
         """
-        start = self._start(qpos, task)
-        most = _ITERATIONS if self._demands else _FEW
+        kind = min(len(self._demands), 1)
+        progress = _Progress(_MET if kind else TASK_TOLERANCE, _STALLED[kind])
+        cost = self._cost
         x = self._minimised(
-            lambda x: (float(self._cost @ x), self._cost), start, 1e-9, most, ends=not self._demands
+            lambda x: (float(cost @ x), cost),
+            self._start(qpos, task),
+            1e-9,
+            _ITERATIONS[kind],
+            progress,
         )
         numbers, values = self._numbers, self._values(x)
         given = dict.fromkeys(self._demands, 0.0)
@@ -192,7 +202,7 @@ class Programme:
         in stand heights first, and then in parts of what that has left.
         """
         x, scale = self._start(qpos, None), self._unit**-2
-        for tolerance, most in ((1e-12, _ITERATIONS), (1e-10, _LONG)):
+        for tolerance, most in ((1e-12, _ITERATIONS[1]), (1e-10, _LONG)):
             x = self._minimised(partial(self._distances, scale=scale), x, tolerance, most)
             scale = 1 / max(self._distances(x)[0], (self._unit / _FINE) ** 2)
         return self._point(x).qpos
@@ -216,8 +226,7 @@ class Programme:
         start: Array,
         tolerance: float,
         iterations: int,
-        *,
-        ends: bool = False,
+        progress: _Progress | None = None,
     ) -> Array:
         """Returns where a function is least, from one start, by SLSQP.
 
@@ -226,15 +235,14 @@ class Programme:
             start: Where to begin.
             tolerance: Of the value.
             iterations: How many at most.
-            ends: Whether it ends where steps do not help to meet the constraints. Demands that
-                give go by way of such steps.
+            progress: What ends it where steps do not help to meet the constraints.
         """
         from scipy import optimize  # slow to import
 
-        equal, progress = self._rows[1], _Progress()
+        equal = self._rows[1]
 
         def rates(x: Array, rows: slice) -> Array:  # asked for at the end of each step
-            if ends:
+            if progress is not None:
                 progress.look(x, self._missed(x))
             return self._jacobian(x)[rows]
 
@@ -257,6 +265,7 @@ class Programme:
                 options={"ftol": tolerance, "maxiter": iterations},
             ).x
         except _NoProgressError:
+            assert progress is not None
             x = progress.x
         inside: Array = np.clip(x, self._low, self._high)
         return inside
