@@ -58,7 +58,7 @@ def _stand(robot: pa.Robot) -> Job:
         solver.enable_joint_limits(True)
         feet = []
         for foot, target in stand.foot_targets.items():
-            feet.append(solver.add_position_task(robot.foot_frames[foot], target))
+            feet.append(solver.add_position_task(robot.contact_frames[foot], target))
             feet[-1].configure(foot, "soft", 1.0)
         solver.add_orientation_task(robot.base, np.eye(3)).configure("turn", "hard")
         tall = solver.add_position_task(robot.base, np.array([0.0, 0.0, height]))
@@ -119,7 +119,7 @@ def _stands(robot: pa.Robot) -> Job:
 def _quantities(robot: pa.Robot, stand: pa.Stand) -> Job:
     model, data = robot.pin_model, robot.pin_model.createData()
     q = robot.pin_convention.q(stand.qpos)
-    frames = [model.getFrameId(frame) for frame in robot.foot_frames.values()]
+    frames = [model.getFrameId(frame) for frame in robot.contact_frames.values()]
 
     def ours() -> tuple[np.ndarray, ...]:
         config = pa.Configuration(robot, stand.qpos)
@@ -170,7 +170,7 @@ def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray,
     convention.set_state(data, stand.qpos)
     q, order = data.qpos.copy(), convention.qvel_index
     base = model.body(robot.mj_base).id
-    places = list(robot.foot_places.values())
+    places = list(robot.contact_places.values())
 
     def run() -> tuple[np.ndarray, ...]:
         data.qpos[:] = q
@@ -198,7 +198,7 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
     solver = placo.DynamicsSolver(wrapper)
     held = solver.add_frame_task(robot.base, wrapper.get_T_world_frame(robot.base))
     held.configure("base", "hard", 1.0, 1.0)
-    for foot, frame in robot.foot_frames.items():
+    for foot, frame in robot.contact_frames.items():
         task = solver.add_position_task(frame, wrapper.get_T_world_frame(frame)[:3, 3])
         task.configure(foot, "hard", 1.0)
         contact = solver.add_unilateral_point_contact(task)

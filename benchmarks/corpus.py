@@ -127,8 +127,10 @@ def stood(urdf: Path, mjcf: Path) -> Row:
     feet, torque = "-", None
     try:
         robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
-        feet = f"{len(robot.soles)}" + (
-            f" ({len(robot.feet)} points)" if len(robot.feet) > len(robot.soles) else ""
+        feet = f"{len(robot.feet)}" + (
+            f" ({len(robot.contact_points)} points)"
+            if len(robot.contact_points) > len(robot.feet)
+            else ""
         )
         run = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
         torque = run.torque_error

@@ -58,7 +58,7 @@ def _pink(robot: pa.Robot, stand: pa.Stand) -> Rival:
         configuration = pink.Configuration(model, data, q)
         feet = []
         for foot, target in stand.foot_targets.items():
-            feet.append(FrameTask(robot.foot_frames[foot], 1.0, 0.0))
+            feet.append(FrameTask(robot.contact_frames[foot], 1.0, 0.0))
             feet[-1].set_target(pin.SE3(np.eye(3), target))
         base = FrameTask(robot.base, [0.0, 0.0, 1.0], 1.0)
         base.set_target(pin.SE3(np.eye(3), np.array([0.0, 0.0, stand.qpos[2]])))
@@ -85,7 +85,7 @@ def _mink(robot: pa.Robot, stand: pa.Stand) -> Rival:
     state = mujoco.MjData(model)
     convention.set_state(state, _begin(robot, stand))
     q = state.qpos.copy()
-    sites = {foot: _site(model, *place) for foot, place in robot.foot_places.items()}
+    sites = {foot: _site(model, *place) for foot, place in robot.contact_places.items()}
     centre = np.mean(list(stand.contact_points.values()), axis=0)
     upright = mink.SO3.identity()
 

@@ -116,7 +116,7 @@ def least_stiffness(does: Callable[[float], bool]) -> float:
 
 
 def cases(robot: pa.Robot, lifts: tuple[float, ...], times: tuple[float, ...]) -> Iterator[Case]:
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         for lift in lifts:
             task = pa.StandTask(swing={foot: lift}, com="inside", com_margin=0.01)
             stand = pa.solve_stand(robot, task)

@@ -83,7 +83,7 @@ def variants(count: int, seed: int = 0) -> Iterator[Case]:
         robot = pa.load_variant(name)
         mass = float(random.choice([0.0, 0.0, random.uniform(0, 3)]))
         loaded = pa.robot.with_payload(robot, mass, [0.0, 0.0, 0.05]) if mass else robot
-        swing = {str(random.choice(robot.feet)): 0.02} if random.random() < 0.2 else {}
+        swing = {str(random.choice(robot.contact_points)): 0.02} if random.random() < 0.2 else {}
         try:
             task = pa.StandTask(
                 height=robot.stand_height * float(random.uniform(0.7, 1.05)),

@@ -107,7 +107,7 @@ def _configuration(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     stand = pa.solve_stand(robot)
     model, data = robot.pin_model, robot.pin_model.createData()
     q = robot.pin_convention.q(stand.qpos)
-    frames = [model.getFrameId(frame) for frame in robot.foot_frames.values()]
+    frames = [model.getFrameId(frame) for frame in robot.contact_frames.values()]
 
     def run() -> None:
         pin.computeJointJacobians(model, data, q)

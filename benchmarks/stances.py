@@ -82,7 +82,7 @@ def random_task(robot: pa.Robot, random: np.random.Generator) -> pa.StandTask:
         x, y = random.uniform(-size, size, 2)
         return float(x), float(y)
 
-    feet, leg = list(robot.feet), robot.stand_height
+    feet, leg = list(robot.contact_points), robot.stand_height
     height = leg * random.uniform(0.75, 1.25) if chance(0.7) else None
     roll, pitch, yaw = (random.uniform(-0.3, 0.3) if chance(0.4) else 0.0 for _ in range(3))
     offsets = {foot: point(0.15 * leg) for foot in feet if chance(0.15)}
@@ -146,8 +146,8 @@ class Demand:
             .apply([0.0, 0.0, 1.0])
         )
         self.centres, contacts = {}, {}
-        for foot in robot.feet:
-            radius = robot.foot_radius[foot]
+        for foot in robot.contact_points:
+            radius = robot.contact_radius[foot]
             x, y = nominal[foot][:2] + task.foot_offsets.get(foot, (0.0, 0.0))
             # The plane at distance radius: normal . (x, y, z - step) = radius
             z = (radius - self.normal[:2] @ (x, y)) / self.normal[2]
@@ -172,7 +172,7 @@ class Demand:
         self.at(qpos)
         return {
             foot: self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ place
-            for foot, (body, place) in self.robot.foot_places.items()
+            for foot, (body, place) in self.robot.contact_places.items()
         }
 
     def com(self) -> np.ndarray:
@@ -252,7 +252,7 @@ class Demand:
         missed, place = self.misses(self.qpos(values))
         columns = np.r_[0, 1, robot.mj_convention.qvel_index[6:]]
         jacobian, rows = np.zeros((3, model.nv)), []
-        for body, local in robot.foot_places.values():
+        for body, local in robot.contact_places.values():
             point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ local
             mujoco.mj_jac(model, data, jacobian, None, point, body)
             rows.append(jacobian[:, columns])

@@ -62,7 +62,7 @@ def _grid_search() -> Job:
     stand = pa.solve_stand(robot)
     thigh, calf = leg_lengths(robot)
     config = pa.Configuration(robot, stand.qpos)
-    foot = robot.feet[0]
+    foot = robot.contact_points[0]
     hip = config.joint_position(next(name for name in robot.joint_names if name.endswith("HFE")))
     height = float(hip[2] - stand.foot_targets[foot][2])
 

@@ -83,8 +83,8 @@ def tilted(robot: pa.Robot) -> pa.StandTask:
         roll=0.03,
         pitch=-0.04,
         yaw=0.05,
-        foot_offsets={robot.feet[1]: (0.004, -0.003)},
-        ground=pa.Ground(slope=0.08, uphill=0.6, heights={robot.feet[0]: 0.004}),
+        foot_offsets={robot.contact_points[1]: (0.004, -0.003)},
+        ground=pa.Ground(slope=0.08, uphill=0.6, heights={robot.contact_points[0]: 0.004}),
         com=(0.003, -0.002),
         joint_margin=0.01,
     )
@@ -99,7 +99,7 @@ def gain_sweep(robot: pa.Robot, stand: pa.Stand) -> dict[str, object]:
 
 def three_legged(robot: pa.Robot) -> pa.StandTask:
     """A task with a foot in the air."""
-    return pa.StandTask(swing={robot.feet[0]: 0.02}, com="inside", com_margin=0.005)
+    return pa.StandTask(swing={robot.contact_points[0]: 0.02}, com="inside", com_margin=0.005)
 
 
 def configuration(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
@@ -107,7 +107,7 @@ def configuration(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
     qpos, qvel = random_state(robot, 7)
     config = pa.Configuration(robot, qpos, qvel)
     qacc = np.sin(np.arange(robot.nv) + 1.0)
-    wrenches = {foot: np.cos(np.arange(6) + n) for n, foot in enumerate(robot.feet)}
+    wrenches = {foot: np.cos(np.arange(6) + n) for n, foot in enumerate(robot.contact_points)}
     return {
         "foot_positions": config.foot_positions(),
         "foot_jacobians": config.foot_jacobians(),

@@ -133,9 +133,12 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
     assert_same_model(
         robot.description.mjcf.copy().compile(), back.description.mjcf.copy().compile(), REBUILT
     )
-    assert {type(back.soles), type(back.contacts)} == {type(robot.soles)}
-    assert (back.soles, back.contacts, back.notes) == (robot.soles, robot.contacts, robot.notes)
-    assert (back.description.urdf, back.feet) == (robot.description.urdf, robot.feet)
+    assert {type(back.feet), type(back.contacts)} == {type(robot.feet)}
+    assert (back.feet, back.contacts, back.notes) == (robot.feet, robot.contacts, robot.notes)
+    assert (back.description.urdf, back.contact_points) == (
+        robot.description.urdf,
+        robot.contact_points,
+    )
 
 
 @pytest.mark.slow
@@ -143,7 +146,7 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
 def test_a_pickled_robot_stands_the_same(variant: str) -> None:
     robot = load(variant)
     back = pickled(robot)
-    task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.feet[0]: 0.01}))
+    task = pa.StandTask(pitch=0.03, ground=pa.Ground(heights={robot.contact_points[0]: 0.01}))
     one, two = pa.solve_stand(robot, task), pa.solve_stand(back, task)
     np.testing.assert_array_equal(one.qpos, two.qpos)
     np.testing.assert_array_equal(

@@ -280,7 +280,7 @@ def leg_joints(robot: Robot, foot: str) -> tuple[str, ...]:
     """
     model = robot.pin_model
     frame = model.frames[
-        model.getFrameId(robot.foot_frames[robot.check_foot(foot)], pin.FrameType.BODY)
+        model.getFrameId(robot.contact_frames[robot.check_foot(foot)], pin.FrameType.BODY)
     ]
     support = [model.names[joint] for joint in model.supports[frame.parentJoint]]
     return tuple(name for name in support if name in robot.joint_names)
@@ -293,7 +293,7 @@ def leg_lengths(robot: Robot) -> tuple[float | None, float | None]:
     in the plane of the leg (without the foot's sideways offset along the knee's axis). The knee is
     the leg's last joint; a leg of one joint has no thigh.
     """
-    foot = robot.feet[0]
+    foot = robot.contact_points[0]
     rest = Configuration(robot, robot.neutral())
     joints = leg_joints(robot, foot)
     if not joints:
@@ -315,7 +315,7 @@ def thigh_shape_length(robot: Robot) -> float | None:
     thigh; None where there is neither, or no thigh.
     """
     model = robot.mj_model
-    joints = leg_joints(robot, robot.feet[0])
+    joints = leg_joints(robot, robot.contact_points[0])
     if len(joints) < 2:
         return None
     hip, knee = joints[-2:]

@@ -57,7 +57,7 @@ class MujocoBehaviour:
         self._slides = model.jnt_type[self._joints] == JointKind.SLIDE
         self._coordinates = model.jnt_qposadr[self._joints]
         self._members = _members(robot, reference)
-        frames = {**robot.description.feet, **robot.description.frames}
+        frames = {**robot.description.contact_points, **robot.description.frames}
         self._frames = [frame for _, frame in frames.values()]
         self._local = np.array([moved.get(name, np.zeros(3)) for name in robot.joint_names])
         self._entries = None if entries is None else entries.in_model(model, public)
@@ -201,7 +201,7 @@ class Behaviour:
             self._tree = MujocoTree(values)
             model = self._tree.model
             frames = {name: (name, name) for name in values.frames}
-            description = replace(self._robot.description, feet={}, frames=frames)
+            description = replace(self._robot.description, contact_points={}, frames=frames)
             robot = replace(self._robot, description=description, mj_model=model)
             reference = Reference(model, model, robot.joint_names, values.base)
             self._in_tree = MujocoBehaviour(robot, reference, self.states, {}, self._entries)
@@ -215,7 +215,7 @@ class Behaviour:
             self._robot,
             pin_model=model,
             pin_convention=PinocchioConvention.of(model, self._robot.joint_names),
-            foot_frames={},
+            contact_frames={},
         )
         robot.structure.share(self._spare.setdefault(_alike(values), []))
         base_rows = robot.nv - robot.nu

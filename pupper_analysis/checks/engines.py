@@ -240,7 +240,7 @@ def _evaluations(
     pairs = some_of(robot, _pairs(robot))
     urdf_frames = {name: pair[0] for name, pair in pairs.items()}
     mjcf_frames = {name: pair[1] for name, pair in pairs.items()}
-    robot = replace(robot, feet=tuple(pairs), foot_frames=urdf_frames)
+    robot = replace(robot, contact_points=tuple(pairs), contact_frames=urdf_frames)
     base = robot.mj_base
     if is_large(robot):
         evaluations = {URDF_READ: _rebuilt_evaluation(robot, states)}
@@ -251,7 +251,7 @@ def _evaluations(
             pin_model=in_pinocchio,
             pin_convention=PinocchioConvention.of(in_pinocchio, robot.joint_names),
             base=base,
-            foot_frames=mjcf_frames,
+            contact_frames=mjcf_frames,
         )
         evaluations = {
             URDF_PINOCCHIO: pinocchio_evaluation(robot, states, {}),
@@ -275,12 +275,12 @@ def _evaluations(
 
 def _pairs(robot: Robot) -> dict[str, tuple[str, str]]:
     """Returns the frames that both files have, which are compared as the feet are."""
-    return {**robot.description.feet, **robot.description.frames}
+    return {**robot.description.contact_points, **robot.description.frames}
 
 
 def _rebuilt_evaluation(robot: Robot, states: States) -> Evaluation:
     """Evaluates the URDF as Pinocchio reads it, in a MuJoCo model made of its numbers."""
-    values = from_pinocchio(robot.pin_model, robot.base, robot.joint_names, robot.foot_frames)
+    values = from_pinocchio(robot.pin_model, robot.base, robot.joint_names, robot.contact_frames)
     model = MujocoTree(values).model
     frames = {name: name for name in values.frames}
     return mujoco_evaluation(robot, model, values.base, frames, states, {})

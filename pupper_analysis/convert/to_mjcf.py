@@ -212,8 +212,8 @@ def _put_stand(
         _put_held(mjcf, model, bodies, options)
         equip.lift_base(mjcf, bodies, model)
         return [], diagnose("does-not-stand", missing=meshes.missing, problem=problem)
-    if len(robot.feet) < _LIMBS and not sure:
-        raise _LeglessError(diagnose("lowest-limbs", limbs=robot.feet))
+    if len(robot.contact_points) < _LIMBS and not sure:
+        raise _LeglessError(diagnose("lowest-limbs", limbs=robot.contact_points))
     told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
     failure = None
     try:
@@ -226,7 +226,9 @@ def _put_stand(
             told.append(_servos(kp, kd))
     except PupperAnalysisError as error:
         if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
-            raise _LeglessError(diagnose("feet-reach-no-ground", feet=robot.feet)) from error
+            raise _LeglessError(
+                diagnose("feet-reach-no-ground", feet=robot.contact_points)
+            ) from error
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
         kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)

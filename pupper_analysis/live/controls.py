@@ -53,7 +53,7 @@ class Controls:
         self._lock = threading.RLock()
         self._state = State()
         self._ranges = ranges_of(robot, scales)
-        self._feet = {escape_control(foot): foot for foot in robot.soles}
+        self._feet = {escape_control(foot): foot for foot in robot.feet}
         self.sliders: dict[str, Any] = {}
 
     def stance(self) -> None:

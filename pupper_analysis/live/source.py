@@ -65,7 +65,7 @@ class UploadedPair:
         paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
         given = {name: value for name, value in {**options, **paths}.items() if value}
         robot = load_robot(**given)
-        if not robot.floating or not robot.feet:
+        if not robot.floating or not robot.contact_points:
             raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
         return UploadedPair(given, robot)
 

@@ -254,7 +254,7 @@ def _described(
         urdf_source=urdf.path,
         mjcf=spec,
         mjcf_source=mjcf.path,
-        feet={},
+        contact_points={},
         frames=frames,
     )
 

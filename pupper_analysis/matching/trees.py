@@ -21,7 +21,7 @@ from pupper_analysis.robot.robot import Robot
 
 def kinematic_trees(robot: Robot) -> tuple[MultibodyTree, MultibodyTree]:
     """Returns the parameters of the URDF and of the MJCF; of a fixed base, in the world's frame."""
-    frames = {**robot.description.feet, **robot.description.frames}
+    frames = {**robot.description.contact_points, **robot.description.frames}
     urdf = multibody.from_pinocchio(
         robot.pin_model,
         robot.base,

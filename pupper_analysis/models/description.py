@@ -28,10 +28,10 @@ class Description:
         mjcf: The MJCF's spec, not to be changed (take ``mjcf.copy()``). In copies it is read
             again from what MuJoCo writes of it, all digits kept.
         mjcf_source: The file it came from.
-        feet: For each contact point, the URDF's link and the MJCF's site, body or geom. A foot that
-            is a sphere has one, of its own name.
+        contact_points: For each contact point, the URDF's link and the MJCF's site, body or geom. A
+            foot that is a sphere has one, of its own name.
         frames: Likewise for further frames that both files have.
-        soles: {foot with more than one contact point: their names}.
+        feet: {foot with more than one contact point: their names}.
         foot_geoms: {contact point: the MJCF's geom that touches there, and its radius (m)}, where
             that is no sphere around the point: 0 for the corner of a box.
         nominal: {joint: position (rad)} at which the feet are where they stand by default; zero
@@ -46,9 +46,9 @@ class Description:
     urdf_source: Path
     mjcf: mujoco.MjSpec
     mjcf_source: Path
-    feet: Mapping[str, tuple[str, str]]
+    contact_points: Mapping[str, tuple[str, str]]
     frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    soles: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    feet: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     foot_geoms: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
     made_servos: tuple[MadeServo, ...] = ()

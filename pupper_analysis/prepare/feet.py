@@ -260,8 +260,8 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
         robot.description,
         urdf=to_text(tree.root),
         mjcf=spec,
-        feet=names,
-        soles=soles,
+        contact_points=names,
+        feet=soles,
         foot_geoms=geoms,
     )
 

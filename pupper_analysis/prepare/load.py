@@ -145,7 +145,7 @@ def explain_loading(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> tuple[P
         mass=robot.total_mass,
         floating=robot.floating,
         joints=tuple(robot.joint_names),
-        feet=tuple(robot.soles),
+        feet=tuple(robot.feet),
         passes=tuple(runs),
         notes=robot.notes,
     )

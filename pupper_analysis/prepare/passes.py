@@ -106,7 +106,7 @@ def _held(draft: Draft) -> bool:
 
 
 def _on_feet(draft: Draft) -> bool:
-    return _stands(draft) and bool(draft.robot.feet)
+    return _stands(draft) and bool(draft.robot.contact_points)
 
 
 def _altered(draft: Draft) -> bool:

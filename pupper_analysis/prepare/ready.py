@@ -107,7 +107,7 @@ def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
         urdf_source=urdf.path,
         mjcf=mjcf.spec,
         mjcf_source=mjcf.path,
-        feet=feet,
+        contact_points=feet,
     )
     try:
         return build_robot(description, fixed_base=request.fixed_base)

@@ -73,7 +73,7 @@ def self_checked(robot: Robot, mjcf: MjcfFile, keyframe: str | None) -> Robot:
         mjcf: Its file.
         keyframe: The one that was asked for.
     """
-    if not robot.floating or not robot.soles:
+    if not robot.floating or not robot.feet:
         return robot
     model = published_model(mjcf, robot)
     if model is None:

@@ -227,7 +227,7 @@ def bounce_frequency(robot: Robot, stand: Stand, kp: Array) -> float:
     """
     config = Configuration(robot, stand.qpos)
     offsets = [
-        contact_offset(robot.foot_radius[foot], stand.normals[foot], stand.depths[foot])
+        contact_offset(robot.contact_radius[foot], stand.normals[foot], stand.depths[foot])
         for foot in stand.stance_feet
     ]
     points = config.point_jacobians(stand.stance_feet, np.array(offsets))

@@ -106,8 +106,8 @@ def stands_at(robot: Robot, joints: Mapping[str, float]) -> bool:
     qpos = robot.posed(values)
     centres = Configuration(robot, qpos).foot_positions()
     heights = [
-        min(float(centres[point][2]) - robot.foot_radius[point] for point in points)
-        for points in robot.soles.values()
+        min(float(centres[point][2]) - robot.contact_radius[point] for point in points)
+        for points in robot.feet.values()
     ]
     return max(heights) < 0 and float(np.ptp(heights)) < _UNEVEN * -min(heights)
 
@@ -239,7 +239,7 @@ def touching_geoms(robot: Robot, stand: Stand, deeper: float) -> set[int]:
 def feet_bodies(robot: Robot) -> set[int]:
     """Returns the ids of the moving bodies that carry the feet."""
     weld = robot.mj_model.body_weldid
-    return {int(weld[body]) for body, _ in robot.foot_places.values()}
+    return {int(weld[body]) for body, _ in robot.contact_places.values()}
 
 
 def clear_of_ground(robot: Robot, stand: Stand) -> bool:
@@ -309,14 +309,14 @@ def leg_length(robot: Robot, qpos: Array) -> float:
     """
     config, model = Configuration(robot, qpos), robot.pin_model
     lengths = []
-    for point, frame in robot.foot_frames.items():
+    for point, frame in robot.contact_frames.items():
         joint = model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint
         places = [config.foot_positions()[point]]
         for index in reversed(list(model.supports[joint])):
             if model.names[index] in robot.joint_names:
                 places.append(config.joint_position(model.names[index]))
         links = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
-        lengths.append(float(links) - float(places[-1][2] - qpos[2]) + robot.foot_radius[point])
+        lengths.append(float(links) - float(places[-1][2] - qpos[2]) + robot.contact_radius[point])
     return max(lengths)
 
 
@@ -377,7 +377,7 @@ def _at(robot: Robot, joints: Array) -> Robot:
     """Returns the robot with a start pose whose lowest foot touches the ground."""
     qpos = robot.posed(joints)
     places = Configuration(robot, qpos).foot_positions()
-    height = max(robot.foot_radius[foot] - float(place[2]) for foot, place in places.items())
+    height = max(robot.contact_radius[foot] - float(place[2]) for foot, place in places.items())
     return replace(robot, home=qpos, stand_height=height)
 
 

@@ -58,7 +58,7 @@ def demo_stances(robot: Robot, name: str, *, depth: float = 0.2) -> list[StandTa
     if name == "sway":
         return [stand, *(StandTask(offset=(0.0, y)) for y in (0.02, -0.02)), stand]
     feet = Configuration(robot, robot.neutral()).foot_positions()
-    x, y = np.mean([feet[foot][:2] for foot in robot.feet if foot != "FL"], axis=0)
+    x, y = np.mean([feet[foot][:2] for foot in robot.contact_points if foot != "FL"], axis=0)
     over = StandTask(com=(float(x), float(y)))
     up = StandTask(com=(float(x), float(y)), swing={"FL": 0.02})
     return [stand, over, up, up, over, stand]

@@ -161,7 +161,9 @@ def at_home(variant: str | VariantSpec, *, fixed: bool = False) -> tuple[Robot, 
     qpos = robot.home.copy()
     if not fixed:
         feet = Configuration(robot, qpos).foot_positions()
-        clearance = min(float(place[2]) - robot.foot_radius[foot] for foot, place in feet.items())
+        clearance = min(
+            float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items()
+        )
         qpos[2] += FALL - clearance if clearance < FALL / 2 else 0.0
     robot.mj_convention.set_state(data, qpos)
     data.ctrl[robot.mj_convention.actuator_index] = qpos[robot.nq - robot.nu :]

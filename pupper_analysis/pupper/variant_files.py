@@ -43,7 +43,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
         urdf_source=urdf_source,
         mjcf=mjcf_spec.copy(),
         mjcf_source=mjcf_source,
-        feet={foot: (frame, frame) for foot, frame in base.feet.items()},
+        contact_points={foot: (frame, frame) for foot, frame in base.feet.items()},
     )
 
 

@@ -57,7 +57,7 @@ def joint_actions(robot: Robot, data: mujoco.MjData) -> tuple[JointAction, ...]:
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     to_base = data.xmat[base].reshape(3, 3).T
     feet: dict[int, Array] = {}  # of each leg's bodies
-    for end, centre in robot.foot_places.values():
+    for end, centre in robot.contact_places.values():
         body = end
         place = data.xpos[end] + data.xmat[end].reshape(3, 3) @ centre
         while body != base:

@@ -216,7 +216,7 @@ def height_at(points: Array, place: Array) -> float:
 
 def _touched(robot: Robot, stand: Stand) -> Array:
     """Returns where the feet touch the ground or their steps (n, 3) (m)."""
-    feet = {point: foot for foot in robot.soles for point in robot.points_of(foot)}
+    feet = {point: foot for foot in robot.feet for point in robot.points_of(foot)}
     return np.array(
         [
             [*place[:2], stand.task.ground.height(place, feet.get(point))]

@@ -70,7 +70,7 @@ def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> 
         points = line.points()
         shadow = points - np.outer(points[:, 2] / SUN[2], SUN)
         seen = project_points(np.concatenate([points, shadow]))
-        radius = max(robot.foot_radius.values())
+        radius = max(robot.contact_radius.values())
         low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
     size = high - low
     tile_width = width // columns

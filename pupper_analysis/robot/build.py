@@ -63,19 +63,19 @@ def build_robot(
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     notes = [*added, *option_notes(mj_model), *_at_rest(mj_model)]
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
-    foot_frames = {foot: frames[0] for foot, frames in description.feet.items()}
-    for frame in foot_frames.values():
+    contact_frames = {foot: frames[0] for foot, frames in description.contact_points.items()}
+    for frame in contact_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
             links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
             raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
     places = {
         foot: foot_site(mj_model, frame, description.mjcf_source)
-        for foot, (_, frame) in description.feet.items()
+        for foot, (_, frame) in description.contact_points.items()
     }
     geoms = foot_geoms(description, mj_model, places)
     radius = {foot: size for foot, (_, size) in geoms.items()}
-    soles: dict[str, tuple[str, ...]] = {foot: (foot,) for foot in description.feet}
-    for sole, points in description.soles.items():
+    soles: dict[str, tuple[str, ...]] = {foot: (foot,) for foot in description.contact_points}
+    for sole, points in description.feet.items():
         soles = {foot: own for foot, own in soles.items() if foot not in points} | {sole: points}
     sole_of = {point: sole for sole, points in soles.items() for point in points}
     ground = contact.ground_geom(mj_model)
@@ -95,12 +95,12 @@ def build_robot(
         base=_root_link(pin_model),
         mj_base=mj_base,
         joint_names=joint_names,
-        feet=tuple(description.feet),
-        foot_frames=MappingProxyType(foot_frames),
-        foot_places=MappingProxyType(places),
+        contact_points=tuple(description.contact_points),
+        contact_frames=MappingProxyType(contact_frames),
+        contact_places=MappingProxyType(places),
         foot_geoms=MappingProxyType({geom: sole_of[foot] for foot, (geom, _) in geoms.items()}),
-        foot_radius=MappingProxyType(radius),
-        soles=MappingProxyType(soles),
+        contact_radius=MappingProxyType(radius),
+        feet=MappingProxyType(soles),
         contacts=MappingProxyType(contacts),
         home=home,
         nominal=np.array([description.nominal.get(name, 0.0) for name in joint_names]),
@@ -108,7 +108,7 @@ def build_robot(
         imu=_imu(mj_model, pin_model),
         pin_convention=pin_convention,
         mj_convention=mj_convention,
-        fingerprint=f"{description.name} {_hash(pin_model, joint_names, foot_frames, radius)}",
+        fingerprint=f"{description.name} {_hash(pin_model, joint_names, contact_frames, radius)}",
         notes=tuple(notes),
     )
 
@@ -185,13 +185,16 @@ def _take_armature(
 def _hash(
     model: pin.Model,
     joint_names: Sequence[str],
-    foot_frames: Mapping[str, str],
-    foot_radius: Mapping[str, float],
+    contact_frames: Mapping[str, str],
+    contact_radius: Mapping[str, float],
 ) -> str:
     """Returns a hash of what a stand depends on."""
-    parts = [repr((joint_names, sorted(foot_frames.items()), sorted(foot_radius.items()))).encode()]
+    parts = [
+        repr((joint_names, sorted(contact_frames.items()), sorted(contact_radius.items()))).encode()
+    ]
     frames = [
-        model.frames[model.getFrameId(frame, pin.FrameType.BODY)] for frame in foot_frames.values()
+        model.frames[model.getFrameId(frame, pin.FrameType.BODY)]
+        for frame in contact_frames.values()
     ]
     for angle in (0.0, 0.3):  # rad: where the joints are, and how they turn
         q = pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))

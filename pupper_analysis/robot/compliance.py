@@ -65,7 +65,7 @@ class GroundLaw:
             stiffness, damping = (dmax * first * second) ** -2, 2 / (dmax * first)
         else:
             stiffness, damping = -first / dmax**2, -second / dmax
-        normal = float(model.body_invweight0[robot.foot_places[foot][0], 0])
+        normal = float(model.body_invweight0[robot.contact_places[foot][0], 0])
         # Bounded as MuJoCo bounds it (mj_makeImpedance): an impratio may be infinite.
         ratio, mu = max(mujoco.mjMINVAL, float(model.opt.impratio)), parameters.sliding_friction
         tangential = max(mujoco.mjMINVAL, normal / ratio)

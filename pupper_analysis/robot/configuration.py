@@ -195,8 +195,8 @@ class Configuration:
         """
         positions = self.foot_positions()
         return {
-            self.robot.check_foot(foot): positions[foot] - self.robot.foot_radius[foot] * UP
-            for foot in (self.robot.feet if feet is None else feet)
+            self.robot.check_foot(foot): positions[foot] - self.robot.contact_radius[foot] * UP
+            for foot in (self.robot.contact_points if feet is None else feet)
         }
 
     def contact_jacobians(self, feet: Iterable[str] | None = None) -> dict[str, Array]:
@@ -212,9 +212,11 @@ class Configuration:
             UnknownNameError: If a foot is unknown.
         """
         robot = self.robot
-        names = [robot.check_foot(foot) for foot in (robot.feet if feet is None else feet)]
+        names = [
+            robot.check_foot(foot) for foot in (robot.contact_points if feet is None else feet)
+        ]
         offsets = np.zeros((len(names), 3))
-        offsets[:, 2] = [-robot.foot_radius[foot] for foot in names]
+        offsets[:, 2] = [-robot.contact_radius[foot] for foot in names]
         return dict(zip(names, self.point_jacobians(names, offsets), strict=True))
 
     def point_jacobians(self, feet: Sequence[str], offsets: Array) -> Array:

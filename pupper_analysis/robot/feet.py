@@ -55,7 +55,7 @@ def foot_geoms(
             continue
         sphere = contact.foot_geom(model, body, position)
         if sphere is None:
-            frame = description.feet[foot][1]
+            frame = description.contact_points[foot][1]
             where = {"body": model.body(body).name, "frame": frame}
             problem = diagnose("foot-without-sphere", subject=("foot", foot), **where)
             raise ModelError(description.mjcf_source, problem)

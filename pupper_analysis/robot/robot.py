@@ -51,15 +51,15 @@ class Robot:
         base: The name of the base's link (URDF).
         mj_base: The name of the base's body (MJCF).
         joint_names: In actuator order.
-        feet: The names of the feet's contact points: the keys of every per-foot dictionary. A foot
-            that is a sphere has one, of its own name.
-        soles: {foot: its contact points}; a flat foot has several, on one body.
-        foot_frames: The name of each foot's frame in the URDF.
-        foot_places: For each foot, the body that carries it in ``mj_model`` (its id) and the centre
-            of its sphere in that body's frame, (3,) (m).
-        foot_geoms: Which foot a geom of ``mj_model`` belongs to, {geom id: key of ``soles``}.
-        foot_radius: The radius of each foot's sphere (m); 0 for the corner of a sole.
-        contacts: The effective parameters of each foot's contact with the ground.
+        contact_points: The names of the feet's contact points: the keys of every dictionary of
+            contact forces. A foot that is a sphere has one, of its own name.
+        feet: {foot: its contact points}; a flat foot has several, on one body.
+        contact_frames: {contact point: its frame in the URDF}.
+        contact_places: {contact point: the body that carries it in ``mj_model`` (its id), and the
+            centre of its sphere in that body's frame, (3,) (m)}.
+        foot_geoms: Which foot a geom of ``mj_model`` belongs to, {geom id: key of ``feet``}.
+        contact_radius: {contact point: the radius of its sphere (m)}; 0 for the corner of a sole.
+        contacts: {contact point: the effective parameters of its contact with the ground}.
         home: (nq,) the MJCF's keyframe ``home`` (or its first, or its zero configuration).
         nominal: (nu,) joint positions at which the feet are, seen from above, where they stand by
             default (rad).
@@ -82,12 +82,12 @@ class Robot:
     base: str
     mj_base: str
     joint_names: tuple[str, ...]
-    feet: tuple[str, ...]
-    foot_frames: Mapping[str, str]
-    foot_places: Mapping[str, tuple[int, Array]]
+    contact_points: tuple[str, ...]
+    contact_frames: Mapping[str, str]
+    contact_places: Mapping[str, tuple[int, Array]]
     foot_geoms: Mapping[int, str]
-    foot_radius: Mapping[str, float]
-    soles: Mapping[str, tuple[str, ...]]
+    contact_radius: Mapping[str, float]
+    feet: Mapping[str, tuple[str, ...]]
     contacts: Mapping[str, ContactParameters]
     home: Array
     nominal: Array
@@ -105,7 +105,7 @@ class Robot:
         base = "a free base" if self.floating else "a fixed base"
         return (
             f"<Robot {self.name!r}: {self.total_mass:.3f} kg, {base}, {self.nu} joints, "
-            f"{len(self.soles)} feet>"
+            f"{len(self.feet)} feet>"
         )
 
     def __getstate__(self) -> dict[str, Any]:
@@ -146,7 +146,7 @@ class Robot:
     @cached_property
     def structure(self) -> Structure:
         """What configurations need to know of the robot; worked out once."""
-        return Structure(self.pin_model, self.pin_convention, self.joint_names, self.foot_frames)
+        return Structure(self.pin_model, self.pin_convention, self.joint_names, self.contact_frames)
 
     @cached_property
     def acts_at_rest(self) -> bool:
@@ -261,8 +261,8 @@ class Robot:
         Raises:
             UnknownNameError: If it is not; the message lists the feet.
         """
-        if foot not in self.foot_frames:
-            raise UnknownNameError(self.name, "foot", foot, self.feet)
+        if foot not in self.contact_frames:
+            raise UnknownNameError(self.name, "foot", foot, self.contact_points)
         return foot
 
     def points_of(self, foot: str) -> tuple[str, ...]:
@@ -271,23 +271,23 @@ class Robot:
         Raises:
             UnknownNameError: If there is no such foot; the message lists the feet.
         """
-        if foot not in self.soles:
-            raise UnknownNameError(self.name, "foot", foot, tuple(self.soles))
-        return self.soles[foot]
+        if foot not in self.feet:
+            raise UnknownNameError(self.name, "foot", foot, tuple(self.feet))
+        return self.feet[foot]
 
     def foot_of(self, point: str) -> str:
         """Returns the foot that a contact point belongs to."""
-        return next(foot for foot, points in self.soles.items() if point in points)
+        return next(foot for foot, points in self.feet.items() if point in points)
 
     def feet_with(self, points: Iterable[str]) -> tuple[str, ...]:
         """Returns the feet that have one of some contact points."""
         wanted = set(points)
-        return tuple(foot for foot, own in self.soles.items() if not wanted.isdisjoint(own))
+        return tuple(foot for foot, own in self.feet.items() if not wanted.isdisjoint(own))
 
     def per_foot(self, forces: Mapping[str, Array]) -> dict[str, Array]:
         """Adds up forces on contact points, {point: (3,)}, to those on the feet that have them."""
         return {
-            foot: np.sum([forces[point] for point in self.soles[foot] if point in forces], axis=0)
+            foot: np.sum([forces[point] for point in self.feet[foot] if point in forces], axis=0)
             for foot in self.feet_with(forces)
         }
 

@@ -66,7 +66,7 @@ class Structure:
         model: pin.Model,
         convention: PinocchioConvention,
         joint_names: Sequence[str],
-        foot_frames: Mapping[str, str],
+        contact_frames: Mapping[str, str],
     ) -> None:
         self.model = in_public_coordinates(model, joint_names)
         self._given = model
@@ -81,7 +81,7 @@ class Structure:
         self.joints: dict[str, int] = {
             name: int(self.model.getJointId(name)) for name in joint_names
         }
-        self.feet = {foot: self.links[frame] for foot, frame in foot_frames.items()}
+        self.feet = {foot: self.links[frame] for foot, frame in contact_frames.items()}
         self.parents = {
             foot: int(self.model.frames[frame].parentJoint) for foot, frame in self.feet.items()
         }

@@ -47,7 +47,7 @@ def on_ground(robot: Robot, ground: Ground, places: Mapping[str, Array]) -> Robo
     quat = pin.Quaternion(ground.rotation()).coeffs()[[3, 0, 1, 2]]
     turn_floor(floor, quat)
     steps = ground.steps(places)
-    soles = [foot for foot in steps if len(robot.soles[foot]) > 1]
+    soles = [foot for foot in steps if len(robot.feet[foot]) > 1]
     contype, conaffinity = floor.contype, floor.conaffinity
     free = _leave_floor(robot, spec, floor, steps, soles)
     for foot, (centre, half) in steps.items():

@@ -27,9 +27,9 @@ def balance_by_mujoco(
     for foot, centre in monitor.foot_centres(robot, data).items():
         foot_error = max(foot_error, float(np.linalg.norm(centre - stand.foot_targets[foot])))
         if foot in stand.stance_feet:
-            radius, depth = robot.foot_radius[foot], stand.depths[foot]
+            radius, depth = robot.contact_radius[foot], stand.depths[foot]
             point = centre + contact_offset(radius, stand.normals[foot], depth)
-            mujoco.mj_jac(model, data, jacobian, None, point, robot.foot_places[foot][0])
+            mujoco.mj_jac(model, data, jacobian, None, point, robot.contact_places[foot][0])
             remainder -= jacobian.T @ prediction.contact_forces[foot]
     joints = robot.mj_convention.qvel_index[6:]
     if robot.closure is not None:

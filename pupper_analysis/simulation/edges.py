@@ -20,13 +20,13 @@ def several_contacts(robot: Robot, stand: Stand) -> Diagnostic | None:
     mujoco.mj_fwdPosition(model, data)
     places: dict[str, list[np.ndarray]] = {}
     # A sole of several balls is one point, too, if its leg cannot lay it flat: that of one of them.
-    bodies = {int(robot.foot_places[foot][0]): foot for foot in robot.feet}
+    bodies = {int(robot.contact_places[foot][0]): foot for foot in robot.contact_points}
     for touch in data.contact:
         if touch.dist >= 0 or 0 not in model.body_weldid[model.geom_bodyid[touch.geom]]:
             continue
         for geom in touch.geom.tolist():
             foot = robot.foot_geoms.get(geom) or bodies.get(int(model.geom_bodyid[geom]))
-            if len(robot.soles.get(str(foot), ())) == 1:
+            if len(robot.feet.get(str(foot), ())) == 1:
                 places.setdefault(str(foot), []).append(np.array(touch.pos))
     spread = {
         foot: max(float(np.linalg.norm(one - two)) for one in found for two in found)

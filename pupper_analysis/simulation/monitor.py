@@ -83,7 +83,7 @@ def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
     """Returns {foot: (3,)} where MuJoCo has the centres of the feet (m)."""
     return {
         foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-        for foot, (body, position) in robot.foot_places.items()
+        for foot, (body, position) in robot.contact_places.items()
     }
 
 

@@ -217,7 +217,7 @@ def tipping_impulses(
     """
     robot, com, mass_matrix = config.robot, config.center_of_mass(), config.mass_matrix()
     ground = np.array(list(config.contact_points(feet).values()))
-    radius = float(np.mean(list(robot.foot_radius.values())))
+    radius = float(np.mean(list(robot.contact_radius.values())))
     hull = shapely.MultiPoint(ground[:, :2]).convex_hull
     impulses = np.full(len(axes), np.inf)
     if hull.geom_type != "Polygon":

@@ -225,7 +225,7 @@ def _watch(
         if monitor.has_fallen(monitor.base_lean(robot, rotation, states[index]), base[2], goal[2]):
             seen.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
-        idle = sight.idle(robot.soles)
+        idle = sight.idle(robot.feet)
         sample = int(np.abs(path.time - sight.time).argmin())
         for column, foot in enumerate(path.feet):
             load, own = path.loads[sample, column] / weight, robot.foot_of(foot)

@@ -296,7 +296,7 @@ def _measured(
         contact_sag=contact_sag,
         tilt=monitor.turned_by(robot, stand.task.rotation(), states[-1]),
         foot_slip={
-            foot: max(float(np.linalg.norm(drops[point][:2])) for point in robot.soles[foot])
+            foot: max(float(np.linalg.norm(drops[point][:2])) for point in robot.feet[foot])
             for foot in robot.feet_with(drops)
         },
         joint_error=joint_error,

@@ -56,9 +56,9 @@ def watch_contacts(
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
     torques = np.zeros(robot.nu)
-    total = {foot: np.zeros(3) for foot in robot.soles}
+    total = {foot: np.zeros(3) for foot in robot.feet}
     carrying = robot.feet_with(stand.stance_feet)
-    feet = {foot: np.zeros(3) for foot in robot.feet}
+    feet = {foot: np.zeros(3) for foot in robot.contact_points}
     count = 0
     last_second = range(settling - round(LAST / model.opt.timestep), settling)
     # Backwards: the first moment stays. Both parts end with their last state.

@@ -75,7 +75,7 @@ def find_limbs(robot: Robot) -> tuple[Limb, ...]:
     """Returns the robot's limbs; joints that move no foot, a head's, are in none."""
     model = robot.pin_model
     groups: list[tuple[set[str], set[int]]] = []
-    for foot, frame in robot.foot_frames.items():
+    for foot, frame in robot.contact_frames.items():
         joint = model.frames[model.getFrameId(frame, pin.FrameType.BODY)].parentJoint
         names = {model.names[index] for index in model.supports[joint]}
         joints = {robot.joint_names.index(name) for name in names if name in robot.joint_names}
@@ -86,7 +86,7 @@ def find_limbs(robot: Robot) -> tuple[Limb, ...]:
         groups.append((feet, joints))
     return tuple(
         Limb(
-            feet=tuple(foot for foot in robot.feet if foot in feet),
+            feet=tuple(foot for foot in robot.contact_points if foot in feet),
             joints=np.array(sorted(joints), dtype=np.int64),
         )
         for feet, joints in groups
@@ -231,8 +231,8 @@ class _Descent:
         self._q = robot.pin_convention.q(qpos)
         self._rest = qpos[robot.nq - robot.nu :]
         self._lower, self._upper = lower, upper
-        self._targets = np.array([targets[foot] for foot in robot.feet])
-        frames = [robot.foot_frames[foot] for foot in robot.feet]
+        self._targets = np.array([targets[foot] for foot in robot.contact_points])
+        frames = [robot.contact_frames[foot] for foot in robot.contact_points]
         self._frames = [model.getFrameId(frame, pin.FrameType.BODY) for frame in frames]
         above = [
             {model.names[one] for one in model.supports[model.frames[frame].parentJoint]}
@@ -242,7 +242,7 @@ class _Descent:
         self._limbs = find_limbs(robot)
         self._feet, self._joints = np.empty(len(self._targets), int), np.full(robot.nu, -1)
         for number, limb in enumerate(self._limbs):
-            self._feet[[foot in limb.feet for foot in robot.feet]] = number
+            self._feet[[foot in limb.feet for foot in robot.contact_points]] = number
             self._joints[limb.joints] = number
 
     def run(

@@ -244,11 +244,11 @@ class ClearanceShapes:
         robot, model = self.robot, self.robot.pin_model
         feet: dict[str, str] = {}  # by their joint
         flat: set[str] = set()
-        for foot, frame in robot.foot_frames.items():
+        for foot, frame in robot.contact_frames.items():
             number = model.getFrameId(frame, pin.FrameType.BODY)
             name = model.names[model.frames[number].parentJoint]
             joint = name if name in robot.joint_names else ""
-            if foot in robot.soles:
+            if foot in robot.feet:
                 feet[joint] = foot
             else:
                 flat.add(joint)
@@ -265,7 +265,10 @@ class ClearanceShapes:
         self.kinematics.move(self.robot.structure.state(self.robot.neutral()))
         turn, place = self.kinematics.link(shape.link)
         centre = turn.T @ (np.array(self.kinematics.feet()[foot]) - place)
-        ball, there = coal.Sphere(self.robot.foot_radius[foot]), coal.Transform3s(np.eye(3), centre)
+        ball, there = (
+            coal.Sphere(self.robot.contact_radius[foot]),
+            coal.Transform3s(np.eye(3), centre),
+        )
         own = coal.Transform3s(shape.place.rotation, shape.place.translation)
         near = measure_distance(shape.solid, own, ball, there)
         return bool(near.min_distance < 0)

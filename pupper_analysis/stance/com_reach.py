@@ -32,9 +32,9 @@ def can_move_com(robot: Robot) -> bool:
 
 
 def _moves_com(robot: Robot) -> bool:
-    if not robot.feet:
+    if not robot.contact_points:
         return True
-    if len(robot.soles) < len(robot.feet):
+    if len(robot.feet) < len(robot.contact_points):
         # Soles and wheels lie on the ground: in other poses other motions are free.
         return any(_ways(robot, pose) == 2 for pose in (robot.nominal, robot.home[-robot.nu :]))
     random = np.random.default_rng(0)

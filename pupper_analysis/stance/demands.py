@@ -148,7 +148,7 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
         place
         for foot, place in feet_places(robot, task).items()
         if foot not in task.swing
-        for _ in robot.soles[foot]
+        for _ in robot.feet[foot]
     ]
     x, y = np.mean(stance_feet, axis=0)
     return float(x), float(y)

@@ -41,7 +41,7 @@ def nominal_feet(robot: Robot) -> dict[str, Array]:
             if len(points) > 1
             else places[points[0]][:2]
         )
-        for foot, points in robot.soles.items()
+        for foot, points in robot.feet.items()
     }
 
 
@@ -63,19 +63,19 @@ def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
     nominal, ground = nominal_places(robot), task.ground
     targets: dict[str, Array] = {}
     for foot, place in feet_places(robot, task).items():
-        points = robot.soles[foot]
+        points = robot.feet[foot]
         if len(points) == 1:
-            targets[points[0]] = ground.centre(foot, place, robot.foot_radius[points[0]])
+            targets[points[0]] = ground.centre(foot, place, robot.contact_radius[points[0]])
         else:
             sole = np.array([nominal[point] for point in points])
-            radii = np.array([robot.foot_radius[point] for point in points])
+            radii = np.array([robot.contact_radius[point] for point in points])
             laid = _laid(sole, radii, ground.normal())
             aside = place - laid[:, :2].mean(axis=0)
             shift = np.array([*aside, ground.height(aside, foot)])  # along the plane, onto a step
             targets |= dict(zip(points, laid + shift, strict=True))
         for point in points:
             targets[point][2] += task.swing.get(foot, 0.0)
-    return {point: targets[point] for point in robot.feet}
+    return {point: targets[point] for point in robot.contact_points}
 
 
 def _laid(sole: Array, radii: Array, normal: Array) -> Array:
@@ -109,7 +109,7 @@ def sink_feet(
     A sole sinks as a whole and tilts: by the depths' best fit.
     """
     sunk = {point: targets[point] - depths.get(point, 0.0) * normal for point in targets}
-    for points in robot.soles.values():
+    for points in robot.feet.values():
         if len(points) > 1 and any(depths.get(point) for point in points):
             before = np.array([targets[point] for point in points])
             after = move_rigidly(before, np.array([sunk[point] for point in points]))

@@ -36,7 +36,7 @@ def has_spare_joints(robot: Robot) -> bool:
     Given are the base's turn, height and place, and of each foot what its points fix: a line may
     still turn about itself.
     """
-    return 6 + sum(_FIXED.get(len(points), 6) for points in robot.soles.values()) < robot.nv
+    return 6 + sum(_FIXED.get(len(points), 6) for points in robot.feet.values()) < robot.nv
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ def _goal_of(
         normal = task.ground.normal()
         places = place_feet(robot, task)
         contacts = np.array(
-            [places[foot] - robot.foot_radius[foot] * normal for foot in stance_feet]
+            [places[foot] - robot.contact_radius[foot] * normal for foot in stance_feet]
         )
         if checked:
             _check_area(robot, contacts, stance_feet)
@@ -255,7 +255,7 @@ def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> No
     seen = contacts[:, :2] - contacts[:, :2].mean(axis=0)
     if np.linalg.svd(seen, compute_uv=False)[1] < _LINE:
         raise ConfigurationError(
-            "swing" if len(stance_feet) < len(robot.feet) else "robot",
+            "swing" if len(stance_feet) < len(robot.contact_points) else "robot",
             diagnose("touches-along-line", robot=robot.name, feet=stance_feet),
         )
 
@@ -263,7 +263,7 @@ def _check_area(robot: Robot, contacts: Array, stance_feet: Sequence[str]) -> No
 def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> tuple[str, ...]:
     """Returns the contact points that carry, if a task is one for this robot; see ``make_goal``."""
     robot.check_floating()
-    if not robot.feet:
+    if not robot.contact_points:
         raise ConfigurationError("robot", diagnose("no-feet", robot=robot.name))
     if not robot.gravity[2] < 0:
         gravity = Vector(tuple(robot.gravity), "m/s^2")
@@ -273,20 +273,23 @@ def _stance_feet(robot: Robot, task: StandTask, depths: Mapping[str, float]) -> 
     for foot in depths:
         robot.check_foot(foot)
     for sole in robot.feet_with(depths):  # corners of a sole that bears may lift
-        foot = max((one for one in robot.soles[sole] if one in depths), key=depths.__getitem__)
+        foot = max((one for one in robot.feet[sole] if one in depths), key=depths.__getitem__)
         depth = depths[foot]
         margin = robot.contacts[foot].margin if foot in robot.contacts else 0.0
         if not -margin <= depth < math.inf:
             given, least = Quantity(depth, "m"), Quantity(-margin if margin else 0.0, "m")
             problem = diagnose("depth-not-valid", subject=("foot", foot), depth=given, least=least)
             raise ConfigurationError("depths", problem)
-    swinging = {point for foot in task.swing for point in robot.soles[foot]}
-    stance_feet = tuple(foot for foot in robot.feet if foot not in swinging)
-    if len(robot.feet) < 3:
+    swinging = {point for foot in task.swing for point in robot.feet[foot]}
+    stance_feet = tuple(foot for foot in robot.contact_points if foot not in swinging)
+    if len(robot.contact_points) < 3:
         raise ConfigurationError(
             "robot",
             diagnose(
-                "too-few-points", robot=robot.name, count=len(robot.feet), feet=tuple(robot.feet)
+                "too-few-points",
+                robot=robot.name,
+                count=len(robot.contact_points),
+                feet=tuple(robot.contact_points),
             ),
         )
     if len(stance_feet) < 3:

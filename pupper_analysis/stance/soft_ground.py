@@ -189,7 +189,7 @@ def _as_soles(robot: Robot, stand: Stand, depths: Mapping[str, float]) -> dict[s
     """
     found: dict[str, float] = {}
     for foot in robot.feet_with(depths):
-        points = robot.soles[foot]
+        points = robot.feet[foot]
         if len(points) > 1:
             places = np.array([stand.contact_points[point] for point in points])
             normal = stand.normals[points[0]]

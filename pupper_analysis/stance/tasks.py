@@ -72,7 +72,7 @@ class Tasks:
             self._orientation = solver.add_orientation_task(robot.base, goal.task.rotation())
             self._orientation.configure("orientation", "hard")
         elif isinstance(constraint, Footholds):
-            for foot, frame in robot.foot_frames.items():
+            for foot, frame in robot.contact_frames.items():
                 task = solver.add_position_task(frame, goal.targets[foot])
                 task.configure(foot, "soft", 1.0)
                 self.feet.append((foot, task))

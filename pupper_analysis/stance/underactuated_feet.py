@@ -28,8 +28,7 @@ _JOINTS = 6  # of a leg that lays its sole anywhere, in any orientation
 def has_underactuated_feet(robot: Robot) -> bool:
     """Tells whether a robot has soles that its legs, of fewer than six joints, lay as they can."""
     return any(
-        len(points) > 1 and _joints_to(robot, points[0]) < _JOINTS
-        for points in robot.soles.values()
+        len(points) > 1 and _joints_to(robot, points[0]) < _JOINTS for points in robot.feet.values()
     )
 
 
@@ -42,14 +41,10 @@ def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
     if goal.give is not None and goal.give.any():
         return diagnose("loops-give-way", most=float(abs(goal.give).max()))
     moved = [
-        sole
-        for sole in robot.soles
-        if {sole, *robot.soles[sole]} & {*task.swing, *task.foot_offsets}
+        sole for sole in robot.feet if {sole, *robot.feet[sole]} & {*task.swing, *task.foot_offsets}
     ]
     short = {
-        sole: _joints_to(robot, robot.soles[sole][0])
-        for sole in moved
-        if len(robot.soles[sole]) > 1
+        sole: _joints_to(robot, robot.feet[sole][0]) for sole in moved if len(robot.feet[sole]) > 1
     }
     if not short or min(short.values()) >= _JOINTS:
         return None
@@ -60,7 +55,7 @@ def find_missing_joints(robot: Robot, goal: Goal) -> Diagnostic | None:
 def _joints_to(robot: Robot, point: str) -> int:
     """Returns how many joints move a contact point against the base."""
     model = robot.pin_model
-    frame = model.getFrameId(robot.foot_frames[point], pin.FrameType.BODY)
+    frame = model.getFrameId(robot.contact_frames[point], pin.FrameType.BODY)
     above = model.supports[model.frames[frame].parentJoint]
     return sum(model.names[joint] in robot.joint_names for joint in above)
 

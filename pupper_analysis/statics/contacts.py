@@ -108,7 +108,7 @@ def make_contacts(
         ConfigurationError: If a friction coefficient or a normal is no such thing, a foot is named
             twice, or a robot with a fixed base is given contacts.
     """
-    feet = tuple(robot.feet if contacts is None and robot.floating else contacts or ())
+    feet = tuple(robot.contact_points if contacts is None and robot.floating else contacts or ())
     if friction is None and normals is None and depths is None:
         return robot.once(_usual, feet)
     return _contacts(robot, feet, friction, normals, depths)
@@ -148,7 +148,7 @@ def _contacts(
             for foot in feet
         ]
     )
-    radii = [robot.foot_radius[foot] for foot in feet]
+    radii = [robot.contact_radius[foot] for foot in feet]
     return Contacts(
         nv=robot.nv,
         free=robot.nv - robot.nu,

@@ -113,7 +113,7 @@ def inverse_dynamics(
         moments |= {foot: pressed[foot] * left[foot] * lever for foot, lever in levers.items()}
         rest = load.copy()
         for foot, moment in moments.items():
-            rest -= config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
+            rest -= config.frame_jacobian(robot.contact_frames[foot])[3:].T @ moment
         point = zero_moment_point(config, rest, origin, normal)
         found = balance_load(
             config,
@@ -143,7 +143,7 @@ def _ground_under(config: Configuration, normals: Mapping[str, Array]) -> tuple[
     """Returns the mean of the points that touch the ground (3,), and its normal there (3,)."""
     robot = config.robot
     points = [
-        config.frame_position(robot.foot_frames[foot]) - robot.foot_radius[foot] * normal
+        config.frame_position(robot.contact_frames[foot]) - robot.contact_radius[foot] * normal
         for foot, normal in normals.items()
     ]
     if not points:
@@ -240,7 +240,7 @@ def rolling_levers(
         law = GroundLaw.of(robot, foot)
         impedance = law.impedance(law.depth(share))
         softness = (1 - impedance) / impedance * law.tangential
-        turning = config.frame_jacobian(robot.foot_frames[foot])[3:] @ config.qvel
+        turning = config.frame_jacobian(robot.contact_frames[foot])[3:] @ config.qvel
         asked = accelerations[foot][3:] + law.damping * turning
         along = np.outer(normal, normal)
         slide, _, spin, roll, _ = parameters.friction
@@ -269,7 +269,7 @@ def rolling_resistance(
     for foot, lever in rolling_levers(config, qacc, dict.fromkeys(forces, normal)).items():
         moment = max(0.0, float(forces[foot] @ normal)) * lever
         moment *= share_left_to_turn(robot, foot, forces[foot], moment, normal)
-        resisting += config.frame_jacobian(robot.foot_frames[foot])[3:].T @ moment
+        resisting += config.frame_jacobian(robot.contact_frames[foot])[3:].T @ moment
     return resisting
 
 

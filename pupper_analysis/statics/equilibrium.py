@@ -382,7 +382,7 @@ def _result(
         friction_utilisation=sliding,
         foot_loads={
             foot: add_up_foot_load(own, per_foot, points, normals, friction, sliding, tiny)
-            for foot, soles in robot.soles.items()
+            for foot, soles in robot.feet.items()
             if (own := [name for name in soles if name in per_foot])
         },
         base_wrench=base_wrench,

@@ -201,7 +201,7 @@ def without_visuals(description: Description) -> Description:
     """
     spec = description.mjcf.copy()
     kept = {geom for geom, _ in description.foot_geoms.values()}
-    kept |= {frame for _, frame in description.feet.values()}
+    kept |= {frame for _, frame in description.contact_points.values()}
     for geom in list(spec.geoms):
         touches = geom.contype or geom.conaffinity
         pairs = any(geom.name in (pair.geomname1, pair.geomname2) for pair in spec.pairs)

@@ -71,7 +71,7 @@ class FilePair:
             problem = diagnose("no-pair-of-files", given=repr(dict(options)), known=known[2:])
             raise ConfigurationError("robot", problem)
         robot = load_robot(**options)
-        if not robot.floating or not robot.feet:
+        if not robot.floating or not robot.contact_points:
             raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
         paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
         bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
@@ -97,8 +97,8 @@ def digest_of(description: Description) -> str:
     parts = {
         "urdf": description.urdf,
         "mjcf": state_of(description.mjcf),
-        "feet": dict(description.feet),
-        "soles": dict(description.soles),
+        "feet": dict(description.contact_points),
+        "soles": dict(description.feet),
         "geoms": dict(description.foot_geoms),
         "nominal": dict(description.nominal),
     }

@@ -46,12 +46,12 @@ from tests.support.variants import NAMES, load
 def rebuilt(robot: pa.Robot) -> pa.Robot:
     """The robot with the URDF's model taken apart and put together again."""
     values = multibody.from_pinocchio(
-        robot.pin_model, robot.base, robot.joint_names, robot.foot_frames
+        robot.pin_model, robot.base, robot.joint_names, robot.contact_frames
     )
     model = multibody.to_pinocchio(values)
     convention = PinocchioConvention.of(model, robot.joint_names)
-    frames = {foot: foot for foot in robot.foot_frames}
-    return replace(robot, pin_model=model, pin_convention=convention, foot_frames=frames)
+    frames = {foot: foot for foot in robot.contact_frames}
+    return replace(robot, pin_model=model, pin_convention=convention, contact_frames=frames)
 
 
 def assert_same_robot(one: pa.Robot, two: pa.Robot, qpos: np.ndarray, qvel: np.ndarray) -> None:

@@ -128,7 +128,7 @@ def test_what_crosses_a_link_does_not_grow_heavier_with_it() -> None:
     spec = mujoco.MjSpec.from_file(str(ROOT / "mjcf" / f"{BASES['original']}.xml"))
     variant = pa.pupper.VariantSpec(base="skeleton", leg_scale=1.5)
     robot = load("original")
-    thigh = spec.site(robot.description.feet[robot.feet[0]][1]).parent.parent
+    thigh = spec.site(robot.description.contact_points[robot.contact_points[0]][1]).parent.parent
     calf = next(iter(thigh.bodies))
     knee = np.array(calf.pos)
     across = np.array([-knee[2], 0.0, knee[0]])
@@ -153,7 +153,7 @@ def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
     assert ground is not None
     ground.contype, ground.conaffinity = floor
     stand = stand_of("original")
-    step = pa.Ground(heights={robot.feet[0]: 0.01})
+    step = pa.Ground(heights={robot.contact_points[0]: 0.01})
     there = on_ground(rebuild_robot(robot, mjcf=spec), step, stand.foot_targets)
     sunk = stand.qpos.copy()
     sunk[2] -= 2e-3
@@ -163,7 +163,7 @@ def test_feet_that_only_one_mask_lets_touch_the_floor_do_so_beside_a_step(
         ours = next(int(geom) for geom in pair if int(geom) in there.foot_geoms)
         other = next(int(geom) for geom in pair if int(geom) != ours)
         touched.append((there.foot_geoms[ours], name(other).name.startswith("step_")))
-    expected = {(other, other == robot.feet[0]) for other in robot.feet}
+    expected = {(other, other == robot.contact_points[0]) for other in robot.contact_points}
     assert set(touched) == expected
 
 
@@ -199,7 +199,9 @@ def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:
     qvel = np.zeros(robot.nv)
     qvel[5] = 50.0  # far beyond where friction saturates
     levers = rolling_levers(
-        pa.Configuration(robot, stand.qpos, qvel), np.zeros(robot.nv), dict.fromkeys(robot.feet, UP)
+        pa.Configuration(robot, stand.qpos, qvel),
+        np.zeros(robot.nv),
+        dict.fromkeys(robot.contact_points, UP),
     )
     for foot, lever in levers.items():
         spin, roll = robot.contacts[foot].friction[2:4]
@@ -234,7 +236,7 @@ def test_it_takes_less_to_tip_a_robot_to_where_its_com_is_nearer_to_the_edge() -
         arm, axes = data.xipos[body] - com, data.ximat[body].reshape(3, 3)
         tensor = axes @ np.diag(robot.mj_model.body_inertia[body]) @ axes.T
         about += np.diag(tensor) + robot.mj_model.body_mass[body] * (arm @ arm - arm**2)
-    mass, radius = robot.total_mass, robot.foot_radius[robot.feet[0]]
+    mass, radius = robot.total_mass, robot.contact_radius[robot.contact_points[0]]
     for impulse, edge in zip(found, (feet[:, 0].max(), feet[:, 0].min()), strict=True):
         over, height = abs(edge - com[0]), com[2] - radius
         inertia = about[1] + mass * (over**2 + com[2] ** 2)

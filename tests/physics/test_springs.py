@@ -60,7 +60,7 @@ def test_motors_of_v3_hold_less_by_what_springs_in_its_knees_give(tmp_path: Path
     spec.compile()
     path.write_text(spec.to_xml())
     sprung = pa.load_robot(
-        urdf=plain.description.urdf_source, mjcf=path, feet=dict(plain.description.feet)
+        urdf=plain.description.urdf_source, mjcf=path, feet=dict(plain.description.contact_points)
     )
     stand = pa.solve_stand(sprung)
     config, other = pa.Configuration(sprung, stand.qpos), pa.Configuration(plain, stand.qpos)
@@ -137,14 +137,14 @@ def test_rates_are_those_of_finite_differences(tmp_path: Path) -> None:
     random = np.random.default_rng(3)
     qpos = pa.solve_stand(robot).qpos
     config = pa.Configuration(robot, qpos)
-    wrenches = {foot: random.normal(size=6) for foot in robot.feet}
+    wrenches = {foot: random.normal(size=6) for foot in robot.contact_points}
     rates = config.static_rates(wrenches)
 
     def left(joints: np.ndarray) -> np.ndarray:
         there = pa.Configuration(robot, np.concatenate([qpos[:7], joints]))
         load = there.load()
         for foot, wrench in wrenches.items():
-            load = load - there.frame_jacobian(robot.foot_frames[foot]).T @ wrench
+            load = load - there.frame_jacobian(robot.contact_frames[foot]).T @ wrench
         return load
 
     step = 1e-5

@@ -36,7 +36,7 @@ def stands(robot: Robot) -> pa.simulation.StandVerification:
 
 def test_nothing_is_named_and_it_stands(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path))
-    assert set(robot.soles) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
+    assert set(robot.feet) == {"FL_calf", "FR_calf", "RL_calf", "RR_calf"}
     assert "FL_calf on FL_calf" in said(robot, "feet detected")
     assert "'home'" in said(robot, "start pose")
     said(robot, "a plane with MuJoCo's default contact was added")
@@ -96,7 +96,7 @@ def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> No
 def test_but_not_if_it_shall_be_fixed(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, free=False), fixed_base=True)
     assert not robot.floating
-    assert not robot.soles
+    assert not robot.feet
 
 
 def test_names_that_differ_by_a_prefix(tmp_path: Path) -> None:
@@ -131,10 +131,10 @@ def test_feet_that_are_named_in_one_file_only(name: str, frame: object, tmp_path
     if isinstance(frame, tuple):
         feet["FL"] = frame
     robot = load(pair, feet=feet)
-    assert set(robot.soles) == {"FL", "FR", "RL", "RR"}
+    assert set(robot.feet) == {"FL", "FR", "RL", "RR"}
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL"]
     np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=1e-12)
-    assert robot.foot_radius["FL"] == 0.02
+    assert robot.contact_radius["FL"] == 0.02
 
 
 def test_a_foot_that_neither_file_has(tmp_path: Path) -> None:
@@ -160,12 +160,12 @@ COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
 @pytest.mark.parametrize("shape", BIPED_FEET)
 def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
-    assert {foot: len(points) for foot, points in robot.soles.items()} == {
+    assert {foot: len(points) for foot, points in robot.feet.items()} == {
         "left_tilt_link": COUNTS[shape],
         "right_tilt_link": COUNTS[shape],
     }
     found = stands(robot)
-    assert set(found.foot_forces) == set(robot.soles)
+    assert set(found.foot_forces) == set(robot.feet)
     weight = robot.total_mass * 9.81
     for force in found.foot_forces.values():
         assert force[2] == pytest.approx(weight / 2, rel=1e-3)
@@ -194,7 +194,7 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
     held = pa.stance.stand_statics(robot, stand)
     ankle = robot.joint_names.index("left_ankle")
     joint = pa.Configuration(robot, stand.qpos).joint_position("left_ankle")
-    points = robot.soles["left_tilt_link"]
+    points = robot.feet["left_tilt_link"]
     about = sum(
         np.cross(held.contact_points[point] - joint, held.contact_forces[point]) for point in points
     )
@@ -237,7 +237,7 @@ def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
     stand = pa.solve_stand(robot, pa.StandTask(ground=ground))
     centres = pa.Configuration(robot, stand.qpos).foot_positions()
     for point, place in centres.items():
-        assert place @ ground.normal() == pytest.approx(robot.foot_radius[point], abs=1e-9)
+        assert place @ ground.normal() == pytest.approx(robot.contact_radius[point], abs=1e-9)
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, stand.task)).passed
 
 
@@ -248,10 +248,10 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     stand = pa.solve_stand(robot, task)
     assert robot.feet_with(stand.stance_feet) == ("right_tilt_link",)
     centres = pa.Configuration(robot, stand.qpos).foot_positions()
-    for point in robot.soles["left_tilt_link"]:
+    for point in robot.feet["left_tilt_link"]:
         assert centres[point][2] == pytest.approx(0.03, abs=1e-9)
     held = pa.stance.stand_statics(robot, stand)
-    assert held.contact_forces.keys() == set(robot.soles["right_tilt_link"])
+    assert held.contact_forces.keys() == set(robot.feet["right_tilt_link"])
 
 
 @pytest.mark.slow
@@ -262,7 +262,7 @@ def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=ground))
     heights = {
         foot: min(stand.contact_points[point][2] for point in points)
-        for foot, points in robot.soles.items()
+        for foot, points in robot.feet.items()
     }
     assert heights["left_tilt_link"] - heights["right_tilt_link"] == pytest.approx(0.03, abs=1e-9)
     found = pa.verify_stand(robot, stand)
@@ -276,7 +276,7 @@ def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> Non
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
     ground = pa.Ground(slope=0.08, uphill=0.5, heights=heights)
     stand = pa.stance.solve_stand_on_soft_ground(robot, pa.StandTask(ground=ground))
-    for foot, points in robot.soles.items():
+    for foot, points in robot.feet.items():
         for point in points:
             place = stand.contact_points[point]
             assert ground.height(place[:2], foot) == pytest.approx(place[2], abs=1e-9)
@@ -318,7 +318,7 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
-    assert len(robot.soles) == 4
+    assert len(robot.feet) == 4
 
 
 @pytest.mark.slow
@@ -369,7 +369,7 @@ def test_a_round_mesh_is_a_ball(tmp_path: Path) -> None:
     pair.mjcf.write_text(mjcf)
     robot = load(pair)
     said(robot, "replaced by fitted spheres")
-    for radius in robot.foot_radius.values():
+    for radius in robot.contact_radius.values():
         assert radius == pytest.approx(0.025, abs=3e-4)  # facets are a little inside
     place = pa.Configuration(robot, robot.neutral()).foot_positions()["FL_calf"]
     np.testing.assert_allclose(place, [0.2, 0.15, -0.4], atol=3e-4)
@@ -380,7 +380,7 @@ def test_feet_that_touch_only_certain_shapes_touch_a_floor_that_is_added(tmp_pat
     """As Cassie's, whose left and right legs have bits of their own."""
     foot = '<geom type="sphere" size="0.02" pos="0 0 -0.2" contype="2" conaffinity="4"/>'
     robot = load(quadruped(tmp_path, foot=foot))
-    assert len(robot.feet) == 4
+    assert len(robot.contact_points) == 4
     stands(robot)
 
 
@@ -508,7 +508,7 @@ def test_a_leg_of_three_joints_has_one_contact_point(tmp_path: Path) -> None:
     """It cannot lay its box flat: the box's lowest corner touches, in the start pose."""
     box = '<geom type="box" size="0.02 0.02 0.02" pos="0 0 -0.2"/>'
     robot = load(quadruped(tmp_path, foot=box))
-    assert all(len(points) == 1 for points in robot.soles.values())
+    assert all(len(points) == 1 for points in robot.feet.values())
 
 
 def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
@@ -566,7 +566,7 @@ def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path
     robot = load(biped(tmp_path))
     again = pickle.loads(pickle.dumps(robot))
     assert (again.fingerprint, again.notes) == (robot.fingerprint, robot.notes)
-    assert dict(again.soles) == dict(robot.soles)
+    assert dict(again.feet) == dict(robot.feet)
     one, two = (pa.stance.solve_stand_on_soft_ground(each) for each in (robot, again))
     np.testing.assert_array_equal(one.qpos, two.qpos)
     assert pa.verify_stand(again, two).torque_error < 1e-6

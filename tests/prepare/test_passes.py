@@ -61,7 +61,7 @@ def test_each_note_of_a_robot_is_told_by_one_pass(tmp_path: Path) -> None:
     assert done["free-base"] == done["narrow-limits"] == done["solve-exactly"] == []
     of_passes = [note for run in told.passes for note in run.done]
     assert list(robot.notes[: len(of_passes)]) == of_passes
-    assert told.feet == tuple(robot.soles)
+    assert told.feet == tuple(robot.feet)
     assert told.mass == pytest.approx(float(robot.mj_model.body_mass.sum()))
 
 
@@ -169,6 +169,6 @@ def test_the_command_prints_the_passes_in_their_order(tmp_path: Path) -> None:
 
 def test_files_that_are_ready_need_no_pass() -> None:
     files = read_urdf("urdf/pupper_skeleton.urdf"), read_mjcf("mjcf/pupper_skeleton.xml")
-    feet = pa.load_variant("original").description.feet
+    feet = pa.load_variant("original").description.contact_points
     told, _ = explain_loading(*files, Request(feet=feet))
     assert told.passes == ()

@@ -34,15 +34,15 @@ def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
     robot = load(pair)
     assert any(note.code == "balls-for-soles" for note in robot.notes)
-    for points in robot.soles.values():
+    for points in robot.feet.values():
         assert len(points) == 8
-        assert {robot.foot_radius[point] for point in points} == {2e-3}
+        assert {robot.contact_radius[point] for point in points} == {2e-3}
     for shape in range(robot.mj_model.ngeom):
         if robot.mj_model.geom_type[shape] == mujoco.mjtGeom.mjGEOM_MESH.value:
             assert robot.mj_model.geom_contype[shape] == 0
     # The shoe's lowest points are 60 mm below its frame, and from -60 to 120 mm along it.
     places = pa.Configuration(robot, robot.neutral()).foot_positions()
-    soles = np.array([places[point] for point in robot.soles["left_tilt_link"]])
+    soles = np.array([places[point] for point in robot.feet["left_tilt_link"]])
     tilt = pa.Configuration(robot, robot.neutral()).joint_position("left_tilt")
     np.testing.assert_allclose(soles[:, 2] - tilt[2], -0.06 + 2e-3, atol=1e-9)
     assert 0.17 < np.ptp(soles[:, 0]) < 0.18  # the corners are inside of what is round
@@ -64,8 +64,8 @@ def test_the_balls_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
             numbers[number] = repr(float(-0.06 - 5e-5 * random.uniform()))
     pair.mjcf.write_text(text[:start] + " ".join(numbers) + text[text.index('"', start) :])
     robot = load(pair)
-    for points in robot.soles.values():
-        places = np.array([robot.foot_places[point][1] for point in points])
+    for points in robot.feet.values():
+        places = np.array([robot.contact_places[point][1] for point in points])
         assert len(places) == 8
         assert np.linalg.svd(places - places.mean(axis=0))[1][2] < 1e-9
     holds(robot, within=1e-8)  # 3e-5 with balls where the mesh has its corners
@@ -83,7 +83,7 @@ def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> No
     pair.mjcf.write_text(text[:start] + box + text[text.index('"', start) :])
     robot = load(pair)
     assert not any("small balls" in str(note) for note in robot.notes)
-    assert {len(points) for points in robot.soles.values()} == {4}
+    assert {len(points) for points in robot.feet.values()} == {4}
     holds(robot, within=1e-5)
 
 
@@ -107,7 +107,7 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     pair = held(biped(tmp_path, BIPED_FEET[shape]), "_yaw", "_tilt")
     robot = load(aside(pair, 2e-6))
     assert robot.nu == 8
-    assert len(robot.feet) == 8
+    assert len(robot.contact_points) == 8
     assert any(note.code == "com-anywhere-inside" for note in robot.notes)
     stand = holds(robot, within=1e-2)
     assert stand.foot_error < 1e-9
@@ -133,7 +133,7 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
     assert robot.nu == 10
     stand = holds(robot, within=1e-4)  # 1e-2 with the com in the middle
     config = pa.Configuration(robot, stand.qpos)
-    for points in robot.soles.values():
+    for points in robot.feet.values():
         heights = [config.foot_positions()[point][2] for point in points]
         assert np.ptp(heights) < 1e-6
 
@@ -165,7 +165,7 @@ def test_legs_of_four_joints_that_tilt_their_feet_have_one_point_each(tmp_path: 
 
 def test_a_quadruped_with_boxes_at_three_joints_has_points(tmp_path: Path) -> None:
     foot = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2"/>'
-    assert len(load(quadruped(tmp_path, foot=foot)).feet) == 4
+    assert len(load(quadruped(tmp_path, foot=foot)).contact_points) == 4
 
 
 @pytest.mark.slow
@@ -225,7 +225,7 @@ def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> N
         assert min(away) < 1.1e-4
         assert touch.dist == pytest.approx(-1e-4, abs=1e-6)
     if len(set(size.split())) == 1:
-        assert set(robot.foot_radius.values()) == {0.02}
+        assert set(robot.contact_radius.values()) == {0.02}
         assert (
             pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).torque_error < 1e-5
         )
@@ -235,8 +235,8 @@ def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> N
 def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
     """At the cylinder's radius, 90 mm from its axis, and not at its half length."""
     robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))
-    for points in robot.soles.values():
-        places = np.array([robot.foot_places[point][1] for point in points])
+    for points in robot.feet.values():
+        places = np.array([robot.contact_places[point][1] for point in points])
         assert len(points) >= 3
         from_axis = np.linalg.norm(places[:, :2] - (0.03, 0.0), axis=1)
         np.testing.assert_allclose(from_axis, 0.09, rtol=0.02)

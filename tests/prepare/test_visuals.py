@@ -48,7 +48,7 @@ def test_a_loaded_robot_has_its_visuals(tmp_path: Path) -> None:
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
     assert robot.mj_model.geom("hat").contype[0] == 0
     assert not robot.description.mjcf.compiler.discardvisual
-    assert set(robot.foot_geoms.values()) == set(robot.soles)
+    assert set(robot.foot_geoms.values()) == set(robot.feet)
     for geom in robot.foot_geoms:
         assert robot.mj_model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_SPHERE.value
 

@@ -31,7 +31,7 @@ def test_demos_move_as_they_are_named() -> None:
     assert lift.loads[:, foot].min() == 0.0
     highest = lift.qpos[int(lift.clearance[:, foot].argmax())]
     raised = Configuration(robot, highest).foot_positions()["FL"][2]
-    assert raised == pytest.approx(robot.foot_radius["FL"] + 0.02)
+    assert raised == pytest.approx(robot.contact_radius["FL"] + 0.02)
 
 
 @pytest.mark.slow

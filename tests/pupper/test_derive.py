@@ -50,7 +50,7 @@ def test_urdf_and_mjcf_agree_at_any_scale(
     robot = pa.load_variant(pa.pupper.VariantSpec(base, leg_scale, torso_mass_scale))
     assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-9)
     config, mj = pa.Configuration(robot, robot.neutral()), mujoco_at(robot, robot.neutral())
-    for foot, frame in robot.foot_frames.items():
+    for foot, frame in robot.contact_frames.items():
         np.testing.assert_allclose(config.foot_positions()[foot], mj.site(frame).xpos, atol=1e-12)
 
 
@@ -317,7 +317,7 @@ def test_home_keeps_its_clearance(base: str, scale: float) -> None:
 def reloaded(variant: str, folder: Path) -> pa.Robot:
     paths = pa.pupper.write_variant(variant, folder)
     return pa.load_robot(
-        urdf=paths[0], mjcf=paths[1], feet=dict(load(variant).foot_frames), name=variant
+        urdf=paths[0], mjcf=paths[1], feet=dict(load(variant).contact_frames), name=variant
     )
 
 
@@ -378,7 +378,7 @@ def test_written_files_move_like_the_variant(
 def test_any_scale_is_written_without_loss(tmp_path: Path) -> None:
     spec = pa.pupper.VariantSpec("v3", 1 / 3, np.pi, name="odd")
     paths = pa.pupper.write_variant(spec, tmp_path)
-    feet = list(load("v3").foot_frames.values())
+    feet = list(load("v3").contact_frames.values())
     again = pa.load_robot(urdf=paths[0], mjcf=paths[1], feet=feet)
     ours = pa.load_variant(spec)
     assert again.name == "odd"

@@ -124,12 +124,12 @@ def test_feet_and_com_at_zero_angles(
     base: str, feet: dict[str, tuple[float, ...]], com: tuple[float, ...]
 ) -> None:
     robot = load(base)
-    assert robot.feet == tuple(feet)
+    assert robot.contact_points == tuple(feet)
     config = pa.Configuration(robot, robot.neutral())
     mj = mujoco_at(robot, robot.neutral())
     for foot, place in feet.items():
         np.testing.assert_allclose(config.foot_positions()[foot], place, atol=1e-9)
-        np.testing.assert_allclose(mj.site(robot.foot_frames[foot]).xpos, place, atol=1e-9)
+        np.testing.assert_allclose(mj.site(robot.contact_frames[foot]).xpos, place, atol=1e-9)
     np.testing.assert_allclose(config.center_of_mass(), com, atol=1e-8)
     np.testing.assert_allclose(mj.body("base_link").subtree_com, com, atol=1e-8)
 
@@ -435,7 +435,7 @@ def test_feet_are_spheres_of_the_robots_radius(
 ) -> None:
     robot = load(base)
     model = robot.mj_model
-    for frame in robot.foot_frames.values():
+    for frame in robot.contact_frames.values():
         site = model.site(frame)
         touching = [
             geom
@@ -548,7 +548,7 @@ def test_fixed_variant_moves_like_the_fixed_file(share: np.ndarray) -> None:
     matrix = np.zeros((12, 12))
     mujoco.mj_fullM(model, data, matrix)
     np.testing.assert_allclose(config.mass_matrix(), matrix, atol=1e-14)
-    for foot, frame in robot.foot_frames.items():
+    for foot, frame in robot.contact_frames.items():
         np.testing.assert_allclose(config.foot_positions()[foot], data.site(frame).xpos, atol=1e-14)
 
 

@@ -90,7 +90,7 @@ def test_legs_end_at_the_feet_of_the_urdf(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
     feet = pa.Configuration(robot, qpos).foot_positions()
     legs = draw_skeleton(robot, qpos).legs
-    assert set(legs) == set(robot.feet)
+    assert set(legs) == set(robot.contact_points)
     for foot, leg in legs.items():
         assert leg.shape == (4, 3)  # three joints and the foot
         np.testing.assert_allclose(leg[-1], feet[foot], atol=1e-9)
@@ -101,7 +101,7 @@ def test_legs_keep_their_lengths_when_they_move(name: str) -> None:
     robot, qpos = load(name), stand_of(name).qpos
     moved = draw_skeleton(robot, qpos).legs
     still = draw_skeleton(robot, robot.neutral()).legs
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         lengths = [np.linalg.norm(np.diff(legs[foot], axis=0), axis=1) for legs in (moved, still)]
         np.testing.assert_allclose(*lengths, atol=1e-12)
 

@@ -70,9 +70,9 @@ def without_loops(robot: Robot, qpos: np.ndarray, forces: dict[str, np.ndarray])
     mujoco.mj_fwdVelocity(model, data)
     left, jacobian = data.qfrc_bias.copy(), np.zeros((3, model.nv))
     for foot, force in forces.items():
-        body, place = robot.foot_places[foot]
+        body, place = robot.contact_places[foot]
         point = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-        point[2] -= robot.foot_radius[foot]
+        point[2] -= robot.contact_radius[foot]
         mujoco.mj_jac(model, data, jacobian, None, point, body)
         left -= jacobian.T @ force
     return left[robot.mj_convention.qvel_index[6:]]

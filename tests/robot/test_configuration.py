@@ -94,7 +94,7 @@ def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> 
     np.testing.assert_allclose(
         config.com_jacobian() @ qvel, rate(lambda at: at.center_of_mass()), atol=1e-7
     )
-    frame = next(iter(any_robot.foot_frames.values()))
+    frame = next(iter(any_robot.contact_frames.values()))
     spin = rate(lambda at: at.frame_rotation(frame)) @ config.frame_rotation(frame).T
     omega = config.frame_jacobian(frame)[3:] @ qvel
     np.testing.assert_allclose([spin[2, 1], spin[0, 2], spin[1, 0]], omega, atol=1e-7)
@@ -102,7 +102,7 @@ def test_jacobians_are_derivatives(any_robot: pa.Robot, data: st.DataObject) -> 
 
 def test_a_point_that_is_offset_from_a_frame_moves_with_it() -> None:
     robot, offset = load("v3"), np.array([0.03, -0.05, 0.07])
-    frame, (qpos, qvel) = next(iter(robot.foot_frames.values())), random_state(robot, 5)
+    frame, (qpos, qvel) = next(iter(robot.contact_frames.values())), random_state(robot, 5)
     config = pa.Configuration(robot, qpos)
     held = config.frame_rotation(frame).T @ offset
 
@@ -123,9 +123,9 @@ def test_contact_jacobian_follows_the_material_point(
     config = pa.Configuration(any_robot, qpos)
     points, centres = config.contact_points(), config.foot_positions()
     for foot, jacobian in config.contact_jacobians().items():
-        frame = any_robot.foot_frames[foot]
+        frame = any_robot.contact_frames[foot]
         down = points[foot] - centres[foot]
-        np.testing.assert_allclose(down, [0, 0, -any_robot.foot_radius[foot]], atol=1e-15)
+        np.testing.assert_allclose(down, [0, 0, -any_robot.contact_radius[foot]], atol=1e-15)
         marked = config.frame_rotation(frame).T @ down
 
         def material(at: np.ndarray, frame: str = frame, mark: np.ndarray = marked) -> np.ndarray:

@@ -78,7 +78,7 @@ def test_a_frictionless_contact_has_no_friction() -> None:
 def test_feet_on_the_ground(name: str, friction: float, condim: int) -> None:
     """v3's feet say 0.8, but the floor's 1.0 is greater; the skeleton's 1.2 is."""
     robot = load(name)
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         assert robot.contacts[foot].sliding_friction == friction
         assert robot.contacts[foot].condim == condim
     if name == "v3":  # the mean of the foot's 0.015 and the floor's 0.9
@@ -110,7 +110,7 @@ def test_ground_is_the_plane_fixed_to_the_world() -> None:
 def test_foot_geom_is_the_sphere_that_touches() -> None:
     robot = load("v3")
     model = robot.mj_model
-    site = model.site(robot.foot_frames["FR"])
+    site = model.site(robot.contact_frames["FR"])
     found = contact.foot_geom(model, int(site.bodyid[0]), site.pos)
     assert found is not None
     assert model.geom_conaffinity[found] == 1  # not the drawn one at the same place

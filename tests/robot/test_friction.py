@@ -52,7 +52,7 @@ def test_of_a_robot(name: str) -> None:
     friction = DryFriction.of(robot)
     v3 = name.startswith("v3")
     np.testing.assert_array_equal(friction.joints, np.full(robot.nu, 0.01 if v3 else 0.002))
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         expected = (0.01, 0.01, 0.02) if v3 else (0, 0, 0)
         np.testing.assert_allclose(friction.turning[foot], expected)
         assert friction.sliding[foot] == pytest.approx(1.0 if v3 else 1.2)

@@ -64,7 +64,7 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     np.testing.assert_array_equal(loaded.effort_limits, robot.effort_limits / 2)
     assert loaded.joint_names == robot.joint_names
     assert loaded.stand_height == robot.stand_height
-    assert loaded.feet == robot.feet
+    assert loaded.contact_points == robot.contact_points
     assert with_payload(robot, 0.0) is robot
     twice = with_payload(with_payload(robot, 1.0, POINT), 1.0, POINT)
     once = with_payload(robot, 2.0, POINT)
@@ -108,7 +108,7 @@ def test_a_fixed_base_carries_nothing() -> None:
 def test_contacts_are_as_soft_as_mujoco_has_them_under_the_load() -> None:
     """MuJoCo's contact stiffness is derived from the masses: the foot's inverse weight changes."""
     robot, loaded = load("v3"), with_payload(load("v3"), 5.0)
-    foot = robot.foot_places["FR"][0]
+    foot = robot.contact_places["FR"][0]
     light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
     assert heavy < light
     stand = solve_loaded_stand(loaded, stand_of("v3"))

@@ -41,9 +41,9 @@ def replaced(text: str, old: str, new: str) -> str:
 def test_the_shipped_files_are_the_variant(name: str) -> None:
     ours = load(name)
     files = Files(ROOT / f"urdf/{BASES[name]}.urdf", ROOT / f"mjcf/{BASES[name]}.xml")
-    robot = load_files(files, feet=dict(ours.foot_frames))
+    robot = load_files(files, feet=dict(ours.contact_frames))
     assert robot.name == BASES[name]
-    assert robot.feet == ours.feet
+    assert robot.contact_points == ours.contact_points
     assert robot.joint_names == ours.joint_names
     assert (robot.base, robot.mj_base, robot.imu) == ("base_link", "base_link", "body_imu_site")
     assert_same_bodies(pinocchio_bodies(robot), pinocchio_bodies(ours), 1e-15)
@@ -51,10 +51,10 @@ def test_the_shipped_files_are_the_variant(name: str) -> None:
 
 
 def test_feet_may_be_a_list_of_frames(tiny: pa.Robot, tiny_files: Files) -> None:
-    assert tiny.feet == ("foot",)
+    assert tiny.contact_points == ("foot",)
     renamed = load_files(tiny_files, feet={"left": "foot"}, name="other")
-    assert renamed.feet == ("left",)
-    assert renamed.foot_frames == {"left": "foot"}
+    assert renamed.contact_points == ("left",)
+    assert renamed.contact_frames == {"left": "foot"}
     assert (tiny.name, renamed.name) == ("tiny", "other")
 
 
@@ -163,7 +163,7 @@ def test_a_foot_may_be_a_body_or_a_geom(tmp_path: Path, kind: str) -> None:
         )
         mjcf = replaced(mjcf, sphere, body)
     robot = load_files(write(tmp_path, mjcf=mjcf))
-    assert robot.foot_radius["foot"] == 0.02
+    assert robot.contact_radius["foot"] == 0.02
 
 
 def test_shipped_robots_are_loaded(robot: pa.Robot, variant: str) -> None:
@@ -171,7 +171,7 @@ def test_shipped_robots_are_loaded(robot: pa.Robot, variant: str) -> None:
     assert robot.imu == "body_imu_site"
     assert robot.floating
     radius = 0.01995 if variant.startswith("v3") else 0.018
-    assert set(robot.foot_radius.values()) == {radius}
+    assert set(robot.contact_radius.values()) == {radius}
     effort = 3.0 if variant.startswith("v3") else 18.0
     np.testing.assert_array_equal(robot.effort_limits, [effort] * 12)
     assert (robot.lower_limits < robot.upper_limits).all()
@@ -183,7 +183,7 @@ def test_a_robot_cannot_be_changed() -> None:
     with pytest.raises(FrozenInstanceError):
         load("v3").name = "other"  # type: ignore[misc]
     with pytest.raises(TypeError):
-        load("v3").foot_radius["FR"] = 1.0  # type: ignore[index]
+        load("v3").contact_radius["FR"] = 1.0  # type: ignore[index]
     assert load("v3").check_foot("FR") == "FR"
 
 

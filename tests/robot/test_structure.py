@@ -134,7 +134,7 @@ def test_public_coordinates_are_those_of_the_convention(any_robot: pa.Robot) -> 
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         for foot, jacobian in config.foot_jacobians().items():
-            frame = model.getFrameId(any_robot.foot_frames[foot], pin.FrameType.BODY)
+            frame = model.getFrameId(any_robot.contact_frames[foot], pin.FrameType.BODY)
             local = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
             numbers_agree(jacobian, (local.reshape(6, -1) @ turn)[:3])
 
@@ -147,7 +147,7 @@ def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:
         order = np.random.default_rng(seed).permutation(any_robot.nu)
         names = [any_robot.joint_names[index] for index in order]
         convention = PinocchioConvention.of(model, names)
-        structure = Structure(model, convention, names, any_robot.foot_frames)
+        structure = Structure(model, convention, names, any_robot.contact_frames)
         mixed = np.concatenate([qpos[:base], qpos[base:][order]])
         held, q = structure.workspace(), structure.q(mixed)
         data, turn = model.createData(), convention.velocity_map(mixed)
@@ -190,12 +190,12 @@ def test_rates_of_joints_in_another_order(tiny: pa.Robot) -> None:
     """Rows and columns of what gravity and a foot's wrench do, against differences of both."""
     rng = np.random.default_rng(4)
     config = pa.Configuration(tiny, integrate_step(tiny.neutral(), 0.3 * rng.normal(size=tiny.nv)))
-    wrenches = {foot: rng.normal(size=6) for foot in tiny.feet}
+    wrenches = {foot: rng.normal(size=6) for foot in tiny.contact_points}
 
     def left(step: np.ndarray) -> np.ndarray:
         at = pa.Configuration(tiny, integrate_step(config.qpos, step))
         return at.gravity() - sum(
-            at.frame_jacobian(tiny.foot_frames[foot]).T @ wrench
+            at.frame_jacobian(tiny.contact_frames[foot]).T @ wrench
             for foot, wrench in wrenches.items()
         )
 

@@ -25,7 +25,7 @@ def outcome(seed: int, folder: Path) -> set[str]:
     pair = random_legged.written(drawn, folder)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     legs = {link.name for link in drawn.links if link.shape and link.joint != "wag"}
-    assert len(robot.soles) == len(legs)
+    assert len(robot.feet) == len(legs)
     efforts = {link.joint: link.effort for link in drawn.links}
     limits = dict(zip(robot.joint_names, robot.effort_limits, strict=True))
     for name, limit in limits.items():

@@ -427,7 +427,7 @@ def test_a_humanoid_on_two_flat_feet() -> None:
     held = pa.verify_stand(robot, stand)
     assert held.passed, held.failures
     assert max(held.torque_error, held.force_error) < 1e-4
-    assert {foot: len(points) for foot, points in robot.soles.items()} == {
+    assert {foot: len(points) for foot, points in robot.feet.items()} == {
         "left_ankle_roll_link": 14,
         "right_ankle_roll_link": 14,
     }

@@ -74,7 +74,7 @@ def test_wheels_touch_below_their_axles(tmp_path: Path) -> None:
     """Forces pass through the axles, wherever the wheels turned: they hold nothing."""
     files = wheeled(tmp_path, "FL", "FR", "RL", "RR", aside=0.004)
     robot = pa.load_robot(urdf=files.urdf, mjcf=files.mjcf)
-    assert set(robot.foot_radius.values()) == {RADIUS}
+    assert set(robot.contact_radius.values()) == {RADIUS}
     assert not can_move_com(robot)
     stand = pa.stance.solve_stand_on_soft_ground(robot)
     seen = pa.verify_stand(robot, stand)

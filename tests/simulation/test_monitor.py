@@ -38,13 +38,13 @@ def test_feet_in_the_air_on_the_ground_and_in_it() -> None:
     seen = watcher.look(state_at(robot, drive.model, above), ctrl)
     assert seen.forces == {}
     assert seen.bodies == set()
-    assert seen.idle(robot.feet) == list(robot.feet)
+    assert seen.idle(robot.contact_points) == list(robot.contact_points)
     for foot, centre in watcher.foot_centres().items():
         expected = stand.foot_targets[foot] + [0, 0, 0.01]
         np.testing.assert_allclose(centre, expected, atol=1e-9)
     seen = watcher.look(state_at(robot, drive.model, in_ground), ctrl)
-    assert set(seen.forces) == set(robot.feet)
-    assert seen.idle(robot.feet) == []
+    assert set(seen.forces) == set(robot.contact_points)
+    assert seen.idle(robot.contact_points) == []
     assert watcher.touching(state_at(robot, drive.model, in_ground)) == set()
 
 

@@ -175,7 +175,7 @@ def test_estimate_is_near_that_of_a_point_mass() -> None:
     config = pa.Configuration(robot, stand.qpos)
     com = config.center_of_mass()
     estimate = tipping_impulses(config, com, np.array([[1.0, 0.0], [0.0, 1.0]]))
-    radius = robot.foot_radius["FL"]
+    radius = robot.contact_radius["FL"]
     front = stand.foot_targets["FL"][0] - com[0]
     height = com[2] - radius
     rise = math.hypot(height, front) - height
@@ -198,7 +198,7 @@ def test_estimate_has_the_inertia_of_all_bodies_about_the_hinge() -> None:
         inertia += robot.mj_model.body_inertia[body] @ (axes.T @ hinge) ** 2
         inertia += robot.mj_model.body_mass[body] * float(np.sum(np.cross(hinge, arm) ** 2))
     lever = np.cross(hinge, com - one)
-    height, far = com[2] - one[2] - robot.foot_radius["FL"], one[0] - com[0]
+    height, far = com[2] - one[2] - robot.contact_radius["FL"], one[0] - com[0]
     energy = robot.total_mass * 9.81 * (math.hypot(height, far) - height)
     expected = math.sqrt(2 * inertia * energy) / abs(lever[0])
     assert estimate == pytest.approx(expected, rel=1e-6)
@@ -325,7 +325,8 @@ def test_three_legs_slopes_and_steps(task: pa.StandTask) -> None:
         axes = np.array([[1.0, 1.0]]) / math.sqrt(2)
         point = np.asarray(result.point)
         three, four = (
-            tipping_impulses(config, point, axes, feet) for feet in (stand.stance_feet, robot.feet)
+            tipping_impulses(config, point, axes, feet)
+            for feet in (stand.stance_feet, robot.contact_points)
         )
         assert three < four
         assert result.impulses[1] > three

@@ -130,7 +130,7 @@ def test_sag_is_explained(variant: str) -> None:
         np.abs(sunk - stand.qpos)[7:].max(), rel=0.02, abs=1e-6
     )
     feet = pa.Configuration(robot, sunk).foot_positions()
-    lower = stand.qpos[2] - (height_on(np.array(list(feet.values()))) + robot.foot_radius["FR"])
+    lower = stand.qpos[2] - (height_on(np.array(list(feet.values()))) + robot.contact_radius["FR"])
     assert result.servo_sag == pytest.approx(lower, rel=0.03)
 
 
@@ -275,7 +275,7 @@ def bent(name: str, leg: str, joint: int, angle: float) -> pa.Stand:
     """The stand with one joint of one leg bent."""
     stand = stand_of(name)
     qpos = stand.qpos.copy()
-    qpos[7 + 3 * load(name).feet.index(leg) + joint] += angle
+    qpos[7 + 3 * load(name).contact_points.index(leg) + joint] += angle
     return replace(stand, qpos=qpos)
 
 

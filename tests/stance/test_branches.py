@@ -38,7 +38,7 @@ def goals(name: str, seed: int) -> tuple[pa.Robot, np.ndarray, dict[str, np.ndar
 def test_a_limb_is_a_leg(name: str) -> None:
     robot = load(name)
     found = find_limbs(robot)
-    assert [limb.feet for limb in found] == [(foot,) for foot in robot.feet]
+    assert [limb.feet for limb in found] == [(foot,) for foot in robot.contact_points]
     assert sorted(np.concatenate([limb.joints for limb in found])) == list(range(12))
 
 
@@ -47,7 +47,7 @@ def places_by_mujoco(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]
     mujoco.mj_kinematics(robot.mj_model, data)
     return {
         foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-        for foot, (body, place) in robot.foot_places.items()
+        for foot, (body, place) in robot.contact_places.items()
     }
 
 

@@ -148,7 +148,7 @@ def test_a_calf_may_be_as_deep_as_its_foot() -> None:
     """The skeleton's calf ends in its foot, 7 mm above the ground; a sunk foot takes it along."""
     robot, shapes = load("original"), ClearanceShapes(load("original"))
     stand = pa.solve_stand(robot)
-    places, deep = stand.foot_targets, dict.fromkeys(robot.feet, 0.009)
+    places, deep = stand.foot_targets, dict.fromkeys(robot.contact_points, 0.009)
     qpos = stand.qpos.copy()
     qpos[2] -= 0.009
     rigid, soft = (shapes.above_ground(shapes.at(qpos), pa.Ground(), places, d) for d in ({}, deep))
@@ -306,9 +306,9 @@ def test_a_stand_that_leaves_the_base_millimetres_is_found() -> None:
     data = mujoco_at(robot, stand.qpos)
     mujoco.mj_kinematics(robot.mj_model, data)
     mujoco.mj_comPos(robot.mj_model, data)
-    for foot, (body, place) in robot.foot_places.items():
+    for foot, (body, place) in robot.contact_places.items():
         there = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-        assert there[2] == pytest.approx(robot.foot_radius[foot] + task.swing.get(foot, 0.0))
+        assert there[2] == pytest.approx(robot.contact_radius[foot] + task.swing.get(foot, 0.0))
     rear = min(stand.contact_points[foot][0] for foot in ("RR", "RL"))
     assert data.subtree_com[0][0] > rear - 1e-9
     lowest = stand.ground_clearance

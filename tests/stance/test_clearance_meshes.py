@@ -106,7 +106,7 @@ def test_heights_are_those_of_mujocos_hulls(robot: pa.Robot, ground: pa.Ground) 
 def test_heights_above_steps_are_mujocos(robot: pa.Robot) -> None:
     """What is nearest is a step or the plane; of shapes in each other the depths differ."""
     shapes = ClearanceShapes(robot)
-    ground = pa.Ground(0.2, 0.8, dict(zip(robot.feet, (0.05, 0.08), strict=False)))
+    ground = pa.Ground(0.2, 0.8, dict(zip(robot.contact_points, (0.05, 0.08), strict=False)))
     places = pa.Configuration(robot, robot.home).foot_positions()
     there, seen = on_ground(robot, ground, places), 0
     model = there.mj_model

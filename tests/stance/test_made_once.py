@@ -25,7 +25,7 @@ def tasks(robot: pa.Robot) -> list[pa.StandTask]:
         pa.StandTask(height=0.93 * robot.stand_height, roll=0.05, pitch=-0.04, yaw=0.1),
         pa.StandTask(offset=(0.01, -0.005), joint_margin=0.05),
         pa.StandTask(ground=pa.Ground(slope=0.1, uphill=0.7), com=(0.005, 0.004)),
-        pa.StandTask(foot_offsets={robot.feet[0]: (0.01, 0.0)}),
+        pa.StandTask(foot_offsets={robot.contact_points[0]: (0.01, 0.0)}),
     ]
 
 
@@ -107,7 +107,7 @@ def test_nobody_changes_what_stands_by_default_share() -> None:
 
 def test_a_depth_is_found_from_anywhere() -> None:
     robot = load("v3")
-    law = GroundLaw.of(robot, robot.feet[0])
+    law = GroundLaw.of(robot, robot.contact_points[0])
     for force in np.geomspace(1e-3, 1e3, 13):
         depth = law.depth(force)
         for near in (0.0, 0.1 * depth, 0.999 * depth, depth, 3 * depth, 1.0, -1.0):

@@ -16,7 +16,7 @@ def test_spheres_touch_plane_and_steps(name: str) -> None:
     goal = make_goal(robot, pa.StandTask(ground=ground, swing={"RR": 0.03}), {"FR": 0.002})
     normal = np.array([-np.sin(0.2) * np.cos(0.7), -np.sin(0.2) * np.sin(0.7), np.cos(0.2)])
     above = {foot: float(normal @ centre) for foot, centre in goal.targets.items()}
-    radius = robot.foot_radius
+    radius = robot.contact_radius
     assert above["FR"] == pytest.approx(radius["FR"] - 0.002)  # sunk along the normal
     assert above["FL"] == pytest.approx(radius["FL"] + 0.02 * np.cos(0.2))
     assert above["RR"] == pytest.approx(radius["RR"] + 0.03 * np.cos(0.2))

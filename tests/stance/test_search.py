@@ -53,7 +53,7 @@ def mujoco_feet(robot: pa.Robot, qpos: np.ndarray) -> dict[str, np.ndarray]:
     mujoco.mj_kinematics(robot.mj_model, data)
     return {
         foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-        for foot, (body, place) in robot.foot_places.items()
+        for foot, (body, place) in robot.contact_places.items()
     }
 
 
@@ -69,9 +69,9 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
         np.testing.assert_allclose(centre, stand.foot_targets[foot], atol=1e-9)
         above = centre[2] - task.swing.get(foot, 0.0) - ground.heights.get(foot, 0.0)
         distance = normal @ (centre[0], centre[1], above)
-        assert distance == pytest.approx(robot.foot_radius[foot], abs=1e-9)
-    assert set(stand.stance_feet) == set(robot.feet) - set(task.swing)
-    contacts = [feet[foot] - robot.foot_radius[foot] * normal for foot in stand.stance_feet]
+        assert distance == pytest.approx(robot.contact_radius[foot], abs=1e-9)
+    assert set(stand.stance_feet) == set(robot.contact_points) - set(task.swing)
+    contacts = [feet[foot] - robot.contact_radius[foot] * normal for foot in stand.stance_feet]
     centre = np.mean(contacts, axis=0)
     config = pa.Configuration(robot, stand.qpos)
     wanted = robot.stand_height if task.height is None else task.height
@@ -105,7 +105,7 @@ def test_three_legs_hold_for_six_seconds(name: str) -> None:
     """
     buckles = name == "v3-long-leg"
     robot = load(name)
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         task = pa.StandTask(swing={foot: 0.02}, com="inside", com_margin=0.01)
         stand = pa.stance.solve_stand_on_soft_ground(robot, task)
         report = pa.verify_stand(robot, stand, duration=6.0, nudged=0)
@@ -114,7 +114,7 @@ def test_three_legs_hold_for_six_seconds(name: str) -> None:
         assert report.torque_error < 1e-5
         assert report.foot_forces[foot] == pytest.approx(np.zeros(3))
         height = pa.Configuration(robot, stand.qpos).foot_positions()[foot][2]
-        assert height == pytest.approx(robot.foot_radius[foot] + 0.02, abs=1e-9)
+        assert height == pytest.approx(robot.contact_radius[foot] + 0.02, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", SKELETON_NAMES)
@@ -284,7 +284,7 @@ def test_a_foot_lifted_over_its_step_is_clear_of_it(slope: float) -> None:
     step = model.geom("step_FL")
     normal = ground.normal()
     above = (stand.foot_targets["FL"] - step.pos) @ normal - step.size[2]
-    assert above == pytest.approx(robot.foot_radius["FL"] + 0.015 * normal[2], abs=1e-9)
+    assert above == pytest.approx(robot.contact_radius["FL"] + 0.015 * normal[2], abs=1e-9)
     failures = pa.verify_stand(robot, stand).failures
     assert not any("touches" in str(failure) for failure in failures)
 
@@ -402,7 +402,7 @@ def test_a_step_has_the_floors_contact(priority: int) -> None:
         np.testing.assert_allclose(contact.friction, meant.friction, rtol=1e-12)
         np.testing.assert_allclose(contact.solref, meant.solref, rtol=1e-12)
         np.testing.assert_allclose(contact.solimp, meant.solimp, rtol=1e-12)
-    assert touched == {(foot, foot in heights) for foot in robot.feet}
+    assert touched == {(foot, foot in heights) for foot in robot.contact_points}
     assert (robot.contacts["FR"].friction[0] == 1.31) is (priority >= 0)
 
 

@@ -34,8 +34,8 @@ def check(robot: pa.Robot, stand: pa.Stand, task: pa.StandTask) -> None:
     base = mj.body(robot.mj_base)
     np.testing.assert_allclose(base.xmat.reshape(3, 3), rotation, atol=1e-9)
     assert base.xpos[2] == pytest.approx(task.height, abs=1e-9)
-    for foot, frame in robot.foot_frames.items():
-        target = [*start.site(frame).xpos[:2], robot.foot_radius[foot]]
+    for foot, frame in robot.contact_frames.items():
+        target = [*start.site(frame).xpos[:2], robot.contact_radius[foot]]
         np.testing.assert_allclose(stand.foot_targets[foot], target, atol=1e-12)
         np.testing.assert_allclose(mj.site(frame).xpos, target, atol=1e-9)
         np.testing.assert_allclose(config.foot_positions()[foot], target, atol=1e-9)
@@ -145,7 +145,7 @@ def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> N
         return
     assert refusal.shortfall
     assert all(1e-9 <= gap < 1 for gap in refusal.shortfall.values())
-    assert set(refusal.shortfall) <= set(robot.feet)
+    assert set(refusal.shortfall) <= set(robot.contact_points)
     assert set(refusal.at_limit) <= set(robot.joint_names)
     assert nearest(robot, task, stand_of(name).foot_targets, tries=6) > 1e-7
 

@@ -26,7 +26,7 @@ def wave(robot: pa.Robot, count: int, size: float = 1.0) -> list[pa.StandTask]:
             roll=0.05 * size * np.sin(phase),
             pitch=0.03 * size * np.sin(2 * phase),
             yaw=0.04 * size * np.cos(phase),
-            foot_offsets={robot.feet[0]: (0.004 * size * np.sin(phase), 0.0)},
+            foot_offsets={robot.contact_points[0]: (0.004 * size * np.sin(phase), 0.0)},
             ground=pa.Ground(slope=0.03 * size * (1 - np.cos(phase))),
         )
         for phase in phases
@@ -64,7 +64,9 @@ def test_tasks_in_any_order() -> None:
     """Far from the stand before it, a stand is still the single call's."""
     robot = load("v3")
     tasks = wave(robot, 12, 1.5)
-    tasks += [replace(tasks[2], swing={robot.feet[1]: 0.02}, com="inside", com_margin=0.004)]
+    tasks += [
+        replace(tasks[2], swing={robot.contact_points[1]: 0.02}, com="inside", com_margin=0.004)
+    ]
     tasks += [replace(tasks[5], offset=(0.004, -0.006), foot_offsets={})]
     tasks += [replace(tasks[7], self_clearance=0.001)]
     shuffled = [tasks[number] for number in np.random.default_rng(0).permutation(len(tasks))]

@@ -51,9 +51,9 @@ def test_balance_in_mujocos_terms(name: str) -> None:
         mujoco.mj_forward(robot.mj_model, data)
         for foot, force in found.contact_forces.items():
             linear, angular = np.zeros((2, 3, robot.mj_model.nv))
-            body, place = robot.foot_places[foot]
+            body, place = robot.contact_places[foot]
             centre = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
-            point = centre - robot.foot_radius[foot] * UP
+            point = centre - robot.contact_radius[foot] * UP
             mujoco.mj_jac(robot.mj_model, data, linear, angular, point, body)
             generalised = linear.T @ force + angular.T @ found.contact_moments[foot]
             remainder -= generalised[public.qvel_index]
@@ -124,15 +124,15 @@ def test_ground_resists_rolling_as_mujocos_does() -> None:
     config = pa.Configuration(robot, stand.qpos)
     stacked = np.concatenate([np.eye(robot.nv)[2:6], config.com_jacobian()[:2]])
     depth = max(stand.depths.values()) / 2  # MuJoCo has the contact half way
-    for foot in robot.feet:
-        offset = (depth - robot.foot_radius[foot]) * UP
-        rows = config.frame_jacobian(robot.foot_frames[foot], offset)[:3]
+    for foot in robot.contact_points:
+        offset = (depth - robot.contact_radius[foot]) * UP
+        rows = config.frame_jacobian(robot.contact_frames[foot], offset)[:3]
         stacked = np.concatenate([stacked, rows])
     rising = np.linalg.lstsq(stacked, np.eye(len(stacked))[0])[0]
     data, public = mujoco.MjData(robot.mj_model), robot.mj_convention
     for speed in (1e-3, 0.1):
         moving = pa.Configuration(robot, stand.qpos, speed * rising)
-        levers = rolling_levers(moving, np.zeros(robot.nv), dict.fromkeys(robot.feet, UP))
+        levers = rolling_levers(moving, np.zeros(robot.nv), dict.fromkeys(robot.contact_points, UP))
         public.set_state(data, stand.qpos, speed * rising)
         data.qacc[:] = 0
         mujoco.mj_inverse(robot.mj_model, data)
@@ -162,7 +162,7 @@ def test_on_a_slope_what_rolls_is_at_the_edge_of_the_grounds_cone() -> None:
     found = pa.statics.inverse_dynamics(
         pa.Configuration(robot, stand.qpos, qvel),
         np.zeros(robot.nv),
-        normals=dict.fromkeys(robot.feet, up),
+        normals=dict.fromkeys(robot.contact_points, up),
         held=True,
     )
     for foot, force in found.contact_forces.items():
@@ -224,7 +224,7 @@ def test_accelerations_are_derivatives_of_velocities() -> None:
 
     now, before, after = at(0.0), at(-step), at(step)
     for foot, found in now.foot_accelerations(qacc).items():
-        frame = robot.foot_frames[foot]
+        frame = robot.contact_frames[foot]
         rates = [c.frame_jacobian(frame) @ c.qvel for c in (before, after)]
         np.testing.assert_allclose(found, (rates[1] - rates[0]) / (2 * step), atol=1e-8)
     rates = [c.com_jacobian() @ c.qvel for c in (before, after)]

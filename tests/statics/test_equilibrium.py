@@ -90,7 +90,7 @@ def mujoco_joint_torques(
     needed = data.qfrc_inverse.copy()
     for foot, force in result.contact_forces.items():
         given_by_ground = np.zeros(model.nv)
-        body = int(model.site(robot.foot_frames[foot]).bodyid[0])
+        body = int(model.site(robot.contact_frames[foot]).bodyid[0])
         point = result.contact_points[foot]
         mujoco.mj_applyFT(model, data, force, np.zeros(3), point, body, given_by_ground)
         needed -= given_by_ground
@@ -110,7 +110,7 @@ def test_contact_forces_and_torques_balance_gravity(
         result = pa.gravity_compensation(config, distribution=distribution)
     except pa.StaticsInfeasibleError:
         return  # see below
-    friction = config.robot.contacts[config.robot.feet[0]].sliding_friction
+    friction = config.robot.contacts[config.robot.contact_points[0]].sliding_friction
     check_newton_euler(config, result)
     check_cones(result, friction)
     needed = mujoco_joint_torques(config, result)
@@ -415,11 +415,11 @@ def test_a_sunk_foots_force_acts_half_way() -> None:
     task = pa.StandTask(ground=pa.Ground(0.2), pitch=-0.2)
     stand = pa.solve_stand(robot, task)
     config = pa.Configuration(robot, stand.qpos)
-    depths = dict.fromkeys(robot.feet, 0.004)
+    depths = dict.fromkeys(robot.contact_points, 0.004)
     result = pa.gravity_compensation(config, normals=stand.normals, depths=depths)
     for foot, point in result.contact_points.items():
         centre = config.foot_positions()[foot]
-        reach = robot.foot_radius[foot] - 0.002
+        reach = robot.contact_radius[foot] - 0.002
         np.testing.assert_allclose(centre - point, reach * stand.normals[foot], atol=1e-12)
     torque = np.zeros(3)
     for foot, force in result.contact_forces.items():
@@ -520,19 +520,19 @@ def tilted(angle: float, heading: float = 0.0) -> np.ndarray:
 def test_a_slope_needs_the_tangent_of_its_angle(angle: float, heading: float) -> None:
     """However the feet share, the weight must be in the cone about the common normal."""
     config = at_stand("v3")
-    normals = dict.fromkeys(config.robot.feet, tilted(angle, heading))
+    normals = dict.fromkeys(config.robot.contact_points, tilted(angle, heading))
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(config, friction=0.9 * math.tan(angle), normals=normals)
     error = caught.value
     assert error.reason is pa.errors.Infeasibility.FRICTION
     assert error.friction_needed == pytest.approx(math.tan(angle), rel=1e-4)
     assert error.margin > 0
-    assert error.feet == config.robot.feet
+    assert error.feet == config.robot.contact_points
     enough = 1.01 * math.tan(angle)
     result = pa.gravity_compensation(config, friction=enough, normals=normals)
     check_newton_euler(config, result)
     check_cones(result, enough, normals)
-    radius = config.robot.foot_radius["FR"]
+    radius = config.robot.contact_radius["FR"]
     for foot, point in result.contact_points.items():
         down = config.foot_positions()[foot] - radius * normals[foot]
         np.testing.assert_allclose(point, down, atol=1e-12)
@@ -559,12 +559,15 @@ def test_a_chimney_is_climbed_by_pressing_outward() -> None:
     """Between two walls, friction carries the weight."""
     config = at_stand("original")
     normals = {
-        foot: np.array([0, -1.0 if foot.endswith("L") else 1.0, 0]) for foot in config.robot.feet
+        foot: np.array([0, -1.0 if foot.endswith("L") else 1.0, 0])
+        for foot in config.robot.contact_points
     }
     result = pa.gravity_compensation(config, friction=0.8, normals=normals)
     check_newton_euler(config, result)
     check_cones(result, 0.8, normals)
-    assert all(result.contact_forces[foot] @ normals[foot] > 1 for foot in config.robot.feet)
+    assert all(
+        result.contact_forces[foot] @ normals[foot] > 1 for foot in config.robot.contact_points
+    )
 
 
 # ------------------------------------------------------------------------------------- infeasible
@@ -674,7 +677,9 @@ def test_no_balance_is_missed(
     """On any four slopes: refused only where a linear programme finds no forces either."""
     config = near_stand(name, share)
     contacts = sorted(feet)
-    normals = {foot: tilted(*tilt) for foot, tilt in zip(config.robot.feet, tilts, strict=True)}
+    normals = {
+        foot: tilted(*tilt) for foot, tilt in zip(config.robot.contact_points, tilts, strict=True)
+    }
     normals = {foot: normals[foot] for foot in contacts}
     try:
         result = pa.gravity_compensation(config, contacts, friction=friction, normals=normals)
@@ -685,7 +690,7 @@ def test_no_balance_is_missed(
         check_cones(result, friction, normals)
         return
     points = {
-        foot: config.foot_positions()[foot] - config.robot.foot_radius[foot] * normals[foot]
+        foot: config.foot_positions()[foot] - config.robot.contact_radius[foot] * normals[foot]
         for foot in contacts
     }
     com = config.center_of_mass()
@@ -719,17 +724,17 @@ def test_a_refusal_comes_without_numerical_warnings(tilts: dict[str, tuple[float
 
 def test_feet_on_a_ceiling_would_have_to_pull() -> None:
     config = at_stand("v3")
-    normals = dict.fromkeys(config.robot.feet, -UP)
+    normals = dict.fromkeys(config.robot.contact_points, -UP)
     with pytest.raises(pa.StaticsInfeasibleError, match="pull") as caught:
         pa.gravity_compensation(config, normals=normals)
     assert caught.value.reason is pa.errors.Infeasibility.PULL
-    assert set(caught.value.feet) == set(config.robot.feet)
+    assert set(caught.value.feet) == set(config.robot.contact_points)
     assert caught.value.friction_needed is None
 
 
 def test_feet_on_one_wall_would_have_to_pull() -> None:
     config = at_stand("v3")
-    normals = dict.fromkeys(config.robot.feet, np.array([1.0, 0, 0]))
+    normals = dict.fromkeys(config.robot.contact_points, np.array([1.0, 0, 0]))
     with pytest.raises(pa.StaticsInfeasibleError) as caught:
         pa.gravity_compensation(config, normals=normals)
     assert caught.value.reason is pa.errors.Infeasibility.PULL

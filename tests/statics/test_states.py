@@ -75,7 +75,7 @@ def test_every_state_is_the_single_calls(name: str) -> None:
 def test_whatever_is_asked(how: dict[str, Any]) -> None:
     names = {"FL": 0, "RR": 3}
     robot = load("v3")
-    feet = dict(zip(names, (robot.feet[0], robot.feet[3]), strict=True))
+    feet = dict(zip(names, (robot.contact_points[0], robot.contact_points[3]), strict=True))
     for key in ("normals", "depths"):
         if key in how:
             how = how | {key: {feet[foot]: value for foot, value in how[key].items()}}
@@ -144,5 +144,5 @@ def test_legs_in_singular_positions_are_solved_one_by_one() -> None:
     """Contacts in a row leave the base's rows dependent: singular values decide, as for one."""
     robot = load("v3")
     states = around("v3", 3, 0.0)
-    three = robot.feet[:3]
+    three = robot.contact_points[:3]
     assert_same(robot, states, contacts=three, friction=5.0)

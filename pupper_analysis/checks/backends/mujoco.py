@@ -79,7 +79,7 @@ def mujoco_evaluation(
             "gravity": gravity[:, None],
             "forward dynamics": data.qacc[public][:, None].copy(),
         }
-        if robot.feet:
+        if robot.contact_points:
             values["foot positions"] = np.array(positions)
             values["foot Jacobians"] = np.array(jacobians)
         if sensors is not None:

@@ -70,7 +70,7 @@ def pinocchio_evaluation(robot: Robot, states: States, moved: Mapping[str, Array
             "gravity": config.gravity()[:, None],
             "forward dynamics": qacc[:, None],
         }
-        if robot.feet:
+        if robot.contact_points:
             values["foot positions"] = np.array(list(config.foot_positions().values()))
             values["foot Jacobians"] = np.array(list(config.foot_jacobians().values()))
         if robot.imu is not None:

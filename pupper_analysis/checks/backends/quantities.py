@@ -84,8 +84,8 @@ def state_quantities(robot: Robot, rows: Mapping[str, list[Array]]) -> Evaluatio
     )
     dofs = (*base, *robot.joint_names)
     about: dict[str, tuple[tuple[str, ...], str]] = {
-        "foot positions": (robot.feet, "m"),
-        "foot Jacobians": (robot.feet, "m, m/rad"),
+        "foot positions": (robot.contact_points, "m"),
+        "foot Jacobians": (robot.contact_points, "m, m/rad"),
         "com": (("com",), "m"),
         "com Jacobian": (("com",), "m, m/rad"),
         "mass matrix": (dofs, "kg, kg m, kg m^2"),

@@ -31,7 +31,7 @@ def yourdfpy_evaluation(robot: Robot, states: States) -> Evaluation:
             np.array(
                 [
                     origin + rotation @ urdf.get_transform(frame, robot.base)[:3, 3]
-                    for frame in robot.foot_frames.values()
+                    for frame in robot.contact_frames.values()
                 ]
             )
         )

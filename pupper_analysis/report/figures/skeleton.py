@@ -50,11 +50,11 @@ def draw_skeleton(robot: Robot, qpos: ArrayLike) -> Skeleton:
     mujoco.mj_kinematics(model, data)
     base = model.body(robot.mj_base).id
     legs: dict[str, Array] = {}
-    for foot, (_, frame) in robot.description.feet.items():
+    for foot, (_, frame) in robot.description.contact_points.items():
         body, position = foot_site(model, frame, robot.name)
         tip = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
         legs[foot] = np.array([*_joints_to(model, data, base, body), tip])
-    walked = {int(model.body_weldid[body]) for body, _ in robot.foot_places.values()}
+    walked = {int(model.body_weldid[body]) for body, _ in robot.contact_places.values()}
     arms = [_joints_to(model, data, base, body) for body in limb_ends(model) if body not in walked]
     geoms = np.flatnonzero(model.geom_bodyid == base)
     drawn = geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_BOX.value]

@@ -103,7 +103,7 @@ class StanceSpace:
         self._touching = self._touches(nominal)
         self._nominal_values = self._singular_values(nominal)
         self.centre = np.mean(list(nominal.contact_points.values()), axis=0)[:2]
-        self.free = tuple(foot for foot in robot.soles if foot not in task.feet)
+        self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
         self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
         height, place = nominal.task.height, nominal.qpos[:2] - self.centre
         assert height is not None
@@ -136,7 +136,7 @@ class StanceSpace:
         return np.minimum(low, self.start), np.maximum(high, self.start)
 
     def _from_centre(self, foot: str) -> Array:
-        points = self.robot.soles[foot]
+        points = self.robot.feet[foot]
         place = np.mean([self.nominal.foot_targets[point][:2] for point in points], axis=0)
         away: Array = place - self.centre
         return away
@@ -237,7 +237,7 @@ class StanceSpace:
         """Returns the feet whose legs have hardly more than the least singular_values."""
         least = LEAST_SINGULAR_VALUE * self._nominal_values
         near = (self._singular_values(stand) < 1.02 * least) & (least > 0)
-        return tuple(self.robot.feet[index] for index in np.flatnonzero(near))
+        return tuple(self.robot.contact_points[index] for index in np.flatnonzero(near))
 
     def _singular_values(self, stand: Stand) -> Array:
         """Returns the least foot speed per joint speed of each leg (n,) (m)."""

@@ -54,7 +54,7 @@ def integrate_creep(robot: Robot, path: StancePath, motion: Array, forces: Array
             mu, limits = friction.sliding[foot], friction.turning[foot]
             if np.linalg.norm(pushed) >= _SLIDING * mu * pressing:
                 continue
-            turning = config.frame_jacobian(robot.foot_frames[foot])[3:] @ qvel
+            turning = config.frame_jacobian(robot.contact_frames[foot])[3:] @ qvel
             about = float(turning @ normal)
             rolling = limits[0] * float(np.linalg.norm(turning - about * normal))
             scaled = math.hypot(rolling, limits[2] * about)

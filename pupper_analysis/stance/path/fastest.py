@@ -233,9 +233,9 @@ def ground_lag(robot: Robot) -> float:
     depth is behind by b / (k d), d the impedance under an even share of the weight. The longest of
     all feet.
     """
-    share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(robot.feet)
+    share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(robot.contact_points)
     lags = [1e-4]  # undamped, or as hard as a simulation's time step
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         law = GroundLaw.of(robot, foot)
         lags.append(law.damping / (law.stiffness * law.impedance(law.depth(share))))
     return max(lags)

@@ -171,13 +171,13 @@ class _Roll:
 
     def __init__(self, robot: Robot, start: Stand) -> None:
         self.robot = robot
-        self.away = {foot: np.zeros(2) for foot in robot.feet}  # from their places (m)
+        self.away = {foot: np.zeros(2) for foot in robot.contact_points}  # from their places (m)
         self.step = dict(self.away)  # of the last sample
         self.turned = self._rotations(start)
 
     def _rotations(self, stand: Stand) -> dict[str, Array]:
         config = Configuration(self.robot, stand.qpos)
-        return {foot: config.frame_rotation(self.robot.foot_frames[foot]) for foot in self.away}
+        return {foot: config.frame_rotation(self.robot.contact_frames[foot]) for foot in self.away}
 
     def solve(
         self,
@@ -200,7 +200,7 @@ class _Roll:
             last, away = away, dict(self.away)
             for foot in stance_feet:
                 turn = pin.log3(rotations[foot] @ self.turned[foot].T)
-                rolled = pin.skew(turn) @ (robot.foot_radius[foot] * normal)
+                rolled = pin.skew(turn) @ (robot.contact_radius[foot] * normal)
                 away[foot] = away[foot] + rolled[:2]
             if max(np.abs(away[foot] - last[foot]).max() for foot in away) < _ROLLED:
                 self.step = {foot: away[foot] - self.away[foot] for foot in away}
@@ -243,13 +243,13 @@ def _derivatives(
         rows.append(still.com_jacobian()[:2])
         wanted.append((two.com - one.com)[:2])
     offsets = {
-        foot: -robot.foot_radius[foot] * normal
+        foot: -robot.contact_radius[foot] * normal
         if rolling and foot in segment.stance_feet
         else np.zeros(3)
-        for foot in robot.feet
+        for foot in robot.contact_points
     }
     for foot, offset in offsets.items():
-        rows.append(still.frame_jacobian(robot.foot_frames[foot], offset)[:3])
+        rows.append(still.frame_jacobian(robot.contact_frames[foot], offset)[:3])
         moves = np.zeros(3) if foot in segment.stance_feet else two.feet[foot] - one.feet[foot]
         wanted.append(moves)
     jacobian = np.concatenate(rows)

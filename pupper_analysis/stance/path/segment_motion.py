@@ -118,7 +118,7 @@ class SegmentMotion:
             if forces is not None:
                 moment = max(0.0, float(forces[column] @ normal)) * lever
                 left = share_left_to_turn(robot, foot, forces[column], moment, normal)
-            turning = config.frame_jacobian(robot.foot_frames[foot])[3:]
+            turning = config.frame_jacobian(robot.contact_frames[foot])[3:]
             block = slice(3 * column, 3 * column + 3)
             jacobian[:, block] += np.outer(turning.T @ (left * lever), normal)
 

@@ -102,8 +102,8 @@ def segments_of(
     sets = []
     for number, (one, two) in enumerate(pairwise(keys), 1):
         swinging = one.task.swing.keys() | two.task.swing.keys()
-        idle = {point for foot in swinging for point in robot.soles[foot]}
-        sets.append(tuple(foot for foot in robot.feet if foot not in idle))
+        idle = {point for foot in swinging for point in robot.feet[foot]}
+        sets.append(tuple(foot for foot in robot.contact_points if foot not in idle))
         where = diagnose("between-stances", one=number, two=number + 1)
         if len(sets[-1]) < 3:
             problem = diagnose("too-few-feet-carry", count=len(sets[-1]), where=where)
@@ -150,16 +150,16 @@ def task_between(
         return start + share * (end - start)
 
     ground, normal = one.ground, one.ground.normal()
-    places = {foot: segment.start.feet[foot] for foot in robot.feet}
+    places = {foot: segment.start.feet[foot] for foot in robot.contact_points}
     places |= {foot: p + share * (segment.end.feet[foot] - p) for foot, p in places.items()}
     points = {point: place[:2] + away[point] for point, place in places.items()}
     feet = {}
-    for foot, own in robot.soles.items():
+    for foot, own in robot.feet.items():
         x, y = np.mean([points[point] for point in own], axis=0)
         feet[foot] = float(x), float(y)
     contacts = {
-        point: ground.centre(robot.foot_of(point), points[point], robot.foot_radius[point])
-        - robot.foot_radius[point] * normal
+        point: ground.centre(robot.foot_of(point), points[point], robot.contact_radius[point])
+        - robot.contact_radius[point] * normal
         for point in stance_feet
     }
     centre = np.mean(list(contacts.values()), axis=0)
@@ -187,7 +187,7 @@ def task_between(
         if FIELDS[name].constraint not in _PLACES
     }
     heights = {
-        foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.soles
+        foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.feet
     }
     carrying = robot.feet_with(stance_feet)
     return StandTask(

@@ -77,7 +77,7 @@ def find_sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
     stills = [Configuration(robot, qpos) for qpos in path.qpos]
     centres = np.array([config.foot_places(path.feet) for config in stills])
     carrying = path.stance_feet[1:] & path.stance_feet[:-1]
-    radius = np.array([robot.foot_radius[foot] for foot in path.feet])
+    radius = np.array([robot.contact_radius[foot] for foot in path.feet])
     rolled = _rolled(stills, path.feet, normal, carrying * radius)
     found = SunkMotion(path.qpos, path.qvel, path.qacc, path.forces, path.torques)
     own = path.forces @ normal
@@ -131,7 +131,7 @@ def _sunk(
             loads = borne[:, column], masses[:, column]
             depths[:, column], sinking[:, column] = depths_of(law, path.time, *loads)
             continue
-        name, rows = robot.foot_frames[foot], zip(configs, qvel, strict=True)
+        name, rows = robot.contact_frames[foot], zip(configs, qvel, strict=True)
         turning = np.array([one.frame_jacobian(name)[3:] @ rates for one, rates in rows])
         given = np.column_stack([forces[:, column] @ frame.T, turning @ frame.T])
         given[:, 0] = borne[:, column]
@@ -162,7 +162,7 @@ def _balanced(
     qvel[:, dofs] += longer(path.time, 1)
     qacc[:, dofs] += longer(path.time, 2)
     normal = path.stances[0].task.ground.normal()
-    radius = np.array([robot.foot_radius[foot] for foot in path.feet])
+    radius = np.array([robot.contact_radius[foot] for foot in path.feet])
     given, torques = [], []
     for index, own in enumerate(forces):
         config = Configuration(robot, qpos[index], qvel[index])

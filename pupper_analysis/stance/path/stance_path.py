@@ -286,22 +286,27 @@ def timed_path(
     return StancePath(
         stances=geometry.stances,
         joint_names=robot.joint_names,
-        feet=robot.feet,
+        feet=robot.contact_points,
         time=time,
         qpos=np.array([place.qpos for place in geometry.places]),
         qvel=qvel,
         qacc=np.array([effort.qacc for effort in efforts]),
         torques=torques,
-        stance_feet=np.array([[f in e.forces for f in robot.feet] for e in efforts]),
+        stance_feet=np.array([[f in e.forces for f in robot.contact_points] for e in efforts]),
         forces=forces,
         moments=np.array([_rows(robot, effort.moments) for effort in efforts]),
         loads=forces[..., 2],
         friction_utilisation=np.array(
-            [[effort.friction.get(foot, 0.0) for foot in robot.feet] for effort in efforts]
+            [
+                [effort.friction.get(foot, 0.0) for foot in robot.contact_points]
+                for effort in efforts
+            ]
         ),
         zero_moment_point=np.array([effort.zero_moment_point for effort in efforts]),
         zmp_margin=np.array([effort.zmp_margin for effort in efforts]),
-        clearance=np.array([[clearance(p, f) for f in robot.feet] for p in geometry.places]),
+        clearance=np.array(
+            [[clearance(p, f) for f in robot.contact_points] for p in geometry.places]
+        ),
         com_margin=np.array([effort.com_margin for effort in efforts]),
         peak_utilisation=float(used[peak]),
         peak_joint=robot.joint_names[int(peak[1])],
@@ -313,7 +318,7 @@ def timed_path(
 
 
 def _rows(robot: Robot, table: Mapping[str, Array]) -> Array:
-    return np.array([table.get(foot, np.zeros(3)) for foot in robot.feet])
+    return np.array([table.get(foot, np.zeros(3)) for foot in robot.contact_points])
 
 
 def shares_of(values: Array, limits: Array) -> Array:

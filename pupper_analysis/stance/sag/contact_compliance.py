@@ -24,6 +24,6 @@ def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], di
     """
     give = _PLIANT * units.length / units.weight
     flat: dict[str, float] = {}
-    for points in robot.soles.values():
+    for points in robot.feet.values():
         flat |= dict.fromkeys(points, give if len(points) > 1 else 0.0)
-    return flat, flat if can_move_com(robot) else dict.fromkeys(robot.feet, give)
+    return flat, flat if can_move_com(robot) else dict.fromkeys(robot.contact_points, give)

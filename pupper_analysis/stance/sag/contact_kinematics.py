@@ -43,7 +43,7 @@ class ContactKinematics:
         depths: Mapping[str, float],
     ) -> None:
         self.config, self._frame, self._normal, self.depths = config, frame, frame[2], depths
-        radius, feet, held = config.robot.foot_radius, tuple(anchors), anchors.values()
+        radius, feet, held = config.robot.contact_radius, tuple(anchors), anchors.values()
         deep = np.array([depths[foot] for foot in feet])
         # MuJoCo has the contact half way into the penetration.
         reach = np.array([radius[foot] for foot in feet]) - deep / 2

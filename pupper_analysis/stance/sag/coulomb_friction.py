@@ -27,7 +27,7 @@ def apply_coulomb_friction(system: SagEquilibrium, solution: Solution, share: fl
     joints = size * system.friction.torques(effect[6:])
     system.joint_friction = (1 - share) * system.joint_friction + share * joints
     for foot, force in solution.forces.items():
-        turns = system.frame @ config.frame_jacobian(system.robot.foot_frames[foot])[3:]
+        turns = system.frame @ config.frame_jacobian(system.robot.contact_frames[foot])[3:]
         moment = size * system.friction.moment(foot, force, turns @ effect)
         before = system.moments.get(foot, np.zeros(3))
         system.moments[foot] = (1 - share) * before + share * moment

@@ -77,13 +77,15 @@ class SagEquilibrium:
         self.robot, self.stand, self.feet, self.kp = robot, stand, feet, used.kp
         self.ground, self.normal = stand.task.ground, stand.task.ground.normal()
         self.frame = pin.Quaternion.FromTwoVectors(self.normal, UP).matrix()
-        self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
+        self.laws = {foot: GroundLaw.of(robot, foot) for foot in robot.contact_points}
         self._commands = command_ranges(robot).T
         self.command(stand.qpos[7:])
-        self._sole = {point: sole for sole, points in robot.soles.items() for point in points}
+        self._sole = {point: sole for sole, points in robot.feet.items() for point in points}
         config = Configuration(robot, stand.qpos)
         self.anchors = {
-            foot: Anchor(stand.foot_targets[foot], config.frame_rotation(robot.foot_frames[foot]))
+            foot: Anchor(
+                stand.foot_targets[foot], config.frame_rotation(robot.contact_frames[foot])
+            )
             for foot in stand.stance_feet
         }
         self.units = Units.of(robot, stand)
@@ -106,10 +108,10 @@ class SagEquilibrium:
         Args:
             places: (k, 3) the centres of all feet (m).
         """
-        cosine, radius = float(self.normal[2]), self.robot.foot_radius
+        cosine, radius = float(self.normal[2]), self.robot.contact_radius
         return {
             foot: radius[foot] - (z - self.ground.height((x, y), self._sole[foot])) * cosine
-            for foot, (x, y, z) in zip(self.robot.feet, places.tolist(), strict=True)
+            for foot, (x, y, z) in zip(self.robot.contact_points, places.tolist(), strict=True)
         }
 
     def sunk(self, forces: Array) -> Array:
@@ -140,7 +142,7 @@ class SagEquilibrium:
         """Looks at the feet that touch, or has looked at them just now."""
         anchors, seen = tuple(self.anchors.items()), self._touch
         if seen is None or seen[0] != anchors or not (seen[1] == qpos).all():
-            config, feet = Configuration(self.robot, qpos), self.robot.feet
+            config, feet = Configuration(self.robot, qpos), self.robot.contact_points
             places = config.foot_places(feet)
             own = places[[feet.index(foot) for foot in self.anchors]].reshape(-1, 3)
             touch = ContactKinematics(config, self.anchors, own, self.frame, self.depths(places))
@@ -349,7 +351,7 @@ class SagEquilibrium:
 
         They pull (N), or are in the ground without touching it (m).
         """
-        feet = self.robot.feet
+        feet = self.robot.contact_points
         return {foot: amount for foot in feet if (amount := self.wrong(foot, solution)) > 0}
 
     def wrong(self, foot: str, solution: Solution) -> float:
@@ -370,7 +372,7 @@ class SagEquilibrium:
         if foot in self.anchors:
             del self.anchors[foot], forces[foot]
         else:
-            touch, frame = self.touch(solution.qpos), self.robot.foot_frames[foot]
+            touch, frame = self.touch(solution.qpos), self.robot.contact_frames[foot]
             config = touch.config
             self.anchors[foot] = Anchor(config.frame_position(frame), config.frame_rotation(frame))
             law = self.laws[foot]

@@ -253,7 +253,7 @@ class HomotopyPath:
 
     def _switch(self, foot: str, found: Solution) -> None:
         self._events += 1
-        if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.feet)):
+        if self._events > max(_MAX_EVENTS, 4 * len(self.system.robot.contact_points)):
             raise NoEquilibriumError(
                 self.share, diagnose("foot-neither-carries-nor-clears", subject=("foot", foot))
             )

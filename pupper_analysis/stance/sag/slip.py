@@ -29,12 +29,12 @@ def find_sliding_feet(system: SagEquilibrium, solution: Solution) -> tuple[str, 
     slips = np.linalg.norm(measure_slips(system, solution), axis=1)
     found = []
     for foot in system.robot.feet_with(system.stand.stance_feet):
-        points = [point for point in system.robot.soles[foot] if point in names]
+        points = [point for point in system.robot.feet[foot] if point in names]
         pressed = [point for point in points if solution.forces[point][2] > 0]
         if not pressed or not loose.issuperset(pressed):
             continue
         way = max(float(slips[names.index(point)]) for point in pressed)
-        if len(system.robot.soles[foot]) == 1 or way > small:
+        if len(system.robot.feet[foot]) == 1 or way > small:
             found.append(foot)
     return tuple(found)
 
@@ -76,7 +76,7 @@ def measure_slips(system: SagEquilibrium, solution: Solution) -> Array:
 
 def find_idle_points(system: SagEquilibrium, depths: Array) -> set[str]:
     """Returns the points of soles that touch, but are not pressed at depths (n,) (m)."""
-    soles = {point for points in system.robot.soles.values() if len(points) > 1 for point in points}
+    soles = {point for points in system.robot.feet.values() if len(points) > 1 for point in points}
     return {
         foot
         for foot, depth in zip(system.anchors, depths, strict=True)

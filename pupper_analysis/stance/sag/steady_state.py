@@ -210,7 +210,7 @@ def check_request(robot: Robot, stand: Stand, feet: str, seconds: float) -> None
         raise ConfigurationError("seconds", problem)
     if feet == "sliding" and stand.task.ground.slope:
         raise ConfigurationError("feet", diagnose("sliding-on-slope"))
-    slippery = [foot for foot in robot.feet if robot.contacts[foot].sliding_friction <= 0]
+    slippery = [foot for foot in robot.contact_points if robot.contacts[foot].sliding_friction <= 0]
     if feet == "pinned" and slippery:
         raise ConfigurationError("feet", diagnose("feet-without-friction", feet=slippery))
 
@@ -327,8 +327,10 @@ def describe_pose(way: HomotopyPath, margin: float) -> SteadyState:
         contact_sag=contact_sag,
         joint_torques=torques,
         saturated=tuple(names[(torques <= system.lower) | (torques >= system.upper)].tolist()),
-        stance_feet=tuple(foot for foot in robot.feet if foot in solution.forces),
-        contact_forces={foot: system.frame.T @ solution.force(foot) for foot in robot.feet},
+        stance_feet=tuple(foot for foot in robot.contact_points if foot in solution.forces),
+        contact_forces={
+            foot: system.frame.T @ solution.force(foot) for foot in robot.contact_points
+        },
         foot_creep=dict(zip(system.anchors, np.linalg.norm(creep, axis=1).tolist(), strict=True)),
         height_drift=float(np.linalg.solve(derivative, flow)[2]),
         iterations=way.iterations,
@@ -364,7 +366,7 @@ def _failures(
         diagnose("foot-slides", subject=("foot", foot))
         for foot in find_sliding_feet(system, solution)
     ]
-    idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.soles[f])]
+    idle = [f for f in robot.feet_with(stand.stance_feet) if touching.isdisjoint(robot.feet[f])]
     failures += [diagnose("foot-idle", subject=("foot", foot), time=None) for foot in idle]
     qpos = solution.qpos
     beyond = (qpos[7:] < robot.lower_limits) | (qpos[7:] > robot.upper_limits)

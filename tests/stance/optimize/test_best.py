@@ -110,7 +110,7 @@ def test_best_stance_has_the_largest_margin() -> None:
     assert found.value == pytest.approx(com_margin(robot, found.stand), rel=1e-9)
     half = np.ptp([place[0] for place in found.stand.contact_points.values()]) / 2
     assert found.value == pytest.approx(half, rel=1e-4)
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         end = "high" if found.coordinates[f"{foot} x"] > 0 else "low"
         assert f"{foot} x {end}" in found.active
         assert abs(found.coordinates[f"{foot} x"]) > 0.04
@@ -193,7 +193,7 @@ def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     found = best_stance(robot, task=task)
     assert not StanceSpace(robot, task).symmetric
     assert StanceSpace(robot, pa.StandTask()).symmetric
-    assert found.stand.stance_feet == tuple(foot for foot in robot.feet if foot != "FL")
+    assert found.stand.stance_feet == tuple(foot for foot in robot.contact_points if foot != "FL")
     assert found.value < 0.8 * found.nominal_value
     assert found.coordinates["y"] < -0.005
     assert com_margin(robot, found.stand) >= 0.01

@@ -46,15 +46,17 @@ def beyond(robot: pa.Robot, found: pa.stance.FastestPath) -> tuple[float, float,
         config = pa.Configuration(robot, path.qpos[index], path.qvel[index])
         left = config.mass_matrix() @ path.qacc[index] + config.bias_forces()
         left += joint_resistance(robot, path.qvel[index], path.qacc[index])
-        for column, foot in enumerate(robot.feet):
-            down = -robot.foot_radius[foot] * UP
+        for column, foot in enumerate(robot.contact_points):
+            down = -robot.contact_radius[foot] * UP
             wrench = [*path.forces[index, column], *path.moments[index, column]]
-            left -= config.frame_jacobian(robot.foot_frames[foot], down).T @ np.array(wrench)
+            left -= config.frame_jacobian(robot.contact_frames[foot], down).T @ np.array(wrench)
         np.testing.assert_allclose(left[:6], 0, atol=1e-7)
         np.testing.assert_allclose(left[6:], path.torques[index], atol=1e-7)
         pressed = path.forces[index, :, 2]
         sliding = np.linalg.norm(path.forces[index, :, :2], axis=1)
-        friction = np.array([robot.contacts[foot].sliding_friction for foot in robot.feet])
+        friction = np.array(
+            [robot.contacts[foot].sliding_friction for foot in robot.contact_points]
+        )
         shares = (
             np.abs(path.torques[index]) / robot.effort_limits,
             np.abs(path.qvel[index, 6:]) / robot.velocity_limits,
@@ -237,7 +239,7 @@ def test_the_ground_lags_under_a_foots_share_of_the_weight() -> None:
     forces = stand_statics(robot, stand_of("v3")).contact_forces
     share = sum(float(force[2]) for force in forces.values()) / len(forces)
     lags = []
-    for foot in robot.feet:
+    for foot in robot.contact_points:
         law = GroundLaw.of(robot, foot)
         lags.append(law.damping / (law.stiffness * law.impedance(law.depth(share))))
     assert ground_lag(robot) == pytest.approx(max(lags))

@@ -33,7 +33,7 @@ def lift(name: str, foot: str, height: float = 0.02) -> list[pa.StandTask]:
     """Shift the weight on to three legs, lift the fourth, hold, set it down, shift back."""
     robot = load(name)
     feet = pa.Configuration(robot, robot.neutral()).foot_positions()
-    x, y = np.mean([feet[other][:2] for other in robot.feet if other != foot], axis=0)
+    x, y = np.mean([feet[other][:2] for other in robot.contact_points if other != foot], axis=0)
     over, up = Task(com=(x, y)), Task(com=(x, y), swing={foot: height})
     return [Task(), over, up, up, over, Task()]
 
@@ -78,14 +78,14 @@ def test_every_sample_is_a_stand_in_balance(name: str, kind: str, rolling: bool)
         np.testing.assert_allclose(path.loads[index].sum(), carried, rtol=1e-9)
         remainder = config.mass_matrix() @ path.qacc[index] + config.bias_forces()
         remainder += joint_resistance(robot, path.qvel[index], path.qacc[index])
-        for column, foot in enumerate(robot.feet):
+        for column, foot in enumerate(robot.contact_points):
             centre = config.foot_positions()[foot]
             planted = nominal[foot] + (0, 0, path.clearance[index, column])
             np.testing.assert_allclose(centre[2], planted[2], atol=2e-9)
             if not rolling:
                 np.testing.assert_allclose(centre, planted, atol=2e-9)
-            down = -robot.foot_radius[foot] * UP
-            jacobian = config.frame_jacobian(robot.foot_frames[foot], down)
+            down = -robot.contact_radius[foot] * UP
+            jacobian = config.frame_jacobian(robot.contact_frames[foot], down)
             wrench = [*path.forces[index, column], *path.moments[index, column]]
             remainder -= jacobian.T @ np.array(wrench)
         remainder[6:] -= path.torques[index]
@@ -109,10 +109,10 @@ def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
     slow, fast = 0.0, 0.0
     for index in range(len(path.time) - 1):
         one, two = (pa.Configuration(robot, path.qpos[i]) for i in (index, index + 1))
-        for column, foot in enumerate(robot.feet):
+        for column, foot in enumerate(robot.contact_points):
             if not path.stance_feet[index : index + 2, column].all():
                 continue
-            frame, down = robot.foot_frames[foot], -robot.foot_radius[foot] * UP
+            frame, down = robot.contact_frames[foot], -robot.contact_radius[foot] * UP
             turn = two.frame_rotation(frame) @ one.frame_rotation(frame).T
             half = pin.exp3(pin.log3(turn) / 2)  # the point that is lowest half way between
             moved = two.frame_position(frame) + half @ down
@@ -126,11 +126,11 @@ def test_rolling_feet_do_not_slip(name: str, kind: str) -> None:
 def test_a_squat_rolls_the_feet_by_radius_times_angle() -> None:
     robot, path = load("original"), path_of("original", "squat")
     top, low = (pa.Configuration(robot, path.qpos[i]) for i in (0, (len(path.time) - 1) // 2))
-    for foot, frame in robot.foot_frames.items():
+    for foot, frame in robot.contact_frames.items():
         turn = pin.log3(low.frame_rotation(frame) @ top.frame_rotation(frame).T)
         rolled = low.foot_positions()[foot] - top.foot_positions()[foot]
         assert abs(turn[1]) > 0.05
-        assert rolled[0] == pytest.approx(robot.foot_radius[foot] * turn[1], rel=1e-3)
+        assert rolled[0] == pytest.approx(robot.contact_radius[foot] * turn[1], rel=1e-3)
 
 
 @pytest.mark.parametrize("kind", some(list(SECONDS), 2))

@@ -46,7 +46,7 @@ def test_tipping_is_the_balance_about_the_edge(name: str) -> None:
     assert limit.failure is Failure.TIPPING
     assert limit.mass == pytest.approx(robot.total_mass * edge / (arm - edge), rel=1e-5)
     front = {foot for foot, place in stand.contact_points.items() if place[0] > com}
-    assert set(limit.where) == set(robot.feet) - front
+    assert set(limit.where) == set(robot.contact_points) - front
 
 
 @pytest.mark.parametrize("pitch", [-0.2, 0.2])

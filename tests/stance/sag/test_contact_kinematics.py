@@ -61,12 +61,12 @@ def test_moments_turn_with_nothing() -> None:
     config = pa.Configuration(
         robot, integrate_step(stand_of("v3").qpos, 0.3 * rng.normal(size=robot.nv))
     )
-    wrenches = {foot: rng.normal(size=6) for foot in robot.feet}
+    wrenches = {foot: rng.normal(size=6) for foot in robot.contact_points}
 
     def left(step: np.ndarray) -> np.ndarray:
         at = pa.Configuration(robot, integrate_step(config.qpos, step))
         return at.gravity() - sum(
-            at.frame_jacobian(robot.foot_frames[foot]).T @ wrench
+            at.frame_jacobian(robot.contact_frames[foot]).T @ wrench
             for foot, wrench in wrenches.items()
         )
 

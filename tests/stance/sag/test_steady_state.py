@@ -58,7 +58,7 @@ def test_forces_balance_in_mujocos_terms(name: str, feet: Feet) -> None:
             continue
         foot = robot.foot_geoms[max(touch.geom)]
         jacobian = np.zeros((3, robot.mj_model.nv))
-        body = robot.foot_places[foot][0]
+        body = robot.contact_places[foot][0]
         mujoco.mj_jac(robot.mj_model, data, jacobian, None, touch.pos, body)
         force = pose.contact_forces[foot]
         rest -= jacobian[:, robot.mj_convention.qvel_index].T @ force
@@ -74,14 +74,14 @@ def test_the_steady_state_is_a_minimum_of_the_energy(name: str) -> None:
     robot, stand = load(name), stand_of(name)
     pose = steady_state(robot, stand, feet="sliding")
     kp, g = model_with_servos(robot).kp, -robot.gravity[2]
-    laws = {foot: GroundLaw.of(robot, foot) for foot in robot.feet}
+    laws = {foot: GroundLaw.of(robot, foot) for foot in robot.contact_points}
 
     def energy(qpos: np.ndarray) -> float:
         config = pa.Configuration(robot, qpos)
         total = robot.total_mass * g * config.center_of_mass()[2]
         total += 0.5 * kp @ (qpos[7:] - stand.qpos[7:]) ** 2
         for foot, place in config.foot_positions().items():
-            depths = np.linspace(0, robot.foot_radius[foot] - place[2], 401)
+            depths = np.linspace(0, robot.contact_radius[foot] - place[2], 401)
             forces = [laws[foot].force(float(depth)) for depth in depths]
             total += np.trapezoid(forces, depths)
         return float(total)
@@ -297,7 +297,7 @@ def test_a_lifted_foot_that_comes_down_carries(
 ) -> None:
     robot, stand = load(name), lifted(name, foot, height)
     pose = steady_state(robot, stand, kp=kp, seconds=7.5)
-    assert pose.stance_feet == robot.feet
+    assert pose.stance_feet == robot.contact_points
     presses = [one.subject for one in pose.failures if one.code == "lifted-foot-presses"]
     assert presses == [Subject("foot", foot)]
     run = pa.verify_stand(robot, stand, feedforward=False, kp=kp, duration=8, nudged=0)
@@ -370,11 +370,11 @@ def test_friction_of_a_slipping_foot_is_at_its_limit_against_the_slip() -> None:
     mu = robot.contacts["FL"].sliding_friction
     assert np.linalg.norm(force[:2]) == pytest.approx(mu * force[2], rel=1e-9)
     # The contact point moves as the centre does, less what the sphere rolls: r (turn x up).
-    frame, anchor = robot.foot_frames["FL"], system.anchors["FL"]
+    frame, anchor = robot.contact_frames["FL"], system.anchors["FL"]
     config = pa.Configuration(robot, solution.qpos)
     turned = config.frame_rotation(frame) @ anchor.turned.T
     turn = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], 0]) / 2
-    rolled = robot.foot_radius["FL"] * np.cross(turn, (0, 0, 1))
+    rolled = robot.contact_radius["FL"] * np.cross(turn, (0, 0, 1))
     slip = (config.frame_position(frame) - anchor.place - rolled)[:2]
     assert np.linalg.norm(slip) > 1e-4
     assert force[:2] @ slip < -0.99 * np.linalg.norm(force[:2]) * np.linalg.norm(slip)
