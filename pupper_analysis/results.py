@@ -59,7 +59,7 @@ def _fallback(value: Any) -> Any:
 _WIDTH = 240
 """Characters of a result's ``repr``: two or three lines of a terminal."""
 
-_FEW = 3
+_MOST_SHOWN = 3
 """Numbers or names of a field that are shown one by one."""
 
 
@@ -142,14 +142,16 @@ def shorten(value: object) -> str:
     if isinstance(value, str):
         return repr(value if len(value) <= 60 else f"{value[:57]}...")
     if isinstance(value, np.ndarray):
-        if value.ndim == 1 and value.size <= _FEW:
+        if value.ndim == 1 and value.size <= _MOST_SHOWN:
             return f"[{', '.join(shorten(item) for item in value.tolist())}]"
         return f"<array {' x '.join(map(str, value.shape))}>"
     if isinstance(value, Mapping):
-        names = ", ".join(map(str, list(value)[:_FEW])) + (", ..." if len(value) > _FEW else "")
+        names = ", ".join(map(str, list(value)[:_MOST_SHOWN])) + (
+            ", ..." if len(value) > _MOST_SHOWN else ""
+        )
         return f"<{len(value)}: {names}>" if value else "{}"
     if isinstance(value, tuple | list):
-        if len(value) <= _FEW and all(isinstance(item, str | float | int) for item in value):
+        if len(value) <= _MOST_SHOWN and all(isinstance(item, str | float | int) for item in value):
             return f"({', '.join(shorten(item) for item in value)})"
         return f"<{len(value)} {type(value[0]).__name__}>"
     if isinstance(value, Result):

@@ -20,7 +20,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.matching.match import Match
 from pupper_analysis.models.multibody import MultibodyTree
 
-_ALIKE = 1.25
+_LEG_LOAD_RATIO = 1.25
 """Of two legs one carries no more than this of what the other does below a joint: front and hind
 legs differ by percents."""
 
@@ -102,7 +102,7 @@ def _alike(
     while left:
         group = [left.pop(0)]
         for name in list(left):
-            if carried[name] > _ALIKE * carried[group[-1]]:
+            if carried[name] > _LEG_LOAD_RATIO * carried[group[-1]]:
                 break
             if abs(away[name] - away[group[0]]) < _AWAY:
                 group.append(name)

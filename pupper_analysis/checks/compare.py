@@ -329,7 +329,7 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Di
     if _mechanical(explanation.differences):
         return
     # Who lets a mass differ by 1e-2 lets what follows from it differ as much.
-    allowed = max(getattr(tolerances, kind) for kind in _FELT)
+    allowed = max(getattr(tolerances, kind) for kind in _DYNAMIC_KINDS)
     for name, value in explanation.deviations.items():
         if value > allowed:
             yield diagnose(
@@ -341,5 +341,5 @@ def _objections(explanation: Explanation, tolerances: Tolerances) -> Iterator[Di
             )
 
 
-_FELT = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
+_DYNAMIC_KINDS = ("mass", "com", "inertia", "position", "rotation", "axis", "damping", "dynamics")
 """Kinds of tolerance that the dynamics feel."""

@@ -54,7 +54,7 @@ CONVENTIONS = ("base frame", "zero")
 """Kinds of difference after which the two are still one robot, in other coordinates."""
 
 _STRUCTURE = ("joint", "name", "type", "parent", *CONVENTIONS, "gravity")
-_FELT = 1e-3  # least relative effect that goes before limits and efforts
+_LEAST_EFFECT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
 
@@ -177,9 +177,9 @@ class Difference(Stated, Result):
         main, every = self.weight
         if self.kind in _STRUCTURE:
             return 0
-        if main >= _FELT or (self.kind == "mass" and self._share_of_mass >= _SCREW):
+        if main >= _LEAST_EFFECT or (self.kind == "mass" and self._share_of_mass >= _SCREW):
             return 1
-        if every >= _FELT:
+        if every >= _LEAST_EFFECT:
             return 2
         return 3 if self.kind in LIMITS else 4
 

@@ -28,7 +28,7 @@ _STATES: Final = 80e6
 A robot of 306 degrees of freedom is compared at 106 states, one of 1000 at 10.
 """
 
-_LEAST: Final = 2
+_LEAST_STATES: Final = 2
 """States at which a robot of any size is compared: one may happen to be singular."""
 
 _FRAMES: Final = 100
@@ -44,7 +44,7 @@ def affordable_states(robot: Robot, count: int) -> int:
     """Returns at how many of so many states a robot is compared: all, unless it is large."""
     if not is_large(robot):
         return count
-    return min(count, max(_LEAST, int(_STATES / (8 * robot.nv**2))))
+    return min(count, max(_LEAST_STATES, int(_STATES / (8 * robot.nv**2))))
 
 
 def some_of(robot: Robot, frames: Mapping[str, tuple[str, str]]) -> dict[str, tuple[str, str]]:

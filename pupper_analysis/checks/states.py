@@ -47,7 +47,7 @@ def check_states(count: int, seed: int) -> None:
         raise ConfigurationError("seed", diagnose("no-whole-number", value=repr(seed)))
 
 
-_FAR = 1e3
+_LARGEST_ANGLE = 1e3
 """rad or m. Files state limits like 1e16 for none; such an angle has no digit after the point."""
 
 _STRONG = 1e6
@@ -60,7 +60,9 @@ def random_states(robot: Robot, count: int, seed: int) -> States:
     lower = np.where(np.isfinite(robot.lower_limits), robot.lower_limits, -np.pi)
     upper = np.where(np.isfinite(robot.upper_limits), robot.upper_limits, np.pi)
     # A file may have them the wrong way round; that is for the comparison to find.
-    ends = np.clip([np.minimum(lower, upper), np.maximum(lower, upper)], -_FAR, _FAR)
+    ends = np.clip(
+        [np.minimum(lower, upper), np.maximum(lower, upper)], -_LARGEST_ANGLE, _LARGEST_ANGLE
+    )
     qpos = rng.uniform(ends[0], ends[1], (count, robot.nu))
     if robot.floating:
         quaternion = rng.normal(size=(count, 4))

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 _TRIANGLE: Final = 1e-12
 """Slack of A + B >= C between principal moments, relative: rounding of the eigenvalues."""
 
-_LEAST: Final = 1e-14
+_LEAST_INERTIA: Final = 1e-14
 """Least mass (kg) and principal moment (kg m^2) of a body that moves: ten times MuJoCo's."""
 
 LIGHT: Final = 1e-3
@@ -134,7 +134,7 @@ def is_possible(inertia: pin.Inertia) -> bool:
     if inertia.mass <= 0:
         return not np.array(inertia.inertia).any()
     low, middle, high = np.linalg.eigvalsh(np.array(inertia.inertia))
-    return bool(low > _LEAST and low + middle >= high * (1 - _TRIANGLE))
+    return bool(low > _LEAST_INERTIA and low + middle >= high * (1 - _TRIANGLE))
 
 
 def nearest_moments(moments: Array, mass: float) -> Array:
@@ -150,12 +150,12 @@ def nearest_moments(moments: Array, mass: float) -> Array:
         mass: Mass (kg).
     """
     result: Array = np.maximum(moments, 0.0)
-    if result.max() <= _LEAST:
+    if result.max() <= _LEAST_INERTIA:
         return np.full(3, mass * _GYRATION**2)
     missing = float(result[2] * (1 + _MARGIN) - result[0] - result[1])
     if missing > 0:
         result = result + np.array([1.0, 1.0, -1.0]) * missing / 3
-    return np.maximum(result, 10 * _LEAST)
+    return np.maximum(result, 10 * _LEAST_INERTIA)
 
 
 def _moved(body: XmlBody, inertia: pin.Inertia) -> Diagnostic | None:

@@ -29,7 +29,7 @@ from pupper_analysis.diagnostics.values import Term
 _OPTIONAL = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
 _LIST = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")
 
-_MOST = 8
+_MOST_NAMES = 8
 """Names in a list: a page of names hides what is said of them."""
 
 _BETWEEN = {
@@ -93,7 +93,7 @@ class _Filler(Formatter):
         found = _LIST.match(spec)
         if found is None:
             raise ValueError(f"{spec!r} is no format of a list")
-        mark, most, each = found[1] or ",", int(found[2] or _MOST), found[3] or ""
+        mark, most, each = found[1] or ",", int(found[2] or _MOST_NAMES), found[3] or ""
         shown = values if len(values) <= most + 1 else values[:most]  # "and 1 more" saves nothing
         listed = _BETWEEN[self.language][mark].join(self.format_field(one, each) for one in shown)
         left = len(values) - len(shown)

@@ -27,7 +27,7 @@ _HEADER: Final = """\
 version = 2
 """
 
-_SAME: Final = 1e-6
+_VALUE_TOLERANCE: Final = 1e-6
 """How far numbers may be apart, relative to the largest beside them, and count as the same.
 
 What is kept has 9 digits; angles and inertias that went through rotations have some 12 in common on
@@ -188,7 +188,7 @@ def _numbers(values: Iterable[Any]) -> list[float] | None:
 
 def _near(here: list[float], there: list[float]) -> bool:
     finite = [abs(value) for value in (*here, *there) if math.isfinite(value)]
-    allowed = _SAME * max(finite, default=0.0)
+    allowed = _VALUE_TOLERANCE * max(finite, default=0.0)
     return len(here) == len(there) and all(
         a == b or abs(a - b) <= allowed or (math.isnan(a) and math.isnan(b))
         for a, b in zip(here, there, strict=True)

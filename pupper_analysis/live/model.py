@@ -32,7 +32,7 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
-_KEPT = 8
+_MOST_CACHED_ROBOTS = 8
 """Robots that are kept: as many as a hand goes to and fro between; v3 takes some MB."""
 
 PUSHED = 4.0
@@ -118,7 +118,7 @@ class Model:
             robot = with_payload(robot, state.payload, state.payload_point())
         with self._lock:
             robot = self._robots.setdefault(key, robot)
-            while len(self._robots) > _KEPT:
+            while len(self._robots) > _MOST_CACHED_ROBOTS:
                 self._robots.popitem(last=False)
         return robot
 

@@ -41,7 +41,7 @@ PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNITS.items()} | {
 }
 """{kind of a field: unit of a page, and how many are an SI unit}."""
 
-_LONGEST = 4000
+_MOST_LETTERS = 4000
 """Letters of a state: 50 feet's worth; a longer one is none of ours."""
 
 
@@ -263,8 +263,10 @@ def parse_state(text: str) -> State:
     Raises:
         ConfigurationError: If it says none.
     """
-    if len(text) > _LONGEST:
-        raise ConfigurationError("state", diagnose("text-too-long", count=len(text), most=_LONGEST))
+    if len(text) > _MOST_LETTERS:
+        raise ConfigurationError(
+            "state", diagnose("text-too-long", count=len(text), most=_MOST_LETTERS)
+        )
     given: dict[str, Any] = {}
     for part in filter(None, (part.strip() for part in text.split(";"))):
         name, _, value = part.partition(":")

@@ -40,7 +40,7 @@ _SECTION: Final = {
 }
 """Sections of an MJCF whose elements a URDF has none of."""
 
-_WHOLE: Final[Mapping[str, tuple[str, ...]]] = {
+_GLOBAL_OPTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "fluid": ("density", "viscosity"),
     "gravity": ("gravity",),
     "flag": (),
@@ -99,7 +99,7 @@ class UrdfSources:
         if kind == "gravity compensation":
             mover = self.movers.get(element)
             return Place(file.path) if mover is None else file.place("link", self.links[mover])
-        if kind in _SECTION or kind in _WHOLE:
+        if kind in _SECTION or kind in _GLOBAL_OPTIONS:
             return Place(file.path)
         if kind in _OF_BODIES and element in self.links:
             return self.weight(kind, _heaviest(self.members(element)))
@@ -153,8 +153,8 @@ class MjcfSources:
             if self.renumbered:
                 return Place(file.path)
             return file.numbered(_SECTION[kind], int(element[1:]))
-        if kind in _WHOLE:
-            words = set(_WHOLE[kind]) or {element}
+        if kind in _GLOBAL_OPTIONS:
+            words = set(_GLOBAL_OPTIONS[kind]) or {element}
             tag = "flag" if kind == "flag" else "option"
             stated = (at for found, at in file.elements(tag) if words & set(found))
             return next(stated, Place(file.path))

@@ -20,7 +20,9 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 _PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
-_NEAR = 0.25  # greatest distance of joints that may be one, relative to the robot's size
+_POSITION_TOLERANCE = (
+    0.25  # greatest distance of joints that may be one, relative to the robot's size
+)
 
 
 def common_frames(
@@ -156,7 +158,7 @@ def _in_place(
         (here, axis), (there, other_axis) = place_one[name], place_two[other]
         distance = float(np.linalg.norm(here - there))
         parallel = abs(float(axis @ other_axis)) > _PARALLEL
-        return distance if parallel and distance < _NEAR * size else np.inf
+        return distance if parallel and distance < _POSITION_TOLERANCE * size else np.inf
 
     for parent in (one.base, *one.joints):  # parents first
         twin = partner.get(parent)

@@ -17,7 +17,7 @@ import mujoco
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.results import Result
 
-_SAME = 1e-6
+_EFFORT_TOLERANCE = 1e-6
 """Relative: numbers that a file rounds to seven digits are one."""
 
 _HOLDING = (
@@ -186,9 +186,11 @@ def _gear_left_out(
     if len(drives) != 1 or not effort > 0:
         return None
     gear = abs(float(actuator_gear(model, drives[0])[0]))
-    if abs(gear - 1.0) <= _SAME:
+    if abs(gear - 1.0) <= _EFFORT_TOLERANCE:
         return None
-    same = any(math.isclose(gear * effort, one.greatest, rel_tol=_SAME) for one in stated)
+    same = any(
+        math.isclose(gear * effort, one.greatest, rel_tol=_EFFORT_TOLERANCE) for one in stated
+    )
     return gear if same else None
 
 

@@ -18,7 +18,7 @@ from pupper_analysis.models.mjcf import compile_spec
 Array = NDArray[np.float64]
 
 
-_APART: Final = 0.1
+_LEAST_VOLUME: Final = 0.1
 """Least volume that three axes span: those of coordinates span 1, and 0 are none."""
 
 _LOSSES: Final = tuple(one.mjcf[0] for one in PASSIVE if one.mujoco)
@@ -96,7 +96,7 @@ def _free_in_parts(spec: mujoco.MjSpec, stated: Collection[str]) -> mujoco.MjsBo
         return None
     if len(base.find_all(joint_count)) == len(joints):  # a thing, and no robot
         return None
-    if any(abs(np.linalg.det(axes)) < _APART for axes in _axes(joints)):
+    if any(abs(np.linalg.det(axes)) < _LEAST_VOLUME for axes in _axes(joints)):
         return None
     return base
 

@@ -17,7 +17,7 @@ _SHARED = {
 """Attributes that several elements of a kind may share."""
 
 
-_CLOSE = {"transmission"}
+_COMPACT_SECTIONS = {"transmission"}
 """Sections of a URDF that stand without a blank line between them."""
 
 
@@ -118,7 +118,7 @@ def to_text(root: etree._Element, header: str) -> str:
     """
     etree.indent(root, space="  ")
     text = etree.tostring(root, encoding="unicode")
-    tags = "|".join(sorted({str(section.tag) for section in root} - _CLOSE))
+    tags = "|".join(sorted({str(section.tag) for section in root} - _COMPACT_SECTIONS))
     text = re.sub(rf"\n  <({tags})(?=[ >/])", r"\n\n  <\1", text)
     quiet = header.replace("--", "- -")
     return f"<!-- {quiet} -->\n{text}\n"

@@ -34,7 +34,7 @@ _STEPS = 20  # of Newton's, of which a free joint takes two
 
 _COMMAND = 1e-6  # to a motor, within any limit of it
 
-_LEAST = 1e-9  # N m (or N) that a motor makes of a command of 1: less is none
+_LEAST_STIFFNESS = 1e-9  # N m (or N) that a motor makes of a command of 1: less is none
 
 FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
 """Of a servo with ``timeconst``."""
@@ -297,7 +297,7 @@ def _lever(
         mujoco.mj_forward(model, trial)
         forces.append(float(trial.qfrc_actuator[dof]))
     lever = (forces[1] - forces[0]) / _COMMAND
-    return (control, lever, forces[0]) if abs(lever) > _LEAST else None
+    return (control, lever, forces[0]) if abs(lever) > _LEAST_STIFFNESS else None
 
 
 def self_controlled(bare: Bare, robot: Robot) -> tuple[str, ...]:

@@ -33,7 +33,7 @@ _LEVEL = 0.05
 """Or in parts of how far the limbs' last bodies are from the base: legs that are spread as a
 spider's end at the base's height, or so."""
 
-_NEAR = 0.02
+_SPHERE_DISTANCE = 0.02
 """A sphere whose centre is no further from a URDF's link is the foot that the link means (m)."""
 
 
@@ -195,7 +195,7 @@ def _around(
     spheres = [geom for geom in geoms if model.geom_type[geom] == sphere]
     away = {geom: float(np.linalg.norm(data.geom_xpos[geom] - place)) for geom in spheres}
     nearest = min(away, key=away.__getitem__, default=None)
-    return [nearest] if nearest is not None and away[nearest] < _NEAR else list(geoms)
+    return [nearest] if nearest is not None and away[nearest] < _SPHERE_DISTANCE else list(geoms)
 
 
 def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) -> tuple[int, Array]:

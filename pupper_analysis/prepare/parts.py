@@ -18,7 +18,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.configuration import Configuration
 
-_ALIKE = 1e-3
+_MASS_TOLERANCE = 1e-3
 """Share of the weight within which the parts are what the URDF lacks; rounded files have 1e-4."""
 
 
@@ -42,7 +42,10 @@ def with_parts(matched: Match, spec: mujoco.MjSpec) -> tuple[Description | None,
     bodies = [model.body(name).id for name in names if model.body(name).mass[0] > 0]
     mass = float(sum(model.body_mass[body] for body in bodies))
     whole = float(model.body_subtreemass[model.body(robot.mj_base).id])
-    if mass <= _ALIKE * whole or abs(robot.total_mass + mass - whole) > _ALIKE * whole:
+    if (
+        mass <= _MASS_TOLERANCE * whole
+        or abs(robot.total_mass + mass - whole) > _MASS_TOLERANCE * whole
+    ):
         return None, []
     carriers = {
         int(model.body_weldid[model.body(body).id]): matched.urdf_link[moved]

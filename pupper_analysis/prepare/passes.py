@@ -39,7 +39,7 @@ from pupper_analysis.robot.servos import own_servos
 
 Array = NDArray[np.float64]
 
-_APART = 2e-3
+_AXIS_TOLERANCE = 2e-3
 """Joints whose axes are further apart are not rounded, but different (m)."""
 
 
@@ -243,7 +243,7 @@ def _put_feet(draft: Draft) -> Made:
     told = [notes.named_feet(bare, feet, given=given is not None)]
     apart = {foot.name: apart_at(bare, foot) for foot in feet}
     worst = max(apart, key=apart.__getitem__)
-    if apart[worst] > _APART:
+    if apart[worst] > _AXIS_TOLERANCE:
         off = Quantity(apart[worst], "m")
         told.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
     told += notes.tell_balls(bare, feet)

@@ -30,7 +30,7 @@ _POSES = 3  # random ones: in one, a leg may be stretched
 
 _RANK = 1e-2  # of what a leg can do: soles of meshes are tilted by their vertices' last digits
 
-_MOST = 8
+_MOST_CORNERS = 8
 """The most corners that are kept of a sole: those without which its area is least."""
 
 
@@ -57,7 +57,7 @@ def sole_corners(points: Array, out: Array, flat: float) -> list[int]:
         hull = [int(number) for number in ConvexHull(seen).vertices]
     except QhullError:
         return []
-    while len(hull) > _MOST:
+    while len(hull) > _MOST_CORNERS:
         lost = []
         for index in range(len(hull)):
             one, two, three = (seen[hull[(index + k) % len(hull)]] for k in (-1, 0, 1))

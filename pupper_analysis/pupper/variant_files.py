@@ -17,7 +17,7 @@ from pupper_analysis.models.places import one_line
 from pupper_analysis.pupper import derive_mjcf
 from pupper_analysis.pupper.variants import BASES, VariantSpec, model_folder, variant_spec
 
-_USUAL = 20.0
+_SAFE_SCALE = 20.0
 """Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""
 
 
@@ -73,7 +73,7 @@ def _derived(
         try:
             urdf_text = derive_urdf.derive_urdf(urdf_text, spec, source=urdf_source)
             derive_mjcf.derive_mjcf(mjcf_spec, spec)
-            if max(*scales, *(1 / scale for scale in scales)) > _USUAL:
+            if max(*scales, *(1 / scale for scale in scales)) > _SAFE_SCALE:
                 mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
         except (ArithmeticError, ValueError, ModelError) as error:
             raise VariantError(

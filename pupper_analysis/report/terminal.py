@@ -30,7 +30,7 @@ from pupper_analysis.report.words import in_english
 MOST_NOTES = 8
 """Lines of notes in a short view: what is read before a table."""
 
-_LEAST = 40
+_LEAST_WIDTH = 40
 """Characters of a terminal: on a narrower one, tables are wider than it is."""
 
 
@@ -210,7 +210,7 @@ def _of_listing(block: Listing, _: _View) -> list[_Line]:
 
 
 def _print_block(out: Console, block: Block, place: int = 0, *, everything: bool) -> None:
-    for line in _lines_of(block, _View(max(out.width, _LEAST), place, everything)):
+    for line in _lines_of(block, _View(max(out.width, _LEAST_WIDTH), place, everything)):
         _say(out, line.text, indent=line.indent, wrap=line.wrap)
 
 
@@ -222,7 +222,7 @@ def _say(out: Console, line: Text, *, indent: int = 0, wrap: bool = True) -> Non
     lead = len(line.plain) - len(line.plain.lstrip("\n"))
     rows = textwrap.wrap(
         line.plain[lead:],
-        max(out.width, _LEAST),
+        max(out.width, _LEAST_WIDTH),
         subsequent_indent=" " * indent,
         drop_whitespace=False,
         break_long_words=False,

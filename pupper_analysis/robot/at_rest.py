@@ -14,7 +14,7 @@ from pupper_analysis.robot.coordinates import MujocoConvention
 
 Array = NDArray[np.float64]
 
-_STEP = 1e-6
+_DIFFERENCE_STEP = 1e-6
 """Step of central differences (rad, m): springs are linear, and weights' levers are sines."""
 
 
@@ -55,11 +55,11 @@ class AtRest:
         for dof in index:
             step, ends = np.zeros(self._model.nv), []
             step[dof] = 1.0
-            for way in (_STEP, -_STEP):
+            for way in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
                 data.qpos[:] = here
                 mujoco.mj_integratePos(self._model, data.qpos, step, way)
                 ends.append(self._now())
-            columns.append((ends[0] - ends[1]) / (2 * _STEP))
+            columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
     def _now(self) -> Array:

@@ -43,7 +43,7 @@ _INDEPENDENT = 1e-7
 loop's equations across its plane, which rounded files leave with 1e-9."""
 
 _MAX_ITERATIONS = 50
-_LONGEST = 0.3  # rad, m: a longer Newton step is shortened
+_LONGEST_NEWTON_STEP = 0.3  # rad, m: a longer Newton step is shortened
 
 _STEPS = 12
 """From the start to a configuration in which loops would be assembled otherwise."""
@@ -51,7 +51,7 @@ _STEPS = 12
 _NEARLY = 1e-3
 """Loops of a file's own start are closed to rounding, or in a keyframe to a millimetre (m, rad)."""
 
-_STEP = 1e-7
+_DIFFERENCE_STEP = 1e-7
 """Of central differences (rad, m): softness changes within a millimetre."""
 
 _SOFTER = 2.0
@@ -149,11 +149,11 @@ class Closure:
         first, columns = self._size - len(self._joint_names), []
         for joint in range(first, self._size):
             ends = []
-            for way in (_STEP, -_STEP):
+            for way in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
                 moved = qpos.copy()
                 moved[joint] += way
                 ends.append(self.springs(moved))
-            columns.append((ends[0] - ends[1]) / (2 * _STEP))
+            columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
         return np.array(columns).T
 
     def ways(self, qpos: Array) -> Array:
@@ -217,7 +217,7 @@ class Closure:
             if np.abs(turned @ left).max(initial=0.0) < CLOSED:
                 return found if give is not None or np.abs(left).max(initial=0.0) < OPEN else None
             step = -moving * (np.linalg.pinv(turned @ rows * moving) @ (turned @ left))
-            joints += step * min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+            joints += step * min(1.0, _LONGEST_NEWTON_STEP / max(float(np.abs(step).max()), 1e-300))
         return None
 
     def open(self, qpos: Array) -> float:

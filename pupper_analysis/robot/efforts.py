@@ -12,7 +12,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import EffortLimit, effort_of
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
-_SAME = 1e-6
+_EFFORT_TOLERANCE = 1e-6
 """Relative: limits that differ by less are one, rounded otherwise."""
 
 
@@ -87,4 +87,4 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 
 
 def _alike(one: float, other: float) -> bool:
-    return one == other or math.isclose(one, other, rel_tol=_SAME)
+    return one == other or math.isclose(one, other, rel_tol=_EFFORT_TOLERANCE)

@@ -22,7 +22,7 @@ _DEFAULT_REFERENCE = (0.02, 1.0)
 _HALVINGS = 60
 """Of the bounds of an opening: to rounding."""
 
-_ROUNDS = 1000
+_MAX_ITERATIONS = 1000
 """Of repeated substitution, which rises to the least opening."""
 
 _EXACT = 1e-14
@@ -118,7 +118,7 @@ def _length(solimp: tuple[float, ...], force: float) -> float:
     """Returns by how much a constraint is open under a force: x = force law(x)."""
     low, high = (force * _law(solimp, at) for at in (0.0, solimp[2]))
     if low < high:  # the softer the more it is open: as far as it goes when it begins closed
-        for _ in range(_ROUNDS):
+        for _ in range(_MAX_ITERATIONS):
             last, low = low, force * _law(solimp, low)
             if low - last <= _EXACT * low:
                 break

@@ -28,14 +28,14 @@ SETTLE = 0.5
 """Time for which a state settles before it is judged (s): contacts meet their loads in some 0.05 s,
 and a mode that doubles in a second has multiplied rounding by 1.4."""
 
-_LONGEST = 600.0  # s: what is simulated at most, as of a stand
+_LONGEST_DOUBLING = 600.0  # s: what is simulated at most, as of a stand
 
 _EDGE = 10 * STEP
 """So near to its limit a joint is at it (rad, m): differences would be taken half inside, half
 outside, and their mean is the motion of neither. ANYmal at a hard limit of its knees was said to
 shake at 9 Hz, and forgot each nudge."""
 
-_STILL = 1e-4
+_NEUTRAL_RATE = 1e-4
 """Rate of a mode that neither grows nor decays (1/s): it takes two hours to double."""
 
 _NOISE = 1e-9
@@ -55,10 +55,10 @@ _THROWN = 6
 speed above. What began without balance and moves on for that (servos that sag) is not at rest, and
 where it began, nothing is: v3 half way down on soft servos told 1.5 to 25 s for the same rest."""
 
-_MOST = 0.5
+_NAMED_SHARE = 0.5
 """Of the greatest share in a mode: what moves by less is not named."""
 
-_FEW = 4  # joints and contacts that are named
+_MOST_NAMED_JOINTS = 4  # joints and contacts that are named
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,8 +208,10 @@ def step_stability(
         if not isinstance(given, kind):
             what = {"given": type(given).__name__, "wanted": kind.__name__}
             raise ConfigurationError(name, diagnose("argument-of-other-kind", **what))
-    if not 0 <= settle <= _LONGEST:
-        raise ConfigurationError("settle", diagnose("settling-time", settle=settle, most=_LONGEST))
+    if not 0 <= settle <= _LONGEST_DOUBLING:
+        raise ConfigurationError(
+            "settle", diagnose("settling-time", settle=settle, most=_LONGEST_DOUBLING)
+        )
     start, data = data, copy_data(model, data)
     steps = round(settle / model.opt.timestep)
     if not steps:
@@ -285,7 +287,7 @@ class _Modes:
         aligned = np.abs(np.sum(left.conj() * self._vectors, axis=0))
         error = np.minimum(_NOISE / np.maximum(aligned, _NOISE), _VAGUE)
         self._growth = np.abs(self._values) - 1
-        still = np.maximum(_STILL * float(model.opt.timestep), error)
+        still = np.maximum(_NEUTRAL_RATE * float(model.opt.timestep), error)
         self._drifts = np.abs(self._values - 1) <= still
         # A pendulum without damping swings on, and rounding lets it grow by nothing.
         self._grows = (self._growth > still) & ~self._drifts
@@ -364,5 +366,5 @@ class _Modes:
 def _most(shares: dict[str, float]) -> tuple[str, ...]:
     """Returns the few names with the greatest shares, the greatest first."""
     names = sorted(shares, key=shares.__getitem__, reverse=True)
-    least = _MOST * shares[names[0]] if names else 0.0
-    return tuple(name for name in names[:_FEW] if shares[name] >= least > 0)
+    least = _NAMED_SHARE * shares[names[0]] if names else 0.0
+    return tuple(name for name in names[:_MOST_NAMED_JOINTS] if shares[name] >= least > 0)

@@ -143,14 +143,14 @@ def _add_joints(model: UsdModel, link: Link, body: mujoco.MjsBody) -> None:
         added.axis = inverse.rotation @ joint.axis
         if math.isfinite(joint.lower) or math.isfinite(joint.upper):
             added.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-            lower, upper = np.clip((joint.lower, joint.upper), -_FAR, _FAR)
+            lower, upper = np.clip((joint.lower, joint.upper), -_NO_LIMIT, _NO_LIMIT)
             added.range = lower, upper + (NARROW if lower == upper else 0.0)
         for kind in ("armature", "damping", "friction", "spring", "effort"):
             if kind in joint.stated:
                 state_number(added, BY_KIND[kind], joint.stated[kind])
 
 
-_FAR = 1e6
+_NO_LIMIT = 1e6
 """rad, m: where MuJoCo wants two limits, and a joint has one."""
 
 

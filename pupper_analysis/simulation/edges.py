@@ -9,7 +9,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 
-_APART = 1e-3
+_SAME_CONTACT = 1e-3
 """Contacts of a round foot are at one place (m)."""
 
 
@@ -33,7 +33,7 @@ def several_contacts(robot: Robot, stand: Stand) -> Diagnostic | None:
         for foot, found in places.items()
     }
     foot = max(spread, key=spread.__getitem__, default=None)
-    if foot is None or spread[foot] < _APART:
+    if foot is None or spread[foot] < _SAME_CONTACT:
         return None
     return diagnose(
         "foot-touches-at-several-places",

@@ -37,7 +37,7 @@ s/rad, no rotors), whose fastest squat is then off by 17 %, and loses the ground
 FINEST = 1e-5
 """The shortest time step that is chosen (s): a path of a second then takes a second or two."""
 
-_WHOLE = 1e-6
+_STEP_ROUNDING = 1e-6
 """Of a time step: what a path's time may be short of a number of them, by rounding."""
 
 
@@ -99,7 +99,7 @@ def path_commands(
     drive.model.opt.timestep = timestep
     robot = replace(robot, mj_model=drive.model)  # a contact may depend on the time step
     # No step goes beyond the end: what the feet still sink would there be at rest of a sudden.
-    steps = max(1, math.floor(float(path.time[-1]) / timestep + _WHOLE))
+    steps = max(1, math.floor(float(path.time[-1]) / timestep + _STEP_ROUNDING))
     times: Array = np.linspace(timestep, steps * timestep, steps)
     motion = find_sunk_motion(robot, path)
     first = replace(first, qpos=motion.qpos[0])

@@ -52,7 +52,7 @@ LIFTED = 2e-3
 """A foot that is off the ground and this much higher than it began has lifted (m); one that carries
 little hops by less when it is nudged."""
 
-_SAMPLE = 0.05  # s between the states that are looked at closely
+_SAMPLE_TIME = 0.05  # s between the states that are looked at closely
 _SLIDING_CONDIM = 3  # of a contact without torsional and rolling friction
 
 
@@ -310,7 +310,7 @@ def _first_event(
     lower, upper = robot.lower_limits, robot.upper_limits
     places: dict[str, Array] = {}
     carrying = set(robot.feet_with(stand.stance_feet))
-    for state in states[:: max(1, round(_SAMPLE / timestep))]:
+    for state in states[:: max(1, round(_SAMPLE_TIME / timestep))]:
         seen = watcher.look(state, ctrl)
         angles = data.qpos[robot.mj_convention.qpos_index[7:]]
         torques = data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]

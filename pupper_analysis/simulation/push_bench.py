@@ -47,11 +47,11 @@ lulls on the way down pass for rest, and the proof of its limits has to begin an
 _LULL = 0.1
 """Time for which all must be slow before its spectrum is looked at (s)."""
 
-_SLOW = 0.02
+_REST_SPEED = 0.02
 """What is faster in it, of all coordinates, is not at rest yet (m/s, rad/s). A robot that almost
 tips is as slow for a while: its spectrum tells it from one that stands."""
 
-_SAMPLE = 0.004  # s between the states whose contacts are looked at
+_SAMPLE_TIME = 0.004  # s between the states whose contacts are looked at
 _BATCH = 2**25  # numbers (of 8 bytes) that a rollout may take
 
 
@@ -183,7 +183,7 @@ class Bench:
         """Says so if some states cannot be part of a recovery, whatever comes next."""
         if monitor.has_diverged(states, self.timestep):
             return monitor.tell_divergence(self.drive.integrator, self.timestep)
-        for state in states[:: max(1, round(_SAMPLE / self.timestep))]:
+        for state in states[:: max(1, round(_SAMPLE_TIME / self.timestep))]:
             if touching := sorted(self.watcher.touching(state)):
                 moment = Quantity(self.watcher.data.time, "s")
                 return diagnose("body-touches-ground", subject=("body", touching[0]), time=moment)
@@ -216,7 +216,7 @@ class Bench:
         """Tells whether it has come to rest where it stands, and stays."""
         model = self.drive.model
         rates = states[-round(_LULL / self.timestep) :, 1 + model.nq :][:, : model.nv]
-        if np.abs(rates).max(initial=0.0) > _SLOW:
+        if np.abs(rates).max(initial=0.0) > _REST_SPEED:
             return False
         end = states[-1]
         height = float(monitor.base_heights(self.robot, end))

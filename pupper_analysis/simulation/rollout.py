@@ -26,7 +26,7 @@ _SHALLOW, _DEEP = 1e-6, 0.065536  # m: where the feet are looked for that carry 
 
 _FURTHER = 8.0  # a search looks so many times as deep: wider brackets than 2 take fewer looks
 
-_SAME = 1e-12  # m: drops that differ by no more are one
+_DROP_RESOLUTION = 1e-12  # m: drops that differ by no more are one
 
 _FILTERS = (mujoco.mjtDyn.mjDYN_FILTER.value, mujoco.mjtDyn.mjDYN_FILTEREXACT.value)
 """Of a servo with ``timeconst``: what it commands lags behind, and at rest is its command."""
@@ -152,7 +152,7 @@ def settled_activations(model: mujoco.MjModel, ctrl: Array) -> Array:
 def _carried(
     surplus: Callable[[float], float], low: float, high: float, short: float, over: float
 ) -> float:
-    """Returns where a surplus crosses zero, or up to ``_SAME`` beyond.
+    """Returns where a surplus crosses zero, or up to ``_DROP_RESOLUTION`` beyond.
 
     By the Illinois method: secants between a drop that is short and one that is over; of an end
     that stays for a second time half as much counts. Where ``low`` has not been looked at, that is
@@ -166,10 +166,12 @@ def _carried(
         over: What it is at ``high`` (N).
     """
     kept = 0
-    while high - low > _SAME:
+    while high - low > _DROP_RESOLUTION:
         share = over / (over - short) if math.isfinite(short) else 0.5
         # Not nearer to an end than half of what is the same: so both ends come.
-        middle = high - min(max(share * (high - low), _SAME / 2), high - low - _SAME / 2)
+        middle = high - min(
+            max(share * (high - low), _DROP_RESOLUTION / 2), high - low - _DROP_RESOLUTION / 2
+        )
         found = surplus(middle)
         if found < 0:
             low, short, over = middle, found, over / 2 if kept < 0 else over

@@ -38,7 +38,7 @@ _SURE = 0.25
 """What is below this part of each bound for a second is at rest; the spectrum says whether it stays
 so."""
 
-_LOST = 2.0
+_LOST_SLIP = 2.0
 """Feet that have moved by so many times the bound do not come back: friction holds them."""
 
 _FORGOTTEN = 3.0
@@ -49,7 +49,7 @@ _BRIEF = 1.5
 """Time that is looked at after a nudge, at least (s): what leaves its place at a nudge of 1 mm/s
 does so within a second."""
 
-_SAMPLE = 0.02  # s between the states at whose feet is looked
+_SAMPLE_TIME = 0.02  # s between the states at whose feet is looked
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,7 @@ def _settled(held: Standing) -> _Second | None:
         if monitor.has_diverged(states, float(model.opt.timestep)):
             return None
         seen = _looked_at(held, data, states)
-        if seen.slip > _LOST * STAYED or _collapses(held, state):
+        if seen.slip > _LOST_SLIP * STAYED or _collapses(held, state):
             return None
         if seen.rests(_SURE):
             return seen
@@ -149,7 +149,7 @@ def _settled(held: Standing) -> _Second | None:
 def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Second:
     robot, stand, model = held.robot, held.stand, held.drive.model
     heights = monitor.base_heights(robot, states)
-    step = max(1, round(_SAMPLE / model.opt.timestep))
+    step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
     total, looks = {foot: np.zeros(3) for foot in stand.stance_feet}, states[::-step]
     for state in looks:
         mujoco.mj_setState(model, data, state, STATE)

@@ -55,7 +55,7 @@ RESTING = 5e-3
 SOFT = 1e-4
 """Ground into which feet sink deeper than their stand has them by this is soft (m)."""
 
-_SAMPLE = 0.02  # s between the states that are looked at closely
+_SAMPLE_TIME = 0.02  # s between the states that are looked at closely
 NUDGED = 7 / 12  # of the time by default: 5 s to settle, and 7 s in which 1e-3 must be forgotten
 _FRAME = 0.1  # s between those that are kept: an eye sees what it does, and results stay small
 
@@ -275,7 +275,7 @@ def _measured(
         abs(watch.forces[foot][2] - force[2]) / max(force[2], light)
         for foot, force in predicted.items()
     )
-    step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE, _FRAME))
+    step, frame = (max(1, round(every / timestep)) for every in (_SAMPLE_TIME, _FRAME))
     foot_error, residual = balance_by_mujoco(robot, stand, prediction)
     return StandVerification(
         passed=True,

@@ -16,7 +16,7 @@ from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
 
-_SAMPLE = 0.02  # s between the states that are looked at
+_SAMPLE_TIME = 0.02  # s between the states that are looked at
 
 LAST = 1.0
 """Time in which what a stand settles at is measured (s)."""
@@ -52,7 +52,7 @@ def watch_contacts(
     The feet in ``loaded`` must not let go; others are hardly predicted to touch.
     """
     watcher = monitor.Watcher(robot, model)
-    step = max(1, round(_SAMPLE / model.opt.timestep))
+    step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
     touched: dict[str, float] = {}
     lost: dict[str, float] = {}
     torques = np.zeros(robot.nu)

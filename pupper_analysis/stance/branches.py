@@ -31,13 +31,13 @@ original's legs, 32 find all branches but one that 256 do."""
 _ITERATIONS = 14
 """Of Levenberg and Marquardt's method: it converges in 6 to 10 where a foot is in reach."""
 
-_FEW = 5
+_FEW_ITERATIONS = 5
 """Of them where a branch is followed: what is not nearly there then is out of reach."""
 
-_SAME = 0.05
+_BRANCH_DISTANCE = 0.05
 """Joint positions that are no further from each other belong to one branch (rad, or m)."""
 
-_MOST = 6
+_MOST_BRANCHES = 6
 """The most branches that are kept of a limb: of a redundant one there is a continuum."""
 
 _DAMPING = 1e-3  # m^2 per rad^2: where it begins; a leg's Jacobian squared is 1e-2 to 1e-1
@@ -168,7 +168,7 @@ def follow_branches(
             starts[row, limb.joints] = ways[row % len(ways)].positions
     descent = _Descent(robot, qpos, targets, lower, upper)
     shifts = np.repeat(moves, count, axis=0)
-    positions, misses = descent.run(np.tile(starts, (len(moves), 1)), shifts, _FEW)
+    positions, misses = descent.run(np.tile(starts, (len(moves), 1)), shifts, _FEW_ITERATIONS)
     turning = robot.pin_convention.unbounded
     return {
         limb: [
@@ -188,9 +188,9 @@ def _kept(positions: Array, missed: Array, turns: BoolArray) -> tuple[Branch, ..
     kept: list[Branch] = []
     for index in np.argsort(missed, kind="stable"):
         away = [positions[index] - branch.positions for branch in kept]
-        if all(np.abs(np.where(turns, _turned(a), a)).max() > _SAME for a in away):
+        if all(np.abs(np.where(turns, _turned(a), a)).max() > _BRANCH_DISTANCE for a in away):
             kept.append(Branch(positions[index], float(missed[index])))
-        if len(kept) == _MOST:
+        if len(kept) == _MOST_BRANCHES:
             break
     return tuple(kept)
 

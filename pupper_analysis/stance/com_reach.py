@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _POSES = 3
 """How many random poses are looked at: the first may be singular."""
 
-_STILL = 1e-6
+_LEAST_COM_RATE = 1e-6
 """A com that moves by less against the base, per unit of joint rates, does not move (m/rad)."""
 
 _SIDEWAYS = 1e-3
@@ -50,4 +50,4 @@ def _ways(robot: Robot, joints: Array) -> int:
     free = linalg.null_space(np.vstack([held, feet]), rcond=1e-9)
     moved = config.com_jacobian()[:2] @ free
     sizes = np.linalg.svd(moved, compute_uv=False)
-    return int((sizes > max(_STILL, _SIDEWAYS * float(sizes.max(initial=0.0)))).sum())
+    return int((sizes > max(_LEAST_COM_RATE, _SIDEWAYS * float(sizes.max(initial=0.0)))).sum())

@@ -25,13 +25,13 @@ for _field in FIELDS.values():
 DEMANDS = tuple(_FIELDS)
 """The fields of a task that may put a stance out of reach; those of the ground give together."""
 
-_FAR = 3.0
+_FARTHEST = 3.0
 """No place or height need be further from what was asked (stand heights): no leg reaches so far."""
 
-_LEAST = 1e-3
+_LEAST_HEIGHT = 1e-3
 """Part of a height that is always left of it: none is zero or less."""
 
-_FINE = 0.005
+_ROUNDING_SHARE = 0.005
 """A value is rounded by no more than this part of its distance from the nominal stand's."""
 
 _DOUBTFUL = 50.0
@@ -156,13 +156,13 @@ def _centre(robot: Robot, task: StandTask) -> tuple[float, float]:
 
 def _range(robot: Robot, field: Field, value: float) -> tuple[float, float]:
     """Returns the least and the most that a number may become; see ``Numbers`` (m, rad)."""
-    far = _FAR * robot.stand_height
+    far = _FARTHEST * robot.stand_height
     if field.gives == "less":
-        least = _LEAST * value if field.open else min(0.0, value)
+        least = _LEAST_HEIGHT * value if field.open else min(0.0, value)
         return least, max(0.0, value)
     if field.kind == "angle":
         return min(field.low, value), max(field.high, value)
-    return (_LEAST * value if field.open else value - far), value + far
+    return (_LEAST_HEIGHT * value if field.open else value - far), value + far
 
 
 def differ_from_nominal(robot: Robot, task: StandTask, demands: Sequence[str]) -> bool:
@@ -219,7 +219,7 @@ def _rounded(field: Field, number: float, usual: float, asked: float, *, back: b
     value, nominal = number / unit, usual / unit
     if number in (asked, usual):
         return number
-    digits = max(1, math.ceil(-math.log10(_FINE * abs(value - nominal))))
+    digits = max(1, math.ceil(-math.log10(_ROUNDING_SHARE * abs(value - nominal))))
     step, up = 10.0 ** -min(_MOST_DIGITS, digits), (number > asked) != back
     away = math.ceil if up else math.floor
     result = round(away(value / step + (-1e-6 if up else 1e-6)) * step, digits)

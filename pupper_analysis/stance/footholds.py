@@ -14,9 +14,9 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
-_ROUNDS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
+_MAX_ITERATIONS = 4  # of fitting a plane to spheres of unequal size: each depends on the other
 
-_SAME = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it
+_COINCIDENT = 1e-9  # m: contact points that are nearer to each other, or to a line, are on it
 
 
 def nominal_places(robot: Robot) -> dict[str, Array]:
@@ -81,7 +81,7 @@ def place_feet(robot: Robot, task: StandTask) -> dict[str, Array]:
 def _laid(sole: Array, radii: Array, normal: Array) -> Array:
     """Turns a sole's centres (n, 3) so that it rests on the plane through the origin."""
     out = UP
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         out = _upwards(sole - radii[:, None] * out)
     turn = pin.Quaternion.FromTwoVectors(out, normal).matrix()
     middle = sole.mean(axis=0)
@@ -93,7 +93,7 @@ def _laid(sole: Array, radii: Array, normal: Array) -> Array:
 def _upwards(points: Array) -> Array:
     """Returns the upward normal (3,) of the plane, or of the line, on which points (n, 3) are."""
     _, sizes, axes = np.linalg.svd(points - points.mean(axis=0))
-    if sizes[1] < _SAME:  # a line: as upright as its direction lets it be
+    if sizes[1] < _COINCIDENT:  # a line: as upright as its direction lets it be
         normal = UP - (UP @ axes[0]) * axes[0]
     else:
         normal = axes[2] * np.sign(axes[2][2] or 1.0)

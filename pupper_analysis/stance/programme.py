@@ -26,7 +26,7 @@ from pupper_analysis.stance.task import StandTask
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_STEP = 1e-7
+_DIFFERENCE_STEP = 1e-7
 """Of difference quotients by a demand's numbers (stand heights, rad): with longer ones steps and
 slopes are less exact, with shorter ones rounding counts."""
 
@@ -37,12 +37,12 @@ _ITERATIONS = (20, 50)
 """How many at most without demands to give, and with some: 1,500 of 1,500 that led to a stand took
 12 or fewer, and of 350 nine in ten 45 or fewer."""
 
-_FINE = 200.0
+_FINE_UNIT = 200.0
 """Parts of a stand height in which distances of the feet are when these are to be least and little
 is left: where a valley is flat, by a tenth of a millimetre in 30, whole heights end at its side,
 and thousands of parts on the way. At the end of reach it takes some 45 steps."""
 
-_LONG = 100
+_MAX_ITERATIONS = 100
 """How many they are at most."""
 
 _HARDLY, _STALLED = 0.9, (4, 32)
@@ -202,9 +202,9 @@ class Programme:
         in stand heights first, and then in parts of what that has left.
         """
         x, scale = self._start(qpos, None), self._unit**-2
-        for tolerance, most in ((1e-12, _ITERATIONS[1]), (1e-10, _LONG)):
+        for tolerance, most in ((1e-12, _ITERATIONS[1]), (1e-10, _MAX_ITERATIONS)):
             x = self._minimised(partial(self._distances, scale=scale), x, tolerance, most)
-            scale = 1 / max(self._distances(x)[0], (self._unit / _FINE) ** 2)
+            scale = 1 / max(self._distances(x)[0], (self._unit / _FINE_UNIT) ** 2)
         return self._point(x).qpos
 
     def _distances(self, x: Array, scale: float = 1.0) -> tuple[float, Array]:
@@ -338,7 +338,7 @@ class Programme:
         moved = np.concatenate(rates)
         ends = np.cumsum([len(rate) for rate in rates])
         columns, numbers = [], self._numbers
-        towards = np.copysign(_STEP * numbers.units, numbers.values - values)
+        towards = np.copysign(_DIFFERENCE_STEP * numbers.units, numbers.values - values)
         for number, (demand, unit) in enumerate(zip(numbers.demands, numbers.units, strict=True)):
             near = values.copy()  # towards what is asked: beyond it there may be nothing
             near[number] += towards[number]

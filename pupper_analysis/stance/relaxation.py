@@ -34,11 +34,11 @@ from pupper_analysis.stance.underactuated_feet import find_missing_joints
 
 Array = NDArray[np.float64]
 
-_DEAD = 1e-2
+_DEAD_POINT_RATIO = 1e-2
 """What loops leave, at most, of the joints' lever on a foot at a dead point: a thousandth of a
 radian from it some thousandth."""
 
-_FELT = 1e-6
+_LEAST_MISS = 1e-6
 """Where a dead point is the cause, feet that miss by less (m) do so by the search's tolerance."""
 
 _FURTHER = (0.0, 1e-3, 4e-3, 1.6e-2, 6.4e-2)
@@ -87,7 +87,7 @@ def explain_refusal(
     blocked = () if missed else nearest.blocked
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
-        missed = {foot: gap for foot, gap in missed.items() if gap >= _FELT}
+        missed = {foot: gap for foot, gap in missed.items() if gap >= _LEAST_MISS}
     ways = _Ways(context, goal, nearest).found() if explain else []
     named = {" and ".join(way.demands): way for way in ways}
     least = min(ways, key=lambda way: way.slack, default=None)
@@ -121,7 +121,7 @@ def _is_dead_point(robot: Robot, nearest: Stand) -> bool:
     for foot in nearest.stance_feet:
         joints = rates[foot][:3, robot.nv - robot.nu :]
         free, bound = (np.linalg.svd(one, compute_uv=False) for one in (joints, joints @ ways))
-        if ((bound < _DEAD * free) & (free > _DEAD * free[0])).any():
+        if ((bound < _DEAD_POINT_RATIO * free) & (free > _DEAD_POINT_RATIO * free[0])).any():
             return True
     return False
 

@@ -35,16 +35,16 @@ _ATTEMPTS = 256
 """The most choices of branches that are tried in full for one place of the com: four legs whose
 joints turn all the way round, with four branches each."""
 
-_ROUNDS = 4
+_BRANCH_ROUNDS = 4
 """How often the branches are looked for anew from where the feet have come much nearer."""
 
-_CLOSE = 3e-3
+_CLOSE_MISS = 3e-3
 """Where feet can come nearer than this (m), places all over are tried as well."""
 
 _SHIFTED = 32
 """How many of these at most."""
 
-_SAME, _AGREE = 0.1, 8
+_MISS_TOLERANCE, _AGREEING_SEEDS = 0.1, 8
 """Where the feet come no nearer from so many seeds than from the best of them, by such a part of
 what they miss by, they come no nearer. Of 400 stands, most at the end of reach, all but one that
 took more than PlaCo were found before two agreed, that one when four had."""
@@ -147,7 +147,7 @@ class _Search:
     def in_every_branch(self) -> Stand | None:
         """The same from every choice of the legs' branches that may be in reach."""
         robot, goal = self.robot, self.goal
-        for _ in range(_ROUNDS):
+        for _ in range(_BRANCH_ROUNDS):
             nearest = self._nearest()
             self.found = find_branches(robot, nearest.qpos, goal.targets, goal.lower, goal.upper)
             reach = 0.0 if goal.by_base else bound_com_shift(robot, nearest.qpos, self.found)
@@ -183,7 +183,7 @@ class _Search:
     def _agreed(self) -> bool:
         """Whether the feet have come as near as they do from several seeds."""
         least = min(self.misses, default=0.0)
-        return sum(one <= (1 + _SAME) * least for one in self.misses) >= _AGREE
+        return sum(one <= (1 + _MISS_TOLERANCE) * least for one in self.misses) >= _AGREEING_SEEDS
 
     def _seeds(self, best: Stand) -> Iterator[Array]:
         """Yields configurations (nq,) where all constraints are begun to be met."""
@@ -195,7 +195,7 @@ class _Search:
         for joints in posture_seeds(robot, goal):
             yield make_seed(robot, goal, joints, goal.centre[:2])
         closest = self.result()
-        if closest.foot_error < _CLOSE:  # something may be in the way that elsewhere is not
+        if closest.foot_error < _CLOSE_MISS:  # something may be in the way that elsewhere is not
             yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _SHIFTED)
 
     def met_from_nearest(self, programme: Programme, qpos: Array) -> Stand | None:

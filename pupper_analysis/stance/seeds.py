@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 NEAR_MISS = 1e-3
 """Feet that miss by less (m) may be in reach with the com's last micrometres."""
 
-_FAR, _ACROSS = 0.75, 11
+_ASIDE_DISTANCE, _ASIDE_PLACES = 0.75, 11
 """How far the base is put aside (stand heights), and to how many places each way: some 20 mm apart
 on Pupper, as far as a thigh that is 20 mm in the ground has to move. With 5 a stand was missed."""
 
@@ -113,7 +113,7 @@ def shifted_seeds(shapes: ClearanceShapes, goal: Goal, qpos: Array) -> Iterator[
     """
     robot = shapes.robot
     found = find_branches(robot, qpos, goal.targets, goal.lower, goal.upper)
-    along = np.linspace(-_FAR, _FAR, _ACROSS) * robot.stand_height
+    along = np.linspace(-_ASIDE_DISTANCE, _ASIDE_DISTANCE, _ASIDE_PLACES) * robot.stand_height
     moves = np.array([(x, y, 0.0) for x in along for y in along])
     followed = follow_branches(robot, qpos, goal.targets, goal.lower, goal.upper, found, moves)
     constraints = [one for one in constraints_of(shapes, goal) if one.name != "footholds"]

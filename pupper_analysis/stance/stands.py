@@ -25,7 +25,7 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
-_NEAR = 0.5
+_SAME_BEND = 0.5
 """rad: joints that are further from those of the stand before may be bent another way than a search
 from home would bend them. A sample of a path never goes so far."""
 
@@ -151,9 +151,9 @@ class _Sequence:
         if not self._before or has_spare_joints(self._context.robot) or _is_open(goal):
             return None
         last, ahead = self._before[0], self._ahead()
-        for start in (ahead, last) if _apart(ahead, last) < _NEAR else (last,):
+        for start in (ahead, last) if _apart(ahead, last) < _SAME_BEND else (last,):
             stand = continue_stand(self._context, goal, start)
-            if stand is not None and _apart(stand.qpos, last) < _NEAR:
+            if stand is not None and _apart(stand.qpos, last) < _SAME_BEND:
                 return stand
         return None
 

@@ -76,7 +76,7 @@ class StandTask:
     def __post_init__(self) -> None:
         for entry in _OWN:
             value = getattr(self, entry.name)
-            if value is _USUAL[entry.name] or (type(value) is FrozenDict and not value):
+            if value is _DEFAULTS[entry.name] or (type(value) is FrozenDict and not value):
                 continue  # what the class says itself needs no check
             if entry.per_foot:
                 check_type(entry.name, value, Mapping[str, Any])
@@ -186,6 +186,6 @@ class StandTask:
 
 _OWN = tuple(field for field in FIELDS.values() if field.part == "task")
 
-_USUAL = {one.name: one.default for one in fields(StandTask)}
+_DEFAULTS = {one.name: one.default for one in fields(StandTask)}
 
 _COMMA = {"en": ", ", "zh": "，"}  # noqa: RUF001

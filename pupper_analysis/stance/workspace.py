@@ -37,8 +37,8 @@ _GAP = 8e-3
 with the legs bent another way. v3's pitch has such a gap of 1.3 mrad."""
 
 DIRECTIONS = ("height", "roll", "pitch", "yaw", "x", "y")
-_STEP = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
-_MOST = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
+_FIRST_STEP = {"height": 0.1, "roll": 0.4, "pitch": 0.4, "yaw": 0.4, "x": 0.05, "y": 0.05}
+_WIDEST = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def _limit(
     Short steps are tried from the last stand alone, which is quick; where that ends, the search
     everywhere has the last word.
     """
-    first, most = _STEP[direction], _MOST.get(direction, math.inf)
+    first, most = _FIRST_STEP[direction], _WIDEST.get(direction, math.inf)
     begin = value = _value(start, direction)
     step, least, last = first, RESOLUTION * first, start
     shortest = _COARSE * first  # of the steps that are searched for everywhere

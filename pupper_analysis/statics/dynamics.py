@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 FASTEST = 1e9
 """m/s^2, rad/s^2: beyond, squares of forces overflow long before an answer would mean anything."""
 
-_ROUNDS = 2
+_FIXED_POINT_ITERATIONS = 2
 """Of normal forces and the moments in proportion to them. Each makes the error smaller by about
 rolling friction / distance of the feet, a tenth; the balance is exact after any."""
 
@@ -108,7 +108,7 @@ def inverse_dynamics(
     left = dict.fromkeys(levers, 1.0)
     origin, normal = _ground_under(config, ground)
     pressed = {foot: max(0.0, float(load[:3] @ normal)) / len(feet) for foot in feet}
-    for _ in range(_ROUNDS if levers else 1):
+    for _ in range(_FIXED_POINT_ITERATIONS if levers else 1):
         moments = {foot: np.zeros(3) for foot in feet}
         moments |= {foot: pressed[foot] * left[foot] * lever for foot, lever in levers.items()}
         rest = load.copy()

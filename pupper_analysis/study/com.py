@@ -18,7 +18,7 @@ from pupper_analysis.study.named import bodies_of
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9
+_COM_TOLERANCE = 1e-9
 """m: the centres of mass of both models have moved alike to rounding."""
 
 
@@ -66,7 +66,7 @@ def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> Non
             (shares[joint][at] * config.frame_rotation(links.get(joint, before.base)) @ offset
              for joint, offset in offsets.items()), np.zeros(3),
         )  # fmt: skip
-        if np.abs(new - old - asked).max() > _SAME:
+        if np.abs(new - old - asked).max() > _COM_TOLERANCE:
             told = diagnose(
                 "com-moved-otherwise",
                 file=place,

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _BASE = 1
 """The number of the joint that moves the base, of a robot whose base is free."""
 
-_STEP = 1e-5
+_DIFFERENCE_STEP = 1e-5
 """Relative, of a number whose effect on the equations, not on their solution, is differenced."""
 
 
@@ -203,7 +203,7 @@ def sag_derivatives(
     derivative = system.derivative(rest.qpos, forces)
     found = {}
     for name in wanted:
-        step = _STEP * max(abs(numbers[name]), 1e-2)
+        step = _DIFFERENCE_STEP * max(abs(numbers[name]), 1e-2)
 
         sides = [maker.design({**numbers, name: numbers[name] + way}) for way in (step, -step)]
         more, less = (

@@ -31,7 +31,7 @@ from pupper_analysis.study.named import (
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9
+_MASS_TOLERANCE = 1e-9
 """Relative: two models that were given the same factors agree to rounding."""
 
 
@@ -120,7 +120,7 @@ def _check(before: Robot, after: Robot, factors: Mapping[str, float]) -> None:
             for one in (before, after)
         ]
         for old, new in zip(*pairs, strict=True):
-            if abs(new - factor * old) > _SAME * abs(factor * old) + 1e-15:
+            if abs(new - factor * old) > _MASS_TOLERANCE * abs(factor * old) + 1e-15:
                 name = bodies.get(joint, before.mj_base)
                 problem = diagnose(
                     "mass-became-another", body=name, new=new, old=old, factor=factor

@@ -20,7 +20,7 @@ Form = Literal["yaml", "mjlab", "isaaclab"]
 _DIGITS = 12
 """Significant digits: what is beyond is rounding, as in 0.39999999999999997."""
 
-_WIDE = math.sqrt(3.0)
+_HALF_RANGE = math.sqrt(3.0)
 """Half of a uniform range with a standard deviation of 1."""
 
 
@@ -138,7 +138,7 @@ def _range(kind: str, numbers: tuple[float, ...], *, gaussian: bool) -> tuple[st
         return _pair(*numbers), '"gaussian"', ": mean and standard deviation"
     if kind == "normal":
         mean, spread = numbers
-        wide = _WIDE * spread
+        wide = _HALF_RANGE * spread
         return _pair(mean - wide, mean + wide), '"uniform"', ", as the range of that deviation"
     low, high = (min(numbers), max(numbers)) if kind == "values" else numbers[:2]
     return _pair(low, high), '"log_uniform"' if kind == "log_uniform" else '"uniform"', ""

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_MANY = 100
+_NEW_INERTIAL_COST = 100
 """What a new <inertial> counts, in attributes: any change of what is there goes before it."""
 
 _Plan = tuple[int, Element, dict[str, str], Diagnostic | None]
@@ -102,7 +102,7 @@ def _plans(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> 
         "fullinertia": side.digits.words([], inertia_entries(wanted.inertia)),
     }
     stated = {name: text for name, text in words.items() if text is not None}
-    return [(_MANY, new, stated, diagnose("inertial-put-in"))]
+    return [(_NEW_INERTIAL_COST, new, stated, diagnose("inertial-put-in"))]
 
 
 def _by_a_geom(side: MjcfSide, body: int, element: Element, wanted: pin.Inertia) -> list[_Plan]:

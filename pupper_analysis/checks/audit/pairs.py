@@ -16,10 +16,10 @@ _SIDES = (
     *(("fl", "fr"), ("rl", "rr"), ("hl", "hr"), ("bl", "br"), ("lf", "rf"), ("lh", "rh")),
     *(("L", "R"), ("l", "r")),
 )
-_OTHER = {a: b for left, right in _SIDES for a, b in ((left, right), (right, left))}
+_OPPOSITE_SIDE = {a: b for left, right in _SIDES for a, b in ((left, right), (right, left))}
 _WORD = re.compile("left|right|Left|Right|LEFT|RIGHT")
-_SHORT = re.compile(
-    rf"(?<![A-Za-z])({'|'.join(sorted(_OTHER, key=len, reverse=True))})(?![A-Za-z])"
+_SIDE_PATTERN = re.compile(
+    rf"(?<![A-Za-z])({'|'.join(sorted(_OPPOSITE_SIDE, key=len, reverse=True))})(?![A-Za-z])"
     "|^[LR](?=[A-Z][a-z])"
 )
 
@@ -29,8 +29,8 @@ NOT_MIRRORED = re.compile("gripper|finger|camera|imu|sensor", re.IGNORECASE)
 
 def mirror_name(name: str) -> str:
     """Returns a name with left and right exchanged, wherever it says so."""
-    pattern = _WORD if _WORD.search(name) else _SHORT
-    return pattern.sub(lambda match: _OTHER[match[0]], name)
+    pattern = _WORD if _WORD.search(name) else _SIDE_PATTERN
+    return pattern.sub(lambda match: _OPPOSITE_SIDE[match[0]], name)
 
 
 def mirror_pairs(names: Iterable[str]) -> list[tuple[str, str]]:

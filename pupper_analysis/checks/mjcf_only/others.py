@@ -60,7 +60,9 @@ def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 def _ends(scene: NamedModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
     """The kinds and ids of the two objects of an equality; -1 where it has one only."""
     model = scene.model
-    what = _ENDS.get(int(model.eq_type[index])) or mujoco.mjtObj(int(model.eq_objtype[index]))
+    what = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
+        int(model.eq_objtype[index])
+    )
     return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
 
 
@@ -134,7 +136,7 @@ def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
 
 
 # MuJoCo's eq_objtype is for constraints that take bodies or sites.
-_ENDS = {
+_EQUALITY_OBJECTS = {
     EQUALITY.mjEQ_JOINT.value: mujoco.mjtObj.mjOBJ_JOINT,
     EQUALITY.mjEQ_TENDON.value: mujoco.mjtObj.mjOBJ_TENDON,
     EQUALITY.mjEQ_FLEX.value: mujoco.mjtObj.mjOBJ_FLEX,

@@ -16,7 +16,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 
 Array = NDArray[np.float64]
 
-_MANY = 4  # bodies that have their coms in their links' origins by no accident
+_LEAST_DROPPED = 4  # bodies that have their coms in their links' origins by no accident
 
 _ORIGIN = 1e-9  # m: a com that is nearer to its link's origin is there
 
@@ -103,7 +103,7 @@ def dropped_coms(words: str, one: MultibodyTree, keys: Sequence[Key]) -> Found:
         for kind, element in keys
         if kind == "com" and float(np.linalg.norm(one.bodies[element].com)) < _ORIGIN
     ]
-    if len(names) >= _MANY:
+    if len(names) >= _LEAST_DROPPED:
         yield PatternFinding(
             "coms",
             diagnose("coms-dropped", file=words, count=len(names), bodies=names),

@@ -9,9 +9,9 @@ import numpy as np
 from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
 from pupper_analysis.diagnostics import Quantity, diagnose
 
-_MANY = 4  # bodies that are told in one line
+_LEAST_INERTIALS = 4  # bodies that are told in one line
 
-_OTHER = 0.1
+_OTHER_BODYS_MASS = 0.1
 """How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
 
 _PLACEHOLDER = 1e-3
@@ -26,9 +26,9 @@ def other_inertials(case: PatternCase) -> Found:
         two = case.second.bodies[name]
         if not {(kind, name) for kind in kinds} <= set(case.open):
             continue
-        if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER * one.mass:
+        if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER_BODYS_MASS * one.mass:
             others.append(name)
-    if len(others) >= _MANY:
+    if len(others) >= _LEAST_INERTIALS:
         yield PatternFinding(
             "inertial",
             diagnose("inertials-of-another-robot", count=len(others), bodies=others),

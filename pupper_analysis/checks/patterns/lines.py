@@ -13,7 +13,7 @@ from pupper_analysis.models.multibody import MultibodyTree, TreeJoint
 
 _PARALLEL = 1e-9  # sine of an angle
 
-_MANY = 20
+_MOST_MOVED_JOINTS = 20
 """Joints elsewhere of which no single one is looked at: it is another robot, and each look takes as
 long as a comparison."""
 
@@ -25,7 +25,7 @@ def other_lines(case: PatternCase) -> Found:
     places as seen from it, though none of them has moved in the robot.
     """
     names = [element for kind, element in case.keys if kind == "position"]
-    for name in names if len(names) <= _MANY else ():
+    for name in names if len(names) <= _MOST_MOVED_JOINTS else ():
         moved = with_line_of(case.second, case.first, name)
         gone = case.gone(moved)
         if ("position", name) not in gone:

@@ -26,10 +26,10 @@ from pupper_analysis.models.multibody import TreeBody
 
 Array = NDArray[np.float64]
 
-_MOST = 12
+_MOST_SUBSET_LINKS = 12
 """Links of one body of which every subset is tried: 4096 of them, in a millisecond."""
 
-_LEFT = 0.02
+_MOST_RESIDUAL = 0.02
 """Share of a body's difference that may be left where a slip is undone.
 
 Files of 5 to 6 digits leave some thousandths of a link that is a hundredth of its body. A wrong set
@@ -113,14 +113,14 @@ def _slip(case: PatternCase, name: str) -> _Slip | None:
 
 def _subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
     """Yields sets of links of a mass, the smallest first; of many links those alike in name."""
-    if len(links) > _MOST:
+    if len(links) > _MOST_SUBSET_LINKS:
         named = {link.name: link for link in links}
         alike = [[named[name] for name in names] for names in by_pattern(list(named)).values()]
         tries = [*alike, *([link] for link in links), list(links)]
     else:
         masses = np.array([link.body.mass for link in links])
         choices = np.array(list(product((False, True), repeat=len(links))))
-        near = np.abs(choices @ masses - mass) <= 1.5 * _LEFT * mass if len(links) else []
+        near = np.abs(choices @ masses - mass) <= 1.5 * _MOST_RESIDUAL * mass if len(links) else []
         tries = [
             [link for link, taken in zip(links, choice, strict=True) if taken]
             for choice in choices[near]
@@ -146,7 +146,7 @@ def _is_it(
         scale[4:] = math.inf
     extra = extra if float(extra[0] * apart[0]) >= 0 else -extra
     left, whole = (float(np.linalg.norm(each / scale)) for each in (apart - extra, apart))
-    return left <= _LEFT * whole
+    return left <= _MOST_RESIDUAL * whole
 
 
 def _scale(one: TreeBody, two: TreeBody) -> Array:

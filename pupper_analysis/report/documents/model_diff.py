@@ -13,7 +13,7 @@ from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.results import shorten
 from pupper_analysis.robot.robot import Robot
 
-_FELT = 1e-3
+_LEAST_CHANGE = 1e-3
 """Relative change of a torque or a mass that is shown: less changes no digit that is printed."""
 
 
@@ -90,7 +90,7 @@ def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
     changed = {
         name: pair
         for name, pair in diff.torques.items()
-        if abs(pair[1] - pair[0]) > _FELT * max(pair)
+        if abs(pair[1] - pair[0]) > _LEAST_CHANGE * max(pair)
     }
     if not changed:
         yield doc.Lines((text("the-torques-that-hold"),))

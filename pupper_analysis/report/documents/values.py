@@ -12,10 +12,10 @@ from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.results import Result, shorten
 from pupper_analysis.stance.task import StandTask
 
-_MOST = 24
+_MOST_ENTRIES = 24
 """Entries that are written out: a vector of each joint, or of a leg with two hands."""
 
-_LONGEST = 600
+_MOST_CHARACTERS = 600
 """Characters of a cell; what is longer is told by its size."""
 
 
@@ -26,7 +26,7 @@ def value_cell(value: object) -> Cell:
     if isinstance(value, float | int) and not isinstance(value, bool):
         return number_cell(float(value), ".6g")
     text = _written(value)
-    return Name(text if len(text) <= _LONGEST else shorten(value))
+    return Name(text if len(text) <= _MOST_CHARACTERS else shorten(value))
 
 
 def _written(value: object) -> str:
@@ -35,14 +35,14 @@ def _written(value: object) -> str:
     if isinstance(value, float):
         return number_cell(value, ".6g").text
     if isinstance(value, np.ndarray):
-        if value.size > _MOST or value.ndim > 2:
+        if value.size > _MOST_ENTRIES or value.ndim > 2:
             return shorten(value)
         return _written(value.tolist())
     if isinstance(value, Mapping):
         listed = [f"{_written(key)}: {_written(one)}" for key, one in value.items()]
-        return "; ".join(listed) if 0 < len(listed) <= _MOST else shorten(value)
+        return "; ".join(listed) if 0 < len(listed) <= _MOST_ENTRIES else shorten(value)
     if isinstance(value, tuple | list):
-        if not 0 < len(value) <= _MOST:
+        if not 0 < len(value) <= _MOST_ENTRIES:
             return shorten(value) if value else "-"
         deep = any(isinstance(one, tuple | list) for one in value)
         return f"({('; ' if deep else ', ').join(map(_written, value))})"

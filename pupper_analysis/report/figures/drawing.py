@@ -42,7 +42,13 @@ _VALUE: dict[str, Any] = {
     "mew": 1.6,
     "ms": 7,
 }
-_OTHER: dict[str, Any] = {"color": style.BLACK, "marker": "x", "ls": "", "mew": 1.3, "ms": 4.5}
+_OUTLIER_STYLE: dict[str, Any] = {
+    "color": style.BLACK,
+    "marker": "x",
+    "ls": "",
+    "mew": 1.3,
+    "ms": 4.5,
+}
 _REFERENCE: dict[str, Any] = {"color": style.BLACK, "ls": ":", "lw": 1.4, "zorder": 3}
 _DIRECTIONS = {0: "0°\nforward", 90: "90°\nleft", 180: "180°\nback", 270: "270°\nright"}
 
@@ -146,7 +152,7 @@ def _bars(plot: BarPlot, axes: Axes) -> list[Artist]:
     greatest = np.fmax(value, other)
     axes.hlines(places, LEAST_SHARE, greatest.clip(LEAST_SHARE), color="#C9CED6", lw=1)
     axes.plot(value.clip(LEAST_SHARE), places, **_VALUE, clip_on=False, zorder=3)
-    axes.plot(other.clip(LEAST_SHARE), places, **_OTHER, clip_on=False, zorder=4)
+    axes.plot(other.clip(LEAST_SHARE), places, **_OUTLIER_STYLE, clip_on=False, zorder=4)
     axes.axvline(100, color=style.RED, lw=2)
     _mark_greatest(axes, plot, greatest)
     axes.set_xscale("log")
@@ -163,7 +169,7 @@ def _bars(plot: BarPlot, axes: Axes) -> list[Artist]:
     said = [in_english(words) for words in plot.legend]
     return [
         Line2D([], [], **_VALUE, label=said[0]),
-        Line2D([], [], **_OTHER, label=said[1]),
+        Line2D([], [], **_OUTLIER_STYLE, label=said[1]),
         Line2D([], [], color=style.RED, lw=2, label=said[2]),
     ]
 

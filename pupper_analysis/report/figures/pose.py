@@ -39,9 +39,9 @@ Array = NDArray[np.float64]
 _ELEVATION, _AZIMUTH = 16, -33  # deg: from the front and the right
 _ARROW = 0.35  # length of the largest force's arrow / length of the support polygon
 _LABEL = (4.6, 2.6)  # width and height of a force's label, in heights of its letters
-_LONGEST = 8  # letters of a foot's name: what there is room for beside the polygon
+_MOST_LABELS = 8  # letters of a foot's name: what there is room for beside the polygon
 _TALL = 1.5  # height / width of what needs room below for what the axes say
-_NEAR, _FAR = "#374151", "#A3AAB5"
+_NEAR_COLOUR, _FAR_COLOUR = "#374151", "#A3AAB5"
 _BASE_FACE, _BASE_EDGE = "#FBE3AE", "#7A5300"
 _SUPPORT = "#CFE8F7"
 _COM: dict[str, Any] = {
@@ -85,7 +85,15 @@ def pose_figure(robot: Robot, stand: Stand, statics: GravityCompensation, path: 
     _draw_from_above(figure, lines, stand, seen, statics)
     handles: list[Line2D | Patch] = [
         Line2D(
-            [], [], color=_NEAR, lw=3, marker="o", mfc="white", mec=style.BLACK, ms=4, label="leg"
+            [],
+            [],
+            color=_NEAR_COLOUR,
+            lw=3,
+            marker="o",
+            mfc="white",
+            mec=style.BLACK,
+            ms=4,
+            label="leg",
         ),
         Line2D([], [], color=style.BLACK, marker="o", ls="", ms=6, label="foot"),
         *([Line2D([], [], **_SWING, label="swing foot")] if stand.task.swing else []),
@@ -122,7 +130,13 @@ def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: Standing
         order = 4 if near else 2
         x, y, z = 1e3 * leg.T
         axes.plot(
-            x, y, z, color=_NEAR if near else _FAR, lw=4.5, solid_capstyle="round", zorder=order
+            x,
+            y,
+            z,
+            color=_NEAR_COLOUR if near else _FAR_COLOUR,
+            lw=4.5,
+            solid_capstyle="round",
+            zorder=order,
         )
         axes.plot(
             x[:-1], y[:-1], z[:-1], "o", color="white", mec=style.BLACK, mew=0.8, ms=4, zorder=order
@@ -130,7 +144,7 @@ def _draw_in_space(figure: Figure, lines: Skeleton, stand: Stand, seen: Standing
         mark = _SWING if foot in stand.task.swing else {"color": style.BLACK, "marker": "o"}
         axes.plot(x[-1:], y[-1:], z[-1:], **mark, ms=7 * _small(seen), zorder=order)
     for arm in lines.arms:
-        axes.plot(*(1e3 * arm.T), color=_FAR, lw=2.5, solid_capstyle="round", zorder=2)
+        axes.plot(*(1e3 * arm.T), color=_FAR_COLOUR, lw=2.5, solid_capstyle="round", zorder=2)
     for box in lines.boxes:
         faces = [1e3 * box[list(face)] for face in BOX_FACES]
         axes.add_collection3d(
@@ -213,7 +227,7 @@ def _aside(axes: Any, labels: Mapping[str, tuple[float, float]]) -> dict[str, fl
 
 def _named(foot: str) -> str:
     """Returns a foot's name, or its beginning."""
-    return foot if len(foot) <= _LONGEST else f"{foot[: _LONGEST - 1]}…"
+    return foot if len(foot) <= _MOST_LABELS else f"{foot[: _MOST_LABELS - 1]}…"
 
 
 def _small(seen: StandingScene) -> float:
@@ -257,11 +271,16 @@ def _draw_from_above(
         axes.plot(outline[:, 1], outline[:, 0], color=_BASE_EDGE, lw=1.0, zorder=2)
     for leg in lines.legs.values():
         axes.plot(
-            1e3 * leg[:, 1], 1e3 * leg[:, 0], color=_FAR, lw=3, solid_capstyle="round", zorder=2
+            1e3 * leg[:, 1],
+            1e3 * leg[:, 0],
+            color=_FAR_COLOUR,
+            lw=3,
+            solid_capstyle="round",
+            zorder=2,
         )
     for box in step_corners(seen):
         outline = 1e3 * hull_corners(box)
-        axes.plot(outline[:, 1], outline[:, 0], color=_FAR, lw=1.0, ls="--", zorder=1.5)
+        axes.plot(outline[:, 1], outline[:, 0], color=_FAR_COLOUR, lw=1.0, ls="--", zorder=1.5)
     for foot in stand.task.swing:
         for point in stand.foot_targets if foot not in stand.foot_targets else (foot,):
             x, y = 1e3 * stand.foot_targets[point][:2]

@@ -90,7 +90,7 @@ def title_panel(axes: Axes, title: str) -> None:
         axes.spines[spine].set_visible(False)
 
 
-_MANY = 8
+_CROWDED_LEGEND = 8
 """Entries of a legend that need less room between them to stand in one line."""
 
 
@@ -103,8 +103,8 @@ def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
         fontsize=FONT,
         frameon=False,
         handletextpad=0.5,
-        columnspacing=1.4 if len(handles) < _MANY else 0.8,
-        handlelength=2.0 if len(handles) < _MANY else 1.6,
+        columnspacing=1.4 if len(handles) < _CROWDED_LEGEND else 0.8,
+        handlelength=2.0 if len(handles) < _CROWDED_LEGEND else 1.6,
     )
 
 

@@ -30,7 +30,7 @@ _VIEWS = {
 """{direction: where it is seen from, which axes are drawn to the right (y: to the left) and up}."""
 
 _AXES = ("x, forward (mm)", "y, left (mm)", "z, up (mm)")
-_ENDS = {"low": style.BLUE, "high": style.RED}
+_END_COLOURS = {"low": style.BLUE, "high": style.RED}
 
 
 def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -> None:
@@ -62,7 +62,7 @@ def workspace_figure(robot: Robot, workspace: BaseWorkspace, path: str | Path) -
         _draw(axes, drawn[0], style.GREY, across, up)
         for end, value in (("low", low), ("high", high)):
             drawn.append(draw_skeleton(robot, solve_stand_at(robot, start, direction, value).qpos))
-            _draw(axes, drawn[-1], _ENDS[end], across, up)
+            _draw(axes, drawn[-1], _END_COLOURS[end], across, up)
         shown = 1e3 * np.concatenate([lines.points() for lines in drawn])
         if up == 2:
             _draw_ground(axes, start.task.ground, shown[:, across], across)

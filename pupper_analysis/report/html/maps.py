@@ -52,7 +52,7 @@ _VIRIDIS = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#
             "#b5de2b", "#fde725")  # fmt: skip
 """Matplotlib's, which is even to the eye, in grey too, and to those who see few colours."""
 
-_ENDS = ("#009e73", "#d55e00", "#e69f00", "#7f7f7f", "#56b4e9", "#cc79a7", "#f0e442")
+_OUTCOME_COLOURS = ("#009e73", "#d55e00", "#e69f00", "#7f7f7f", "#56b4e9", "#cc79a7", "#f0e442")
 """Okabe and Ito's colours: measured, then kinds of failure, the most frequent first."""
 
 
@@ -97,7 +97,10 @@ def _means(plot: MeansPlot) -> Drawing:
 def _ends(plot: EndsPlot) -> Drawing:
     found, x, y, kinds = plot.found, plot.x, plot.y, plot.kinds
     total, most = found.counts.sum(axis=0), found.counts.argmax(axis=0)
-    tones = [_ENDS[0], *(_ENDS[1 + i % (len(_ENDS) - 1)] for i in range(len(kinds) - 1))]
+    tones = [
+        _OUTCOME_COLOURS[0],
+        *(_OUTCOME_COLOURS[1 + i % (len(_OUTCOME_COLOURS) - 1)] for i in range(len(kinds) - 1)),
+    ]
     shade = [tones[kinds.index(kind)] for kind in found.kinds]
 
     def filled(row: int, column: int) -> tuple[str, float]:

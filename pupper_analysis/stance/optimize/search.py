@@ -43,7 +43,7 @@ _DESCENT = 25  # iterations of one descent
 _LOOK = 4  # iterations with all coordinates free, each of which takes a dozen stances
 _WORTHWHILE = 3e-4  # of the value: a gain for which it goes on
 _CONVERGED = 1e-5  # of the nominal value: a gain in one iteration that ends a descent
-_STEP = 1e-6  # of the bounds' distance: of the differences that gradients are taken from
+_DIFFERENCE_STEP = 1e-6  # of the bounds' distance: of the differences that gradients are taken from
 _INSIDE = 1e-6  # of what may not be used up: where descents stop short, so that they end inside
 _UNREACHED = 10.0  # what is missing where there is no stance, in parts of the nominal value
 
@@ -257,7 +257,9 @@ class StanceSearch:
             columns = []
             for index in range(len(share)):
                 step = np.zeros(len(share))
-                step[index] = _STEP if share[index] + _STEP <= 1 else -_STEP
+                step[index] = (
+                    _DIFFERENCE_STEP if share[index] + _DIFFERENCE_STEP <= 1 else -_DIFFERENCE_STEP
+                )
                 ahead = self.evaluate(subspace.at(share + step), near)
                 if ahead is None:
                     step = -step

@@ -58,7 +58,7 @@ binds: the law is that of the least jerk."""
 _SAME = 1e-3
 """Of the time: where a longer rise takes no more, it does not bind, and will not help."""
 
-_STEP, _SLOWEST = 1e-3, 1.1
+_SLOWDOWN_STEP, _SLOWEST = 1e-3, 1.1
 """By which a path is made slower, and how far at most, where a limit is exceeded after all."""
 
 
@@ -271,7 +271,7 @@ def _within_limits(limits: PathLimits, geometry: Geometry, timing: Timing) -> St
             except StaticsInfeasibleError as error:
                 if factor > _SLOWEST:
                     raise error.at(geometry.where(index, float(slower.time[index]))) from None
-                factor *= 1 + _STEP
+                factor *= 1 + _SLOWDOWN_STEP
     return timed_path(
         limits.robot,
         geometry,

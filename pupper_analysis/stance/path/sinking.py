@@ -24,7 +24,7 @@ _STEPS = 2  # of Newton's iteration in each round, for legs that get longer by m
 AT_REST = ("clamped", "not-a-knot")
 """Ends of splines of what sinks: it begins at rest, but follows with a delay to the end."""
 
-_ROUNDS = 2
+_FIXED_POINT_ITERATIONS = 2
 """Of depths, how far feet roll, how legs turn as they get longer, and what they then take of the
 ground. Each makes the error smaller by about foot radius / leg length, a tenth; but more of them
 bring out the kinks of the forces."""
@@ -82,7 +82,11 @@ def find_sunk_motion(robot: Robot, path: StancePath) -> SunkMotion:
     found = SunkMotion(path.qpos, path.qvel, path.qacc, path.forces, path.torques)
     own = path.forces @ normal
     borne, forces = own, path.forces
-    rounds = _IN_PYRAMIDS if any(is_pyramid(robot, foot) for foot in path.feet) else _ROUNDS
+    rounds = (
+        _IN_PYRAMIDS
+        if any(is_pyramid(robot, foot) for foot in path.feet)
+        else _FIXED_POINT_ITERATIONS
+    )
     for _ in range(rounds):
         depths, sinking, crept = _sunk(robot, path, laws, found, forces, borne, masses)
         # A sole's corners do not roll.

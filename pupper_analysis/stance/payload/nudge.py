@@ -22,7 +22,7 @@ _STEPS = 400
 """Instants at which a swing is looked at, over two periods of its slowest mode or so: of the fast
 ones, of contacts, few are met at their peak, and these are the least."""
 
-_ROUNDS = 2.0 * 2.0 * np.pi  # two periods, by the angular frequency
+_DAMPED_PERIODS = 2.0 * 2.0 * np.pi  # two periods, by the angular frequency
 
 
 def nudge_velocities(robot: Robot, height: float) -> Array:
@@ -92,7 +92,7 @@ def _swing(
     rates[:size, size:] = np.eye(size)
     rates[size:] = -np.linalg.solve(mass, np.hstack([stiff, damped]))
     slowest = np.sqrt(max(compliance.stiffness(without), 0.0))
-    step = linalg.expm(rates * (_ROUNDS / slowest / _STEPS))
+    step = linalg.expm(rates * (_DAMPED_PERIODS / slowest / _STEPS))
     state = np.vstack([np.zeros_like(begin), begin])
     given = np.hstack([kp[:, None] * joints, kd[:, None] * joints])
     most: Array = np.abs(given @ state).max(axis=1)
