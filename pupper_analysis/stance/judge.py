@@ -129,23 +129,17 @@ class Stand(Result):
                     distance=Quantity(abs(self.com_margin), "m"),
                 )
             )
-        for near, least, codes in self._clearances():
+        for near, least in self._clearances():
             if near.distance < least - TOUCHING:
-                other: dict[str, Any] = {"other": near.links[1]} if len(near.links) > 1 else {}
-                distance = Quantity(abs(near.distance), "m")
-                subject = ("link", near.links[0])
-                code = codes[near.distance < 0]
-                found.append(diagnose(code, subject=subject, distance=distance, **other))
+                found.append(_describe_clearance(near))
         return tuple(found)
 
-    def _clearances(self) -> Iterator[tuple[Clearance, float, tuple[str, str]]]:
-        """Yields what is near, the least that is asked, and what is told of less, of an overlap."""
+    def _clearances(self) -> Iterator[tuple[Clearance, float]]:
+        """Yields what is near, and the least distance that is asked (m)."""
         if self.ground_clearance is not None:
-            codes = ("part-above-ground", "part-in-ground")
-            yield self.ground_clearance, self.task.ground_clearance, codes
+            yield self.ground_clearance, self.task.ground_clearance
         if self.self_clearance is not None:
-            codes = ("links-too-near", "links-overlap")
-            yield self.self_clearance, self.task.self_clearance or 0.0, codes
+            yield self.self_clearance, self.task.self_clearance or 0.0
 
     @property
     def com_short(self) -> float:
@@ -160,7 +154,7 @@ class Stand(Result):
     @property
     def room(self) -> float:
         """How much nearer than allowed anything is, negative (m)."""
-        rooms = (near.distance - least for near, least, _ in self._clearances())
+        rooms = (near.distance - least for near, least in self._clearances())
         return min([-self.com_short, *rooms])
 
     @property
@@ -182,6 +176,22 @@ class Stand(Result):
     def joint_positions(self, robot: Robot) -> Array:
         """Returns the joints' part (nu,) of ``qpos`` (rad)."""
         return self.qpos[robot.nq - robot.nu :]
+
+
+def _describe_clearance(near: Clearance) -> Diagnostic:
+    """Tells how near a part is to the ground, or two links are to each other."""
+    overlaps, link = near.distance < 0, ("link", near.links[0])
+    distance = Quantity(abs(near.distance), "m")
+    if len(near.links) == 1:
+        return diagnose(
+            "part-in-ground" if overlaps else "part-above-ground", subject=link, distance=distance
+        )
+    return diagnose(
+        "links-overlap" if overlaps else "links-too-near",
+        subject=link,
+        distance=distance,
+        other=near.links[1],
+    )
 
 
 def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterations: int) -> Stand:

@@ -82,10 +82,9 @@ class SagEquilibrium:
         self.command(stand.qpos[7:])
         self._sole = {point: sole for sole, points in robot.feet.items() for point in points}
         config = Configuration(robot, stand.qpos)
+        frames = robot.contact_frames
         self.anchors = {
-            foot: Anchor(
-                stand.foot_targets[foot], config.frame_rotation(robot.contact_frames[foot])
-            )
+            foot: Anchor(stand.foot_targets[foot], config.frame_rotation(frames[foot]))
             for foot in stand.stance_feet
         }
         self.units = Units.of(robot, stand)
