@@ -194,7 +194,8 @@ def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     assert not StanceSpace(robot, task).symmetric
     assert StanceSpace(robot, pa.StandTask()).symmetric
     assert found.stand.stance_feet == tuple(foot for foot in robot.contact_points if foot != "FL")
-    assert found.value < 0.8 * found.nominal_value
+    # From one start; the whole search ends at 0.49 of it.
+    assert found.value < 0.85 * found.nominal_value
     assert found.coordinates["y"] < -0.005
     assert com_margin(robot, found.stand) >= 0.01
 
