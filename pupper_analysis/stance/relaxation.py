@@ -29,6 +29,7 @@ from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.programme import Programme, Relaxation
 from pupper_analysis.stance.search import search_stand
+from pupper_analysis.stance.seeds import random_postures
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.underactuated_feet import find_missing_joints
 
@@ -152,12 +153,8 @@ class _Ways:
 
     def _scattered(self) -> Iterator[Array]:
         """Yields random starts: home with other joint positions."""
-        low, high = np.maximum(self.goal.lower, -np.pi), np.minimum(self.goal.upper, np.pi)
-        random = np.random.default_rng(0)
-        for _ in range(_SCATTERED):
-            scattered = self.starts[1].copy()
-            scattered[7:] = random.uniform(low, np.maximum(low, high))
-            yield scattered
+        for joints in random_postures(self.goal, _SCATTERED):
+            yield np.concatenate([self.starts[1][:7], joints])
 
     def found(self) -> list[_Way]:
         """Returns each demand that alone may give, or else as few as are found that together do."""

@@ -53,6 +53,13 @@ def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
     yield np.where(bounded, middle, 0.0)
 
 
+def random_postures(goal: Goal, count: int) -> Iterator[Array]:
+    """Yields joint positions (nu,) anywhere within their limits, the same in every search."""
+    low, high = np.maximum(goal.lower, -np.pi), np.minimum(goal.upper, np.pi)
+    random = np.random.default_rng(0)
+    yield from random.uniform(low, np.maximum(low, high), (count, len(low)))
+
+
 def branch_seeds(
     robot: Robot, goal: Goal, found: Mapping[Limb, tuple[Branch, ...]], reach: float, most: int
 ) -> Iterator[Array]:
