@@ -37,6 +37,9 @@ _FEW_ITERATIONS = 5
 _BRANCH_DISTANCE = 0.05
 """Joint positions that are no further from each other belong to one branch (rad, or m)."""
 
+_MISSED_ALIKE, _NEAR_ALIKE = 1e-6, 1e-3
+"""Feet that miss by as much (m), and joints that are as near to others (rad, or m), do so alike."""
+
 _MOST_BRANCHES = 6
 """The most branches that are kept of a limb: of a redundant one there is a continuum."""
 
@@ -132,10 +135,32 @@ def find_branches(
     turning = robot.pin_convention.unbounded
     positions[:, turning] = _turned(positions[:, turning])
     positions = _unwound(robot, positions, lower, upper)
-    return {
+    kept = {
         limb: _kept(positions[:, limb.joints], missed, turning[limb.joints])
         for limb, missed in misses.items()
     }
+    return {limb: _in_order(robot, qpos, limb, ways) for limb, ways in kept.items()}
+
+
+def _in_order(
+    robot: Robot, qpos: Array, limb: Limb, ways: tuple[Branch, ...]
+) -> tuple[Branch, ...]:
+    """Returns branches that miss alike with the joints that are furthest back first.
+
+    So legs that may as well be bent either way are all bent the same way.
+    """
+    model, data = robot.pin_model, robot.pin_model.createData()
+    numbers = [model.getJointId(robot.joint_names[joint]) for joint in limb.joints]
+
+    def key(branch: Branch) -> tuple[int, float]:
+        bent = qpos.copy()
+        bent[robot.nq - robot.nu + limb.joints] = branch.positions
+        pin.forwardKinematics(model, data, robot.pin_convention.q(bent))
+        forward = data.oMi[1].rotation[:, 0]
+        places = [float(forward @ data.oMi[number].translation) for number in numbers]
+        return round(branch.miss / _MISSED_ALIKE), sum(places)
+
+    return tuple(sorted(ways, key=key))
 
 
 def follow_branches(
@@ -332,6 +357,7 @@ def combine_branches(found: Mapping[Limb, tuple[Branch, ...]], near: Array) -> I
     grid = np.zeros(1)
     for cost in costs:
         grid = (grid[:, None] + cost[None, :]).ravel()
+    grid = np.round(grid / _NEAR_ALIKE)  # which of equals comes first is not rounding's to say
     shape = [len(found[limb]) for limb in groups]
     for choice in np.argsort(grid, kind="stable"):
         joints = near.copy()

@@ -159,3 +159,23 @@ def test_a_thigh_in_the_ground_is_lifted_out_by_another_branch_elsewhere(
         stand = pa.solve_stand(robot, replace(task, **{angle: value}), explain=False)
         assert stand.ground_clearance is not None
         assert stand.ground_clearance.distance > -1e-6
+
+
+@pytest.mark.parametrize("name", ["original", "long-leg"])
+@pytest.mark.parametrize("up", [0.02, 0.05, 0.08])
+def test_legs_that_may_be_bent_either_way_are_bent_alike(name: str, up: float) -> None:
+    """From straight legs knees may go forwards or backwards: which is not rounding's to say."""
+    robot = load(name)
+    straight = np.zeros(robot.nu)
+    qpos = robot.posed(straight)
+    feet = pa.Configuration(robot, qpos).foot_positions()
+    found = find_branches(
+        robot,
+        qpos,
+        {foot: place + (0, 0, up) for foot, place in feet.items()},
+        np.full(robot.nu, -3.0),
+        np.full(robot.nu, 3.0),
+    )
+    knees = next(combine_branches(found, straight))[2::3]
+    assert abs(knees[0]) > 0.5
+    assert knees == pytest.approx(np.full(4, knees[0]), abs=1e-6)

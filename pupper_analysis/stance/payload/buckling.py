@@ -63,18 +63,20 @@ def find_buckling_modes(
             config, anchors, centres, frame, dict(zip(feet, deep, strict=True))
         )
 
-    def stiffness(one: Robot, balance: GravityCompensation) -> Array:
+    def stiffness(touch: ContactKinematics, balance: GravityCompensation) -> Array:
         forces = np.array([balance.contact_forces[foot] for foot in feet]) @ frame.T
-        return touching(one).balance_rates(forces, None) + stiff
+        return touch.balance_rates(forces, None) + stiff
 
-    jacobians = touching(loaded).jacobians
+    bare, carrying = touching(robot), touching(loaded)
+    jacobians = carrying.jacobians
     across, along = jacobians[:, :2].reshape(-1, robot.nv), jacobians[:, 2]
     rates = np.array([law.rate(depth) for law, depth in zip(laws, deep, strict=True)])
     stiff = along.T @ (rates[:, None] * along)
     stiff[6:, 6:] += np.diag(kp)
     free = linalg.null_space(across)
     one, two = (
-        free.T @ stiffness(on, balance) @ free for on, balance in ((robot, empty), (loaded, laden))
+        free.T @ stiffness(touch, balance) @ free
+        for touch, balance in ((bare, empty), (carrying, laden))
     )
     softer = (one - two) / (loaded.total_mass - robot.total_mass)
     try:
