@@ -172,7 +172,7 @@ def test_legs_that_may_be_bent_either_way_are_bent_alike(name: str, up: float) -
     found = find_branches(
         robot,
         qpos,
-        {foot: place + (0, 0, up) for foot, place in feet.items()},
+        {foot: place + np.array((0.0, 0.0, up)) for foot, place in feet.items()},
         np.full(robot.nu, -3.0),
         np.full(robot.nu, 3.0),
     )
