@@ -75,7 +75,7 @@ def law_of(model: mujoco.MjModel, actuator: int) -> ActuatorLaw:
     return ActuatorLaw(gain, float(stiffness), float(damping), gear)
 
 
-_ALIKE = 1e-5
+_STIFFNESS_TOLERANCE = 1e-5
 """Share within which a servo's gain is its stiffness, as ``robot.servos`` has it."""
 
 
@@ -149,7 +149,8 @@ def _kind(model: mujoco.MjModel, motor: int) -> Drive:
     if stiffness < 0 or (stiffness > 0 and gain < 0):
         return Drive.WRONG_SIGN
     if stiffness > 0:
-        return Drive.SERVO if abs(gain - stiffness) <= _ALIKE * stiffness else Drive.OTHER
+        alike = abs(gain - stiffness) <= _STIFFNESS_TOLERANCE * stiffness
+        return Drive.SERVO if alike else Drive.OTHER
     if gain == 0:
         return Drive.NO_STIFFNESS
     # An affine bias is a servo's, even if its numbers are all zero.

@@ -233,7 +233,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     _name_geoms(spec)
     compiled = spec.copy().compile()  # which may lack what is only seen
     names: dict[str, tuple[str, str]] = {}
-    soles: dict[str, tuple[str, ...]] = {}
+    several: dict[str, tuple[str, ...]] = {}
     geoms: dict[str, tuple[str, float]] = {}
     meshes = [point.geom for foot in feet for point in foot.points if is_ball(model, point)]
     for foot in feet:
@@ -252,7 +252,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             geoms[name] = (_touching(spec, compiled, point, name), point.radius)
             points.append(name)
         if len(points) > 1:
-            soles[foot.name] = tuple(points)
+            several[foot.name] = tuple(points)
     for name in {compiled.geom(geom).name for geom in meshes}:
         mesh = next(geom for geom in spec.geoms if geom.name == name)
         mesh.contype = mesh.conaffinity = 0
@@ -261,7 +261,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
         urdf=to_text(tree.root),
         mjcf=spec,
         contact_points=names,
-        feet=soles,
+        feet=several,
         foot_geoms=geoms,
     )
 

@@ -63,25 +63,25 @@ def build_robot(
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     notes = [*added, *option_notes(mj_model), *_at_rest(mj_model)]
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
-    contact_frames = {foot: frames[0] for foot, frames in description.contact_points.items()}
+    contact_frames = {point: frames[0] for point, frames in description.contact_points.items()}
     for frame in contact_frames.values():
         if not pin_model.existFrame(frame, pin.FrameType.BODY):
             links = [f.name for f in pin_model.frames if f.type == pin.FrameType.BODY]
             raise UnknownNameError(description.urdf_source, "link (for a foot)", frame, links)
     places = {
-        foot: foot_site(mj_model, frame, description.mjcf_source)
-        for foot, (_, frame) in description.contact_points.items()
+        point: foot_site(mj_model, frame, description.mjcf_source)
+        for point, (_, frame) in description.contact_points.items()
     }
     geoms = foot_geoms(description, mj_model, places)
-    radius = {foot: size for foot, (_, size) in geoms.items()}
-    soles: dict[str, tuple[str, ...]] = {foot: (foot,) for foot in description.contact_points}
-    for sole, points in description.feet.items():
-        soles = {foot: own for foot, own in soles.items() if foot not in points} | {sole: points}
-    sole_of = {point: sole for sole, points in soles.items() for point in points}
+    radius = {point: size for point, (_, size) in geoms.items()}
+    feet: dict[str, tuple[str, ...]] = {point: (point,) for point in description.contact_points}
+    for foot, points in description.feet.items():
+        feet = {other: own for other, own in feet.items() if other not in points} | {foot: points}
+    foot_of = {point: foot for foot, points in feet.items() for point in points}
     ground = contact.ground_geom(mj_model)
     contacts = {
-        foot: contact.combine_geoms(mj_model, geom, ground)
-        for foot, (geom, _) in geoms.items()
+        point: contact.combine_geoms(mj_model, geom, ground)
+        for point, (geom, _) in geoms.items()
         if ground is not None
     }
     # The keyframe may be that of the model with a free base.
@@ -98,9 +98,9 @@ def build_robot(
         contact_points=tuple(description.contact_points),
         contact_frames=MappingProxyType(contact_frames),
         contact_places=MappingProxyType(places),
-        foot_geoms=MappingProxyType({geom: sole_of[foot] for foot, (geom, _) in geoms.items()}),
+        foot_geoms=MappingProxyType({geom: foot_of[point] for point, (geom, _) in geoms.items()}),
         contact_radius=MappingProxyType(radius),
-        feet=MappingProxyType(soles),
+        feet=MappingProxyType(feet),
         contacts=MappingProxyType(contacts),
         home=home,
         nominal=np.array([description.nominal.get(name, 0.0) for name in joint_names]),
@@ -342,7 +342,7 @@ def _root_link(model: pin.Model) -> str:
 
 _EARTH = np.array([0.0, 0.0, -9.81])
 
-_NEAR = 0.05
+_GRAVITY_TOLERANCE = 0.05
 """Gravity that differs from 9.81 m/s^2 downwards by more is not the Earth's, or not upright: from
 pole to equator it changes by 0.05."""
 
@@ -359,7 +359,7 @@ _FLAGS = (
 def option_notes(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yields what a model's options make other than a robot on the Earth expects."""
     acts = acting_gravity(model)
-    if float(np.linalg.norm(acts - _EARTH)) > _NEAR:
+    if float(np.linalg.norm(acts - _EARTH)) > _GRAVITY_TOLERANCE:
         yield diagnose("gravity-not-the-earths", gravity=acts)
     for bit, word in _FLAGS:
         if model.opt.disableflags & bit.value:

@@ -178,14 +178,14 @@ class Programme:
             qpos: (nq,) where to start.
             task: What the demands are there; by default what is asked.
         """
-        kind = min(len(self._demands), 1)
-        progress = _Progress(_MET if kind else TASK_TOLERANCE, _STALLED[kind])
+        gives = bool(self._demands)
+        progress = _Progress(_MET if gives else TASK_TOLERANCE, _STALLED[gives])
         cost = self._cost
         x = self._minimised(
             lambda x: (float(cost @ x), cost),
             self._start(qpos, task),
             1e-9,
-            _ITERATIONS[kind],
+            _ITERATIONS[gives],
             progress,
         )
         numbers, values = self._numbers, self._values(x)

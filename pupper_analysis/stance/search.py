@@ -209,7 +209,6 @@ class _Search:
                 make_seed(robot, goal, joints, goal.centre[:2])
                 for joints in random_postures(goal, _RANDOM)
             )
-            return
         closest = self.result()
         if closest.foot_error < _CLOSE_MISS:  # something may be in the way that elsewhere is not
             yield from islice(shifted_seeds(self.shapes, goal, closest.qpos), _SHIFTED)

@@ -382,8 +382,8 @@ def _result(
         friction_utilisation=sliding,
         foot_loads={
             foot: add_up_foot_load(own, per_foot, points, normals, friction, sliding, tiny)
-            for foot, soles in robot.feet.items()
-            if (own := [name for name in soles if name in per_foot])
+            for foot, names in robot.feet.items()
+            if (own := [name for name in names if name in per_foot])
         },
         base_wrench=base_wrench,
         center_of_mass=config.center_of_mass(),

@@ -286,7 +286,7 @@ class MjcfSide(Side):
             element.set(attribute, text)
 
 
-_APART = 1e-9
+_ANCHOR_TOLERANCE = 1e-9
 """Up to which two steps are the same (m)."""
 
 
@@ -331,9 +331,9 @@ def _step(side: MjcfSide, name: str) -> Array | None:
     step = now.rotation.T @ (wanted.position - now.position)
     carried = [places for _, places in _carried(side, name)]
     apart = [there - here + step for here, there in carried]
-    if float(np.abs(now.rotation - wanted.rotation).max()) > _APART:
+    if float(np.abs(now.rotation - wanted.rotation).max()) > _ANCHOR_TOLERANCE:
         return None
-    if any(float(np.abs(one).max()) > _APART for one in apart):
+    if any(float(np.abs(one).max()) > _ANCHOR_TOLERANCE for one in apart):
         return None
     return np.array(side.sides.mjcf_frames[name].rotation).T @ step
 

@@ -55,7 +55,7 @@ _SMOOTHER = 4.0
 """By which the rise is longer where feet do not keep that. After two of these steps it no longer
 binds: the law is that of the least jerk."""
 
-_SAME = 1e-3
+_TIME_TOLERANCE = 1e-3
 """Of the time: where a longer rise takes no more, it does not bind, and will not help."""
 
 _SLOWDOWN_STEP, _SLOWEST = 1e-3, 1.1
@@ -153,7 +153,7 @@ def fastest_path(
     while chosen is None and not keeps:
         before = found.seconds
         found, keeps = _find_at(_SMOOTHER * found.rise, limits, geometry, rate, finer)
-        if found.seconds < (1 + _SAME) * before:
+        if found.seconds < (1 + _TIME_TOLERANCE) * before:
             break
     return found
 

@@ -20,7 +20,7 @@ _SLIDING = 0.98
 """Share of its normal force that a foot's edges along its push bear at most: one that is asked for
 more slides, and its speed is no matter of friction alone."""
 
-_ROUNDS = 8  # of Newton's iteration; the function has at most ten kinks, of which few are met
+_NEWTON_STEPS = 8  # of Newton's iteration; the function has at most ten kinks, of which few are met
 
 
 def is_pyramid(robot: Robot, foot: str) -> bool:
@@ -77,7 +77,7 @@ class _Pyramid:
         count = len(self.pushes) + len(self.turns)
         # All edges pressing give the least sum: from there Newton's steps come from one side.
         found = (load + mass * still) / (2 * g * count + mass)
-        for _ in range(_ROUNDS):
+        for _ in range(_NEWTON_STEPS):
             missing, slope = mass * (found - still) - load, mass
             for push in self.pushes:
                 both = 2 * g * found > push

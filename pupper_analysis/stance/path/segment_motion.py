@@ -22,7 +22,7 @@ from pupper_analysis.statics.dynamics import (
 
 Array = NDArray[np.float64]
 
-_STILL = 1e-9
+_LEAST_TRAVEL = 1e-9
 """A joint that turns by less along the whole way does not move (rad)."""
 
 
@@ -128,7 +128,7 @@ class SegmentMotion:
         found = []
         for tangent, _ in self._directions:
             rates = np.abs(tangent[robot.nv - robot.nu :])
-            turning = rates > _STILL
+            turning = rates > _LEAST_TRAVEL
             speeds = self.limits.velocities[turning] / rates[turning]
             found.append(float(speeds.min(initial=math.inf)) ** 2)
         return np.array(found)

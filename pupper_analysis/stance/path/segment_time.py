@@ -38,7 +38,7 @@ _SETTLED = 1e-3
 _ITERATIONS = 12
 """At most; five do as a rule."""
 
-_STILL = 1e-9
+_LEAST_TRAVEL = 1e-9
 """A segment along which nothing moves faster than that does not move (rad or m per way)."""
 
 MINIMUM_JERK = 60.0
@@ -47,7 +47,7 @@ MINIMUM_JERK = 60.0
 _FREE = 1e-3
 """Price of a limit that does not bind, relative to the time: the solver's own."""
 
-_FINE = 16
+_INTEGRATION_PARTS = 16
 """Parts of a sample's interval over which the time is integrated."""
 
 
@@ -99,7 +99,7 @@ class SegmentTime:
         self._progress = np.array([place.progress for place in self._places])
         self.square = np.full(len(self._places[::2]), 1 / rise**2)
         self.lower_bound = 0.0
-        if max(float(np.abs(place.tangent).max()) for place in self._places) > _STILL:
+        if max(float(np.abs(place.tangent).max()) for place in self._places) > _LEAST_TRAVEL:
             self._hold()
             greatest = self._free()
             self._smooth(greatest / rise)
@@ -110,10 +110,10 @@ class SegmentTime:
         """Returns when the segment is at these values of its progress, from 0 on (s)."""
         from scipy.integrate import cumulative_simpson  # slow to import
 
-        parts = np.linspace(progress[:-1], progress[1:], _FINE, endpoint=False, axis=1)
+        parts = np.linspace(progress[:-1], progress[1:], _INTEGRATION_PARTS, endpoint=False, axis=1)
         fine = np.append(parts.ravel(), progress[-1])
         slowness = 1 / np.sqrt(self._law()(fine))
-        found: Array = cumulative_simpson(slowness, x=fine, initial=0.0)[::_FINE]
+        found: Array = cumulative_simpson(slowness, x=fine, initial=0.0)[::_INTEGRATION_PARTS]
         return found
 
     def rates(self, progress: Array) -> tuple[Array, Array]:

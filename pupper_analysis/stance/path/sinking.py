@@ -129,9 +129,10 @@ def _sunk(
     forces, qvel = motion.forces, motion.qvel
     crept = integrate_creep(robot, path, qvel, kept)
     frame = contact_frame(path.stances[0].task.ground.normal())
-    configs = [Configuration(robot, qpos) for qpos in path.qpos]
+    pyramids = [is_pyramid(robot, foot) for foot in path.feet]
+    configs = [Configuration(robot, qpos) for qpos in path.qpos] if any(pyramids) else []
     for column, (foot, law) in enumerate(zip(path.feet, laws, strict=True)):
-        if not is_pyramid(robot, foot):
+        if not pyramids[column]:
             loads = borne[:, column], masses[:, column]
             depths[:, column], sinking[:, column] = depths_of(law, path.time, *loads)
             continue
