@@ -51,7 +51,7 @@ def _stand(robot: pa.Robot) -> Job:
     q = robot.pin_convention.q(start)
 
     def bare() -> None:
-        wrapper = context.wrapper  # lent for as long as the context is held
+        wrapper = context.solver.engine.placo  # lent for as long as the context is held
         wrapper.state.q = q
         wrapper.update_kinematics()
         solver = placo.KinematicsSolver(wrapper)
@@ -192,7 +192,7 @@ def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray,
 
 def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
     config, context = pa.Configuration(robot, stand.qpos), Context(robot)
-    wrapper = context.wrapper
+    wrapper = context.solver.engine.placo
     wrapper.state.q = robot.pin_convention.q(stand.qpos)
     wrapper.update_kinematics()
     solver = placo.DynamicsSolver(wrapper)

@@ -20,7 +20,6 @@ from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
-from pupper_analysis.stance.solver import Solver
 from pupper_analysis.statics.contacts import make_contacts
 
 Parts = dict[str, float]
@@ -70,13 +69,12 @@ def stages(variant: str, calls: int) -> dict[str, Parts]:
 
 def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
     context, home = Context(robot), robot.home[robot.nq - robot.nu :]
-    shapes, wrapper = context.shapes, context.wrapper
+    shapes, solver = context.shapes, context.solver
 
     def run() -> None:
         goal = make_goal(robot, None, {})
         watch.stop("the nominal task in numbers")
-        solver = Solver(context, goal)
-        point = solver.run(home)
+        point = solver.run(goal, home)
         watch.stop("PlaCo: aiming and steps")
         stand = evaluate_stand(shapes, goal, point.qpos, point.iterations)
         watch.stop("errors by Pinocchio, clearance, result")
@@ -85,15 +83,13 @@ def _stand(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         # What another task takes, and what some of these are made of.
         make_goal(robot, pa.StandTask(height=0.95 * robot.stand_height), {})
         watch.stop("another task: checked, in numbers")
-        solver.begin(home, goal.place)
+        solver.begin(goal, home)
         watch.start()
         for _ in range(point.iterations):
             solver.tasks.solver.solve(True)
-            wrapper.update_kinematics()
+            solver.engine.placo.update_kinematics()
         watch.stop("of PlaCo: as many programmes alone")
-        shapes.kinematics.move(robot.structure.state(point.qpos))
-        shapes.kinematics.com()
-        shapes.kinematics.feet()
+        shapes.kinematics.move(point.qpos)
         watch.stop("of the errors: where com and feet are")
         shapes.above_ground(shapes.kinematics, goal.task.ground, goal.targets, goal.depths)
         watch.stop("of the errors: how high all parts are")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from types import MappingProxyType
 from typing import Any
 
@@ -77,16 +76,3 @@ def cross_matrices(vectors: Array) -> Array:
 _CROSSES = np.zeros((3, 9))
 _CROSSES[[2, 1, 2, 0, 1, 0], [1, 2, 3, 5, 6, 7]] = -1, 1, 1, -1, -1, 1
 """What ``cross_matrices`` takes unit vectors to: one product is quicker than six columns."""
-
-
-def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
-    """Returns the angle (rad) between the turns of two unit quaternions (w, x, y, z)."""
-    (a, b, c, d), (w, x, y, z) = one, other
-    return 2 * math.atan2(
-        math.hypot(
-            a * x - b * w - c * z + d * y,
-            a * y + b * z - c * w - d * x,
-            a * z - b * y + c * x - d * w,
-        ),
-        abs(a * w + b * x + c * y + d * z),
-    )

@@ -81,7 +81,7 @@ class Result:
     def __post_init__(self) -> None:
         own = vars(self)
         for name, value in own.items():
-            if type(value) in (np.ndarray, dict):
+            if type(value) is dict or (type(value) is np.ndarray and value.flags.writeable):
                 own[name] = freeze(value)
 
     def __setstate__(self, state: dict[str, Any]) -> None:

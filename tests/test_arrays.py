@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.arrays import angle_between, cross_matrices, rotation_from_quaternion
+from pupper_analysis.arrays import cross_matrices, rotation_from_quaternion
 
 
 def test_crosses_are_numpys() -> None:
@@ -18,11 +17,7 @@ def test_crosses_are_numpys() -> None:
     )
 
 
-def test_rotations_and_the_angles_between_them_are_scipys() -> None:
-    turns = Rotation.random(20, random_state=0)
-    for one, other in zip(turns[:10], turns[10:], strict=True):
-        first, second = (turn.as_quat(scalar_first=True) for turn in (one, other))
-        np.testing.assert_allclose(rotation_from_quaternion(first), one.as_matrix(), atol=1e-14)
-        expected = (one.inv() * other).magnitude()
-        assert angle_between(first, second) == pytest.approx(expected, abs=1e-12)
-        assert angle_between(first, -second) == pytest.approx(expected, abs=1e-12)
+def test_rotations_are_scipys() -> None:
+    for turn in Rotation.random(10, random_state=0):
+        found = rotation_from_quaternion(turn.as_quat(scalar_first=True))
+        np.testing.assert_allclose(found, turn.as_matrix(), atol=1e-14)

@@ -14,7 +14,7 @@ from pupper_analysis.models.transmission import MadeServo, is_at_one_joint
 from pupper_analysis.prepare.feet import Foot, is_ball
 from pupper_analysis.prepare.soles import BALL
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import can_move_com
+from pupper_analysis.stance.problem import can_move_com
 
 
 def tell_joints(matched: Match) -> Iterator[Diagnostic]:

@@ -13,15 +13,16 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError, PupperAnalysisError, UnknownNameError
+from pupper_analysis.errors import PupperAnalysisError, UnknownNameError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
-from pupper_analysis.stance.context import Context, context_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.search import meet_constraints, search_from_joints
 from pupper_analysis.stance.seeds import make_seed
@@ -256,12 +257,13 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     """Solves a stand with all but the legs as in a pose, as far as the com allows."""
     legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
+        check_bodies(robot)
         goal, found = make_goal(robot, task, {}), None
-    except ConfigurationError:
-        return None  # the margin leaves nothing of a joint's range
+    except PupperAnalysisError:
+        return None  # the margin leaves nothing of a joint's range, or a body has no mass
     first = pose if task.ik_seed is None else np.array(task.ik_seed)
     seeds: Iterable[Array] = itertools.chain([first], _bent(robot, goal, pose))
-    with context_of(robot) as context:
+    with lend(robot, Context) as context:
         for _ in range(_CALMING):
             stand = _first_solved(context, goal, seeds)
             if stand is None:

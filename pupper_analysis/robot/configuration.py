@@ -60,7 +60,7 @@ class Configuration:
         # Held for as long as this configuration, or a copy of it, exists.
         self._workspace = structure.workspace()
         self._data = self._workspace.data
-        self._q = structure.q(own)
+        self._q = structure.convention.unit_q(own)
         pin.computeJointJacobians(self._model, self._data, self._q)
         pin.updateFramePlacements(self._model, self._data)
 

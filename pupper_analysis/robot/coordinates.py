@@ -27,11 +27,26 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+def normalise_quaternion(qpos: Array) -> None:
+    """Normalises the quaternion of a free base, in place.
+
+    Raises:
+        ConfigurationError: If it is zero.
+    """
+    norm = math.hypot(*qpos[3:7].tolist())
+    if norm < 1e-9:
+        raise ConfigurationError("qpos", diagnose("quaternion-is-zero"))
+    if norm != 1.0:
+        qpos[3:7] /= norm
 
 
 @dataclass(frozen=True, eq=False)

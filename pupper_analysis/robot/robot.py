@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from threading import Lock
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -303,3 +305,40 @@ class Robot:
         if self.floating:
             qpos[3] = 1.0
         return qpos
+
+
+_MOST_SPARE = 8
+"""Things made of robots that are kept for later, of those that were asked last."""
+
+_spare: list[tuple[Robot, object, Any]] = []
+"""(robot, what made it, the thing). No robot keeps its own: that would be a circle, in which
+memory stays for long."""
+
+_lock = Lock()
+
+
+@contextmanager
+def lend(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
+    """Lends something that is made of a robot to one user at a time, in whatever thread.
+
+    What was given back is lent again, as long as the robot is one of those that were asked last.
+
+    Args:
+        robot: The robot.
+        make: Makes one more, where all are in use.
+    """
+    own = None
+    with _lock:
+        for number, (whose, maker, spare) in enumerate(_spare):
+            if whose is robot and maker is make:
+                own = spare
+                del _spare[number]
+                break
+    if own is None:
+        own = make(robot)
+    try:
+        yield own
+    finally:
+        with _lock:
+            _spare.insert(0, (robot, make, own))
+            del _spare[_MOST_SPARE:]

@@ -150,7 +150,7 @@ class _Carriers:
         model, own = robot.mj_model, robot.structure
         self._links, self._frames = own.links, own.model.frames
         self._data = own.model.createData()
-        pin.framesForwardKinematics(own.model, self._data, own.q(robot.neutral()))
+        pin.framesForwardKinematics(own.model, self._data, own.convention.unit_q(robot.neutral()))
         moving = {int(model.jnt_bodyid[model.joint(name).id]): name for name in own.joints}
         self.joints = {int(model.body(robot.mj_base).id): ""} | moving
         self._first = {"": robot.base}

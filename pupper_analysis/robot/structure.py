@@ -6,7 +6,6 @@ up no name, turns no axes, and allocates nothing of Pinocchio's.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -14,9 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_vector
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.robot.coordinates import PinocchioConvention
+from pupper_analysis.robot.coordinates import PinocchioConvention, normalise_quaternion
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -49,6 +46,7 @@ class Structure:
         model: The robot's model in public coordinates; see ``in_public_coordinates``.
         nq: Size of the public qpos.
         nv: Size of the public qvel.
+        convention: The way from public coordinates to the model's.
         links: {link: number of its frame}.
         joints: {joint: its number}.
         feet: {foot: number of its frame}.
@@ -92,10 +90,10 @@ class Structure:
         rest = np.zeros(self.nv)
         rest.flags.writeable = False
         self.rest = rest[:]
-        self._own = PinocchioConvention.of(self.model, joint_names)
+        self.convention = PinocchioConvention.of(self.model, joint_names)
         self._order = np.arange(self.nv)  # of the given model's coordinates in the own one's
-        self._order[self._own.v_index] = convention.v_index
-        columns = np.concatenate([np.arange(convention.base_nv), self._own.v_index])
+        self._order[self.convention.v_index] = convention.v_index
+        columns = np.concatenate([np.arange(convention.base_nv), self.convention.v_index])
         one, other = np.meshgrid(columns, columns, indexing="ij")
         self._upper = np.minimum(one, other) * self.nv + np.maximum(one, other)
         self.carried = columns[:, None] >= columns
@@ -136,11 +134,7 @@ class Structure:
         """
         own = check_vector("qpos", qpos, self.nq)
         if self.floating:
-            norm = math.hypot(*own[3:7].tolist())
-            if norm < 1e-9:
-                raise ConfigurationError("qpos", diagnose("quaternion-is-zero"))
-            if norm != 1.0:
-                own[3:7] /= norm
+            normalise_quaternion(own)
         return own
 
     def centre(self, moving: Array) -> Array:
@@ -149,10 +143,6 @@ class Structure:
             return moving
         com: Array = moving + self.fixed * (self.lever - moving)
         return com
-
-    def q(self, qpos: Array) -> Array:
-        """Returns the model's q of a public qpos (nq,) whose quaternion is normalised."""
-        return self._own.unit_q(qpos)
 
     def columns(self, jacobian: Array) -> Array:
         """Returns the model's Jacobian (n, nv) with its columns in public order."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import bisect
 import functools
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import coal  # comes with pin
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -16,14 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.kinematics import Kinematics
+from pupper_analysis.robot.kinematics import Kinematics, Place
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import ContactShape, excluded_pairs
-from pupper_analysis.stance.parts import Direction, Part, to_part
-from pupper_analysis.stance.solids import SolidPair, measure_distance
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Direction = tuple[float, float, float]
+
+_G = mujoco.mjtGeom
+
+_UP = (0.0, 0.0, 1.0)  # most grounds' normal
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,105 @@ class Clearance(Result):
 
     distance: float
     links: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """A shape in its link's frame, as the sum of a point, bars, an ellipse, a ball and a hull (m).
+
+    Attributes:
+        link: Its link.
+        centre: Its centre.
+        bars: Half of each: a box is the sum of three, a capsule that of one and a ball.
+        radii: Those of an ellipse, two at right angles, or of an ellipsoid, three; () without one.
+        ball: The ball's radius.
+        hull: (n, 3) corners of a convex hull, from the centre; None without one.
+    """
+
+    link: str
+    centre: Direction
+    bars: tuple[Direction, ...]
+    radii: tuple[Direction, ...]
+    ball: float
+    hull: Array | None
+
+    def height(self, link: Place, normal: Direction) -> float:
+        """Returns how high its lowest point is above a plane through the origin (m).
+
+        A shape reaches below its centre by its support function, which of a sum of convex sets is
+        the sum of theirs, and of a hull that of its corners.
+
+        Args:
+            link: Where its link is.
+            normal: Of the plane, a unit vector.
+        """
+        turn, place = link
+        a, b, c = normal
+        # The normal in the link's axes, and the height of the link's origin.
+        if a == 0.0 and b == 0.0:
+            (u, v, w), height = turn[2].tolist(), place.item(2)
+        else:
+            (xx, xy, xz), (yx, yy, yz), (u, v, w) = turn.tolist()
+            at_x, at_y, height = place.tolist()
+            u, v, w = a * xx + b * yx + c * u, a * xy + b * yy + c * v, a * xz + b * yz + c * w
+            height = a * at_x + b * at_y + c * height
+        x, y, z = self.centre
+        height += u * x + v * y + w * z - self.ball
+        for x, y, z in self.bars:
+            height -= abs(u * x + v * y + w * z)
+        if self.radii:
+            height -= math.hypot(*[u * x + v * y + w * z for x, y, z in self.radii])
+        if self.hull is not None:
+            height += self.hull.dot((u, v, w)).min()
+        return float(height)
+
+    def lowest(self, link: Place, normal: Array) -> Array:
+        """Returns the point (3,) in the world that is lowest above a plane; see ``height`` (m)."""
+        turn, place = link
+        own = turn.T @ normal
+        point = np.array(self.centre) - self.ball * own
+        for bar in self.bars:
+            point -= math.copysign(1.0, own @ bar) * np.array(bar)
+        if self.radii:
+            radii = np.array(self.radii)
+            reach = radii @ own
+            point -= radii.T @ reach / max(float(np.linalg.norm(reach)), 1e-300)
+        if self.hull is not None:
+            point += self.hull[(self.hull @ own).argmin()]
+        lowest: Array = turn @ point + place
+        return lowest
+
+
+def to_part(shape: ContactShape) -> Part:
+    """Returns a shape as a sum."""
+    bars: tuple[int, ...] = ()
+    radii: tuple[int, ...] = ()
+    ball, size = 0.0, shape.size.tolist()
+    if shape.kind == _G.mjGEOM_BOX:
+        bars = (0, 1, 2)
+    elif shape.kind == _G.mjGEOM_SPHERE:
+        ball = size[0]
+    elif shape.kind == _G.mjGEOM_ELLIPSOID:
+        radii = (0, 1, 2)
+    elif shape.kind == _G.mjGEOM_CYLINDER:  # MuJoCo's sizes: the radius, and half of the length
+        bars, radii, size = (2,), (0, 1), [size[0], size[0], size[1]]
+    elif shape.kind == _G.mjGEOM_CAPSULE:
+        bars, ball, size = (2,), size[0], [0.0, 0.0, size[1]]
+    turn, mesh = shape.place.rotation, shape.kind == _G.mjGEOM_MESH
+
+    def along(axis: int) -> Direction:
+        x, y, z = (size[axis] * turn[:, axis]).tolist()
+        return x, y, z
+
+    x, y, z = shape.place.translation.tolist()
+    return Part(
+        link=shape.link,
+        centre=(x, y, z),
+        bars=tuple(along(axis) for axis in bars),
+        radii=tuple(along(axis) for axis in radii),
+        ball=ball,
+        hull=np.ascontiguousarray(shape.hull @ turn.T) if mesh else None,
+    )
 
 
 class OffGround(NamedTuple):
@@ -55,6 +159,31 @@ class OffGround(NamedTuple):
     sunk: str | None
 
 
+class SolidPair(NamedTuple):
+    """Two shapes, by their numbers, and how near they are."""
+
+    one: int
+    other: int
+    near: coal.DistanceResult
+
+    @property
+    def distance(self) -> float:
+        """m; negative: how deep one is in the other."""
+        return float(self.near.min_distance)
+
+
+def measure_distance(
+    one: coal.CollisionGeometry,
+    at: coal.Transform3s,
+    other: coal.CollisionGeometry,
+    there: coal.Transform3s,
+) -> coal.DistanceResult:
+    """Returns the distance, where it is, and the direction from one shape to the other."""
+    result = coal.DistanceResult()
+    coal.distance(one, at, other, there, coal.DistanceRequest(), result)
+    return result
+
+
 class ClearanceShapes:
     """The shapes with which MuJoCo has a robot touch: of meshes the convex hulls.
 
@@ -71,13 +200,8 @@ class ClearanceShapes:
         self.parts = [*self._not_feet()]
 
     def at(self, qpos: ArrayLike) -> Kinematics:
-        """Takes ``kinematics`` to a configuration (nq,), and returns it.
-
-        Raises:
-            ConfigurationError: If it has a wrong length, a value is not finite, or the quaternion
-                is zero.
-        """
-        self.kinematics.move(self.robot.structure.state(qpos))
+        """Takes ``kinematics`` to a configuration (nq,), and returns it."""
+        self.kinematics.move(qpos)
         return self.kinematics
 
     @functools.cached_property
@@ -139,7 +263,7 @@ class ClearanceShapes:
 
     def _places(self, at: Kinematics) -> list[coal.Transform3s]:
         """Returns where the shapes are."""
-        links = [at.link(shape.link) for shape in self.shapes]
+        links = [at.links[shape.link] for shape in self.shapes]
         return [
             coal.Transform3s(turn @ shape.place.rotation, turn @ shape.place.translation + place)
             for (turn, place), shape in zip(links, self.shapes, strict=True)
@@ -163,10 +287,7 @@ class ClearanceShapes:
         places: Mapping[str, Array],
         depths: Mapping[str, float],
     ) -> Clearance | None:
-        """Returns how high the lowest part other than the feet is above slope and steps.
-
-        See ``heights``.
-        """
+        """Returns how high the lowest part but the feet is; see ``heights``."""
         heights = self.heights(at, ground, places, depths)
         if not heights:
             return None
@@ -182,8 +303,7 @@ class ClearanceShapes:
     ) -> list[float]:
         """Returns how high each of ``parts`` is above slope and steps (m).
 
-        A part that reaches into its own foot's sphere, as a calf's does, may be as deep in the
-        ground as the foot.
+        A part that reaches into its own foot's sphere, as a calf's does, may sink as the foot does.
 
         Args:
             at: Where the robot is.
@@ -192,8 +312,8 @@ class ClearanceShapes:
             depths: {foot: how deep it is in the ground (m)}.
         """
         if _is_plane(ground):
-            normal: Direction = tuple(ground.normal().tolist())
-            heights = [part.form.height(at.link(part.form.link), normal) for part in self.parts]
+            normal: Direction = tuple(ground.normal().tolist()) if ground.slope else _UP
+            heights = [part.form.height(at.links[part.form.link], normal) for part in self.parts]
         else:
             heights = [float(near.min_distance) for near in self._above_steps(at, ground, places)]
         return [
@@ -210,7 +330,7 @@ class ClearanceShapes:
         if _is_plane(ground):
             normal = ground.normal()
             forms = [part.form for part in self.parts]
-            ends = [(form.lowest(there.link(form.link), normal), normal) for form in forms]
+            ends = [(form.lowest(there.links[form.link], normal), normal) for form in forms]
         else:
             steps = self._above_steps(there, ground, places)
             ends = [(near.getNearestPoint1(), -near.normal) for near in steps]
@@ -262,16 +382,13 @@ class ClearanceShapes:
 
     def _reaches_into(self, shape: ContactShape, foot: str) -> bool:
         """Whether a shape on the link of a foot reaches into the foot's sphere."""
-        self.kinematics.move(self.robot.structure.state(self.robot.neutral()))
-        turn, place = self.kinematics.link(shape.link)
-        centre = turn.T @ (np.array(self.kinematics.feet()[foot]) - place)
-        ball, there = (
-            coal.Sphere(self.robot.contact_radius[foot]),
-            coal.Transform3s(np.eye(3), centre),
-        )
+        self.kinematics.move(self.robot.neutral())
+        turn, place = self.kinematics.links[shape.link]
+        centre = turn.T @ (np.array(self.kinematics.feet[foot]) - place)
+        ball = coal.Sphere(self.robot.contact_radius[foot])
+        there = coal.Transform3s(np.eye(3), centre)
         own = coal.Transform3s(shape.place.rotation, shape.place.translation)
-        near = measure_distance(shape.solid, own, ball, there)
-        return bool(near.min_distance < 0)
+        return bool(measure_distance(shape.solid, own, ball, there).min_distance < 0)
 
 
 def _numbers(pairs: Iterable[tuple[int, int]]) -> IntArray:

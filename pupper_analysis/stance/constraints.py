@@ -1,21 +1,20 @@
 """What a stand must fulfil, as constraints: each has a residual, its derivative, and a judgement.
 
-PlaCo's tasks (``tasks``), the programme of the search and of a refusal (``programme``) and the
+PlaCo's tasks (``solver``), the programme of the search and of a refusal (``programme``) and the
 judge (``judge``) all go by this one list.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from operator import sub
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import angle_between
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.kinematics import Kinematics
@@ -109,6 +108,19 @@ class BaseOrientation(Constraint):
         return angle_between(goal.turn, at.qpos[3:7].tolist())
 
 
+def angle_between(one: Sequence[float], other: Sequence[float]) -> float:
+    """Returns the angle (rad) between the turns of two unit quaternions (w, x, y, z)."""
+    (a, b, c, d), (w, x, y, z) = one, other
+    return 2 * math.atan2(
+        math.hypot(
+            a * x - b * w - c * z + d * y,
+            a * y + b * z - c * w - d * x,
+            a * z - b * y + c * x - d * w,
+        ),
+        abs(a * w + b * x + c * y + d * z),
+    )
+
+
 class Footholds(Constraint):
     """The feet's centres are in their places."""
 
@@ -118,7 +130,7 @@ class Footholds(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``: of a sole, its points' follow from each other."""
-        feet = at.feet()
+        feet = at.feet
         return np.concatenate([feet[foot] - there for foot, there in goal.targets.items()])
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
@@ -128,7 +140,7 @@ class Footholds(Constraint):
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``: the greatest distance of all contact points, pinned or not."""
-        feet = at.feet()
+        feet = at.feet
         return max([math.dist(feet[foot], there.tolist()) for foot, there in goal.targets.items()])
 
 
@@ -167,7 +179,7 @@ class PlaceConstraint(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        return (at.qpos[:2] if goal.by_base else np.array(at.com()[:2])) - goal.place
+        return (at.qpos[:2] if goal.by_base else np.array(at.com[:2])) - goal.place
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
@@ -175,7 +187,7 @@ class PlaceConstraint(Constraint):
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
-        here = at.qpos[:2].tolist() if goal.by_base else at.com()[:2]
+        here = at.qpos[:2].tolist() if goal.by_base else at.com[:2]
         return math.dist(here, goal.place.tolist())
 
 
@@ -194,7 +206,7 @@ class SupportMargin(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        sides, com = _sides(goal), np.array(at.com()[:2])
+        sides, com = _sides(goal), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - goal.task.com_margin
 
@@ -205,7 +217,7 @@ class SupportMargin(Constraint):
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
-        x, y, _ = at.com()
+        x, y, _ = at.com
         return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
 
 
@@ -294,6 +306,34 @@ class SelfClearance(Constraint):
     def nearest(self, _: Goal, at: Kinematics) -> Clearance | None:
         """Returns the least distance between links; None of a robot without such pairs."""
         return self._shapes.between_links(at.qpos)
+
+
+class Judgement(NamedTuple):
+    """How a configuration fulfils what a stand must.
+
+    Attributes:
+        missed: {constraint: by how much it is not fulfilled} (m, rad), but for clearances and the
+            com's margin.
+        com_margin: Distance of the com from the support polygon's edge (m); negative outside.
+        nearest: {clearance: what is nearest}, of those that are asked for.
+    """
+
+    missed: dict[str, float]
+    com_margin: float
+    nearest: dict[str, Clearance | None]
+
+
+def judge_constraints(shapes: ClearanceShapes, goal: Goal, at: Kinematics) -> Judgement:
+    """Judges where a robot is by all that a stand of a goal must fulfil."""
+    missed: dict[str, float] = {}
+    near: dict[str, Clearance | None] = {}
+    for one in constraints_of(shapes, goal):
+        if isinstance(one, GroundClearance | SelfClearance):
+            near[one.name] = one.nearest(goal, at)
+        elif not isinstance(one, SupportMargin):  # the com's margin is a result
+            missed[one.name] = one.missed(goal, at)
+    x, y, _ = at.com
+    return Judgement(missed, margin_of_place((x, y), goal.corners), near)
 
 
 def constraints_of(shapes: ClearanceShapes, goal: Goal) -> Iterator[Constraint]:

@@ -18,21 +18,12 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
-from pupper_analysis.stance.constraints import (
-    TASK_TOLERANCE,
-    TOUCHING,
-    GroundClearance,
-    SelfClearance,
-    constraints_of,
-)
+from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING, judge_constraints
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
-from pupper_analysis.statics.support_polygon import margin_of_place
 
 Array = NDArray[np.float64]
-
-_CLEARANCES = (GroundClearance, SelfClearance)
 
 _ERRORS = {
     "base-orientation": "orientation_error",
@@ -208,14 +199,11 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
     """
     robot, task = shapes.robot, goal.task
     at = shapes.at(qpos)
+    missed, com_margin, near = judge_constraints(shapes, goal, at)
     errors = dict.fromkeys(("foot_error", *_ERRORS.values()), 0.0)
-    near: dict[str, Clearance | None] = {}
-    for one in constraints_of(shapes, goal):
-        if isinstance(one, _CLEARANCES):
-            near[one.name] = one.nearest(goal, at)
-        elif one.name != "support-margin":  # the com's margin is a result, see com_short
-            error = _ERRORS.get(one.name, "foot_error")
-            errors[error] = max(errors[error], one.missed(goal, at))
+    for constraint, by in missed.items():
+        error = _ERRORS.get(constraint, "foot_error")
+        errors[error] = max(errors[error], by)
     ground, apart = near["ground-clearance"], near.get("self-clearance")
     if ground is None and task.ground_clearance > 0.0:
         raise ConfigurationError(
@@ -223,7 +211,6 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         )
     if apart is None and task.self_clearance is not None:
         raise ConfigurationError("self_clearance", diagnose("no-links-apart", robot=robot.name))
-    x, y, _ = at.com()
     return Stand(
         task=task,
         qpos=at.qpos,
@@ -233,7 +220,7 @@ def evaluate_stand(shapes: ClearanceShapes, goal: Goal, qpos: ArrayLike, iterati
         normals=goal.normals,
         contact_points=goal.touches,
         **errors,
-        com_margin=margin_of_place((x, y), goal.corners),
+        com_margin=com_margin,
         ground_clearance=ground,
         self_clearance=apart,
         iterations=iterations,

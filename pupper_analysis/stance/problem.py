@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict, freeze_arrays
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import can_move_com
 from pupper_analysis.stance.footholds import place_feet, sink_feet
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
@@ -30,6 +32,17 @@ _FIXED = {1: 3, 2: 5}
 """Coordinates of a foot that one or two contact points fix; more of them fix all 6."""
 
 
+_POSES = 3
+"""How many random poses are looked at: the first may be singular."""
+
+_LEAST_COM_RATE = 1e-6
+"""A com that moves by less against the base, per unit of joint rates, does not move (m/rad)."""
+
+_SIDEWAYS = 1e-3
+"""Nor does one that moves by less of how it moves the other way: soles that are a microradian off
+level let it."""
+
+
 def has_spare_joints(robot: Robot) -> bool:
     """Tells whether joints are left to move where base and feet are in their places.
 
@@ -37,6 +50,37 @@ def has_spare_joints(robot: Robot) -> bool:
     still turn about itself.
     """
     return 6 + sum(_FIXED.get(len(points), 6) for points in robot.feet.values()) < robot.nv
+
+
+def can_move_com(robot: Robot) -> bool:
+    """Tells whether a robot can move its com in x and in y with its feet where they are.
+
+    The base keeps its height and orientation. Legs of three joints or more can do it; legs of two,
+    that swing in a plane, cannot move it sideways, unless arms or a waist do.
+    """
+    return robot.once(_moves_com)
+
+
+def _moves_com(robot: Robot) -> bool:
+    if not robot.contact_points:
+        return True
+    if len(robot.feet) < len(robot.contact_points):
+        # Soles and wheels lie on the ground: in other poses other motions are free.
+        return any(_ways(robot, pose) == 2 for pose in (robot.nominal, robot.home[-robot.nu :]))
+    random = np.random.default_rng(0)
+    low, high = np.maximum(robot.lower_limits, -np.pi), np.minimum(robot.upper_limits, np.pi)
+    return any(_ways(robot, random.uniform(low, np.maximum(low, high))) == 2 for _ in range(_POSES))
+
+
+def _ways(robot: Robot, joints: Array) -> int:
+    """Returns in how many directions the com can move, seen from above, at positions (nu,)."""
+    config = Configuration(robot, robot.posed(joints))
+    held = np.eye(4, robot.nv, k=2)  # the base's height and its three turns
+    feet = np.vstack(list(config.foot_jacobians().values()))
+    free = linalg.null_space(np.vstack([held, feet]), rcond=1e-9)
+    moved = config.com_jacobian()[:2] @ free
+    sizes = np.linalg.svd(moved, compute_uv=False)
+    return int((sizes > max(_LEAST_COM_RATE, _SIDEWAYS * float(sizes.max(initial=0.0)))).sum())
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,18 +153,17 @@ def make_goal(
             nothing.
         UnknownNameError: If the task, or depths, name a foot that the robot does not have.
     """
-    if like is None and not depths:
-        like, limits = robot.once(_nominal)
-        # Who wants other limits of its joints may change those of its model.
-        if _limits(robot) != limits:
-            like = None
-        elif task is None and like is not None:
+    com, nominal, limits = robot.once(_usual)
+    # Who wants other limits of its joints may change those of its model.
+    if like is None and not depths and limits == _limits(robot):
+        like = nominal
+        if task is None and like is not None:
             return like
     if task is None:
         task = StandTask()
     if task.ik_seed is not None and len(task.ik_seed) != robot.nu:
         raise ConfigurationError("ik_seed", diagnose("seed-length-wrong", joints=robot.nu))
-    return _goal_of(robot, task, depths, like, checked=checked)
+    return _goal_of(robot, task, com, depths, like, checked=checked)
 
 
 def _limits(robot: Robot) -> list[list[float]]:
@@ -129,18 +172,27 @@ def _limits(robot: Robot) -> list[list[float]]:
     return [model.lowerPositionLimit.tolist(), model.upperPositionLimit.tolist()]
 
 
-def _nominal(robot: Robot) -> tuple[Goal | None, list[list[float]]]:
-    """Returns the goal of the nominal stand, if it has one, and Pinocchio's limits with which."""
+class _Usual(NamedTuple):
+    """What a robot's tasks have by default: the com's place, the nominal stand, joint limits."""
+
+    com: str
+    goal: Goal | None
+    limits: list[list[float]]
+
+
+def _usual(robot: Robot) -> _Usual:
+    com = "centre" if not robot.floating or can_move_com(robot) else "inside"
     limits = _limits(robot)
     try:
-        return _goal_of(robot, StandTask(), {}, None), limits
+        return _Usual(com, _goal_of(robot, StandTask(), com, {}, None), limits)
     except ConfigurationError:
-        return None, limits
+        return _Usual(com, None, limits)
 
 
 def _goal_of(
     robot: Robot,
     task: StandTask,
+    com: str,
     depths: Mapping[str, float],
     like: Goal | None,
     *,
@@ -165,7 +217,7 @@ def _goal_of(
         normals = freeze_arrays(dict.fromkeys(stance_feet, normal))
         corners = tuple([(x, y) for x, y, _ in contacts.tolist()])
         centre = contacts.mean(axis=0)
-    task = _filled(robot, task)
+    task = _filled(robot, task, com)
     assert task.height is not None
     assert task.com is not None
     if like is not None and like.task.joint_margin == task.joint_margin:
@@ -221,14 +273,15 @@ def _check_inside(task: StandTask, place: Array, points: Mapping[str, Array]) ->
         raise ConfigurationError("com_margin", problem)
 
 
-def _filled(robot: Robot, task: StandTask) -> StandTask:
+def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
     """Returns a task with the robot's own height and com, where it leaves them open."""
     if task.com is not None and task.height is not None:
         return task
-    com, height = task.com, task.height
-    if com is None:
-        com = "inside" if task.offset is None and not can_move_com(robot) else "centre"
-    return replace(task, height=robot.stand_height if height is None else height, com=com)
+    return replace(
+        task,
+        height=robot.stand_height if task.height is None else task.height,
+        com=task.com or (com if task.offset is None else "centre"),
+    )
 
 
 def _centred(task: StandTask) -> bool:

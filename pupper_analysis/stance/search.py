@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import Branch, Limb, find_branches
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.context import Context
@@ -22,12 +23,11 @@ from pupper_analysis.stance.seeds import (
     bound_com_shift,
     branch_seeds,
     make_seed,
-    posture_seeds,
     random_postures,
     shifted_seeds,
     support_radius,
 )
-from pupper_analysis.stance.solver import Point, Solver
+from pupper_analysis.stance.solver import Point
 from pupper_analysis.stance.underactuated_feet import has_underactuated_feet, relax_foot_orientation
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ def follow_stand(context: Context, goal: Goal, near: Stand) -> Stand | None:
 
 def search_from_joints(context: Context, goal: Goal, joints: Array) -> Stand | None:
     """Looks for a stand from joint positions (nu,) alone, the com or the base in its place."""
-    return _Search(context, goal).add(Solver(context, goal).run(joints))
+    return _Search(context, goal).add(context.solver.run(goal, joints))
 
 
 def meet_constraints(context: Context, goal: Goal, qpos: Array) -> Stand | None:
@@ -116,7 +116,7 @@ def meet_constraints(context: Context, goal: Goal, qpos: Array) -> Stand | None:
 
 def continue_stand(context: Context, goal: Goal, qpos: Array) -> Stand | None:
     """Looks for a stand from a configuration (nq,) alone that is next to it."""
-    return _Search(context, goal).add(Solver(context, goal).go_on(qpos))
+    return _Search(context, goal).add(context.solver.go_on(goal, qpos))
 
 
 class _Search:
@@ -141,9 +141,8 @@ class _Search:
 
         Where none can be solved, the first whose feet are in place.
         """
-        solver = Solver(self.context, self.goal)
         for start in joints:
-            stand = self.add(solver.run(start))
+            stand = self.add(self.context.solver.run(self.goal, start))
             if stand is None and self.reached and self._in_vain:
                 stand = self.reached[0]
             if stand is not None:
@@ -232,7 +231,9 @@ class _Search:
         """Adds where a solver ended; returns the stand if it is solved."""
         self.points.append(point)
         self.iterations += point.iterations
-        goal = relax_foot_orientation(self.robot, self.goal, point)
+        goal = self.goal
+        if not point.exact:
+            goal = relax_foot_orientation(self.robot, goal, point)
         if point.miss >= 2 * TASK_TOLERANCE and goal is self.goal:
             return None
         stand = self._measure(point, goal)
@@ -254,7 +255,7 @@ class _Search:
         goal = self.goal
         if goal.com_is_free:
             goal = replace(goal, place=Configuration(self.robot, qpos).center_of_mass()[:2])
-        point = Solver(self.context, goal).go_on(qpos)
+        point = self.context.solver.go_on(goal, qpos)
         self.iterations += point.iterations
         stand = self._measure(point, relax_foot_orientation(self.robot, goal, point))
         if stand.foot_error >= TASK_TOLERANCE:
@@ -270,6 +271,16 @@ class _Search:
 
     def _measure(self, point: Point, goal: Goal | None = None) -> Stand:
         return evaluate_stand(self.shapes, goal or self.goal, point.qpos, self.iterations)
+
+
+def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
+    """Yields joint positions to start from: the ik_seed, home, the middle of the limits."""
+    if goal.task.ik_seed is not None:
+        yield np.array(goal.task.ik_seed)
+    yield robot.home[7:]
+    bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
+    middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
+    yield np.where(bounded, middle, 0.0)
 
 
 def find_nearest(context: Context, goal: Goal, qpos: Array) -> Stand:

@@ -1,4 +1,4 @@
-"""Where a search begins: the usual postures, every way to bend the legs, and the base aside."""
+"""Where a search begins that the usual postures do not end: legs bent in every way, and more."""
 
 from __future__ import annotations
 
@@ -41,16 +41,6 @@ _IN_REACH = 5e-3
 
 _SLACK = 1.5
 """How much further than the legs' branches shift the com the base may be off, for a com's place."""
-
-
-def posture_seeds(robot: Robot, goal: Goal) -> Iterator[Array]:
-    """Yields joint positions to start from: the ik_seed, home, the middle of the limits."""
-    if goal.task.ik_seed is not None:
-        yield np.array(goal.task.ik_seed)
-    yield robot.home[7:]
-    bounded = np.isfinite(goal.lower) & np.isfinite(goal.upper)
-    middle = (np.where(bounded, goal.lower, 0) + np.where(bounded, goal.upper, 0)) / 2
-    yield np.where(bounded, middle, 0.0)
 
 
 def random_postures(goal: Goal, count: int) -> Iterator[Array]:

@@ -13,8 +13,8 @@ from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.context import context_of
+from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.fields import NO_MARGINS
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.stand import Stand, solve_goal, solve_stand, stand_statics
@@ -126,7 +126,7 @@ def solve_stand_on_soft_ground(
         ik_seed = tuple(stand.joint_positions(robot).tolist())
         goal = make_goal(robot, replace(task, ik_seed=ik_seed), depths)
         goal = goal if robot.closure is None else replace(goal, give=give)
-        with context_of(robot) as context:
+        with lend(robot, Context) as context:
             stand = solve_goal(context, goal, explain=explain)
     left = diagnose("depths-do-not-settle", change=Quantity(change, "m"))
     raise NotSettlingError(change, left)

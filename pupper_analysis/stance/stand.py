@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pupper_analysis.arguments import check_arguments
-from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
-from pupper_analysis.stance.context import Context, context_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
@@ -61,8 +60,7 @@ def solve_stand(
         StanceUnreachableError: If it is out of reach; names the feet and how far they miss, and the
             demands of which one would have to give.
     """
-    check_bodies(robot)
-    with context_of(robot) as context:
+    with lend(robot, Context) as context:
         return solve_goal(context, make_goal(robot, task, depths or {}), explain=explain)
 
 

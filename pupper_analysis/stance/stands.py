@@ -15,9 +15,8 @@ from pupper_analysis.errors import (
     StanceUnreachableError,
     UnknownNameError,
 )
-from pupper_analysis.robot.bodies import check_bodies
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.context import Context, context_of
+from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
 from pupper_analysis.stance.search import continue_stand
 from pupper_analysis.stance.stand import Stand, solve_goal
@@ -91,10 +90,9 @@ def solve_stands(
         StanceUnreachableError: Without ``keep_going``, for the first task that is out of reach;
             ``where`` tells which.
     """
-    check_bodies(robot)
     solved: list[Stand | StanceUnreachableError] = []
     goals = _goals(robot, tasks)
-    with context_of(robot) as context:
+    with lend(robot, Context) as context:
         sequence = _Sequence(context)
         for number, goal in enumerate(goals):
             try:

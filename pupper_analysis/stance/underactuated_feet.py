@@ -15,7 +15,6 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.frozen import freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.constraints import TASK_TOLERANCE
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.stance.solver import Point
 
@@ -68,8 +67,7 @@ def relax_foot_orientation(robot: Robot, goal: Goal, point: Point) -> Goal:
         goal: The goal.
         point: Where a solver ended.
     """
-    # Half of it: PlaCo's miss and the one that is measured afterwards differ in the last digits.
-    if point.miss < TASK_TOLERANCE / 2 or point.miss >= _YIELD or not has_underactuated_feet(robot):
+    if point.exact or point.miss >= _YIELD or not has_underactuated_feet(robot):
         return goal
     places = Configuration(robot, point.qpos).foot_positions()
     return replace(goal, targets=freeze_arrays({foot: places[foot] for foot in goal.targets}))

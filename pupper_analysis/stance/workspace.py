@@ -13,10 +13,9 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import can_move_com
-from pupper_analysis.stance.context import context_of
-from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.stance.context import Context
+from pupper_analysis.stance.problem import can_move_com, make_goal
 from pupper_analysis.stance.search import follow_stand, search_stand
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -187,7 +186,7 @@ def _reached(
         goal = make_goal(robot, _task_at(robot, start, direction, value), {})
     except ConfigurationError:
         return None
-    with context_of(robot) as context:
+    with lend(robot, Context) as context:
         if near is None:
             stand: Stand | None = search_stand(context, goal, plainly=plainly)
         else:

@@ -9,16 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
-import numpy as np
 import pinocchio as pin
 import placo
-from numpy.typing import NDArray
 
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.robot import Robot
-
-Array = NDArray[np.float64]
 
 _spare: dict[Hashable, list[placo.RobotWrapper]] = {}
 """{structure: PlaCo's robots that nobody uses}. They are never let go: that would free nothing."""
@@ -31,12 +27,10 @@ class Wrapper:
 
     Attributes:
         placo: PlaCo's robot, without shapes.
-        limits: The joint limits that it was given last.
     """
 
     def __init__(self, robot: Robot) -> None:
         self._spare = _spare.setdefault(_structure(robot.pin_model), [])
-        self.limits: tuple[Array, Array] | None = None
         try:
             self.placo = self._spare.pop()
         except IndexError:

@@ -149,7 +149,7 @@ def test_joints_may_be_in_any_order(any_robot: pa.Robot) -> None:
         convention = PinocchioConvention.of(model, names)
         structure = Structure(model, convention, names, any_robot.contact_frames)
         mixed = np.concatenate([qpos[:base], qpos[base:][order]])
-        held, q = structure.workspace(), structure.q(mixed)
+        held, q = structure.workspace(), structure.convention.unit_q(mixed)
         data, turn = model.createData(), convention.velocity_map(mixed)
         upper = np.triu(np.atleast_2d(pin.crba(model, data, convention.q(mixed))))
         full = upper + np.triu(upper, 1).T

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.stance.com_reach import can_move_com
+from pupper_analysis.stance.problem import can_move_com
 from tests.support.legged import Pair, quadruped
 
 RADIUS = 0.06

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.stance.clearance import ClearanceShapes
-from pupper_analysis.stance.constraints import constraints_of
+from pupper_analysis.stance.constraints import angle_between, constraints_of
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.programme import Programme
 from tests.support.variants import load
@@ -41,6 +42,15 @@ def moved(robot: pa.Robot, qpos: np.ndarray, velocity: np.ndarray, time: float) 
     after[3:7] = w, x, y, z
     after[7:] += time * velocity[6:]
     return after
+
+
+def test_angles_between_turns_are_scipys() -> None:
+    turns = Rotation.random(20, random_state=0)
+    for one, other in zip(turns[:10], turns[10:], strict=True):
+        first, second = (turn.as_quat(scalar_first=True) for turn in (one, other))
+        expected = (one.inv() * other).magnitude()
+        assert angle_between(first, second) == pytest.approx(expected, abs=1e-12)
+        assert angle_between(first, -second) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("com", ["inside", (0.01, 0.0)])

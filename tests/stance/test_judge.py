@@ -15,7 +15,6 @@ from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.solver import Solver
 from tests.support.variants import NAMES, load, stand_of
 
 
@@ -36,11 +35,11 @@ def test_kinematics_are_a_configurations(name: str, fixed: bool) -> None:
     for qpos in random_states(robot, 5):
         config = pa.Configuration(robot, qpos)
         there.move(config.qpos)
-        np.testing.assert_array_equal(there.com(), config.center_of_mass())
+        np.testing.assert_array_equal(there.com, config.center_of_mass())
         for foot, place in config.foot_positions().items():
-            np.testing.assert_array_equal(there.feet()[foot], place)
+            np.testing.assert_array_equal(there.feet[foot], place)
         for link in robot.structure.links:
-            turn, origin = there.link(link)
+            turn, origin = there.links[link]
             np.testing.assert_array_equal(turn, config.frame_rotation(link))
             np.testing.assert_array_equal(origin, config.frame_position(link))
 
@@ -91,16 +90,16 @@ def some_tasks(robot: pa.Robot, count: int) -> Iterator[pa.StandTask]:
 def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
     """Where they come to a stand; otherwise they are taken once more, and looked at, to the bit."""
     robot, straight = load(name), 0
-    context = Context(robot)
+    solver = Context(robot).solver
     home = robot.home[robot.nq - robot.nu :]
     for task in some_tasks(robot, 40):
-        solver = Solver(context, make_goal(robot, task, {}))
-        point = solver.run(home)
-        watched = solver._watched(solver.begin(home, solver.goal.place))
+        goal = make_goal(robot, task, {})
+        point = solver.run(goal, home)
+        watched = solver._watched(solver.begin(goal, home))
         assert point.iterations == watched.iterations
         if solver._straight() is None:  # it stands where it ended: there is nothing to do
             assert watched.miss > 1e-9
-        solver.begin(home, solver.goal.place)
+        solver.begin(goal, home)
         if solver._straight() is None:
             np.testing.assert_array_equal(point.qpos, watched.qpos)
         else:
@@ -111,7 +110,7 @@ def test_steps_nobody_looks_at_lead_where_watched_ones_do(name: str) -> None:
 
 def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
     robot = load("v3")
-    context, home = Context(robot), robot.home[7:]
+    solver, home = Context(robot).solver, robot.home[7:]
     tasks = [
         pa.StandTask(),
         pa.StandTask(height=0.11),
@@ -123,11 +122,11 @@ def test_a_begin_that_is_remembered_is_the_one_that_is_worked_out() -> None:
     for index in np.random.default_rng(0).integers(0, len(tasks), 30):
         goal = make_goal(robot, tasks[index], {})
         for joints in (home, home + 0.1):
-            found = Solver(context, goal).begin(joints, goal.place)
-            expected = Solver(Context(robot), goal).begin(joints, goal.place)
+            found = solver.begin(goal, joints)
+            expected = Context(robot).solver.begin(goal, joints)
             np.testing.assert_array_equal(found, expected)
             if not goal.by_base:
-                com = context.wrapper.com_world()[:2]
+                com = solver.engine.placo.com_world()[:2]
                 np.testing.assert_allclose(com, goal.place, atol=1e-15)
 
 

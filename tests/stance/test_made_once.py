@@ -13,7 +13,6 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.solver import Solver
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import NAMES, load, stand_of
 
@@ -34,11 +33,10 @@ def test_tasks_that_were_aimed_elsewhere_solve_as_new_ones(name: str) -> None:
     robot = load(name)
     goals = [make_goal(robot, task, {}) for task in tasks(robot)]
     start = stand_of(name).joint_positions(robot)
-    expected = [Solver(Context(robot), goal).run(start) for goal in goals]
-    shared = Context(robot)
-    solvers = [Solver(shared, goal) for goal in goals]  # all alive at once
+    expected = [Context(robot).solver.run(goal, start) for goal in goals]
+    solver = Context(robot).solver
     for index in np.random.default_rng(0).permutation(3 * len(goals)) % len(goals):
-        found = solvers[index].run(start)
+        found = solver.run(goals[index], start)
         np.testing.assert_array_equal(found.qpos, expected[index].qpos)
         assert found.iterations == expected[index].iterations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import threading
 from dataclasses import replace
@@ -43,7 +44,7 @@ def stands(robot: pa.Robot) -> list[list[float]]:
 def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, whoever had it before: no mass, length or limit is left behind."""
     monkeypatch.setattr(wrappers, "_spare", {})
-    monkeypatch.setattr("pupper_analysis.robot.lent._MOST_SPARE", 0)
+    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)
     expected = []
     for robot in designs():
         wrappers._spare.clear()
@@ -63,7 +64,7 @@ def test_robots_of_one_structure_are_read_once(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(wrappers, "_spare", {})
     monkeypatch.setattr(wrappers, "_load", counted)
-    monkeypatch.setattr("pupper_analysis.robot.lent._MOST_SPARE", 0)  # of each robot asked last
+    monkeypatch.setattr("pupper_analysis.robot.robot._MOST_SPARE", 0)  # of each robot asked last
     for scale in np.linspace(0.9, 1.1, 8):
         robot = pa.load_variant(pa.pupper.VariantSpec("v3", float(scale)))
         Context(robot)
@@ -91,7 +92,7 @@ def test_nobody_has_what_another_holds() -> None:
     held = [Wrapper(robot) for _ in range(3)]
     assert len({id(one.placo) for one in held}) == 3
     context = Context(robot)
-    assert all(context.wrapper is not one.placo for one in held)
+    assert all(context.solver.engine.placo is not one.placo for one in held)
     first = held[0].placo
     del held[0]
     assert Wrapper(robot).placo is first
@@ -115,17 +116,18 @@ def test_threads_have_their_own() -> None:
 
 
 def resident() -> int:
-    """Bytes of this process that are in memory."""
+    """Bytes of this process that are in memory and in use: the allocator gives the others back."""
+    ctypes.CDLL("libc.so.6").malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * 4096
 
 
 @pytest.mark.longest
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="not Linux")
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="not Linux with glibc")
 def test_robots_that_are_solved_leave_no_memory_behind() -> None:
     """PlaCo alone would keep 375 kB of each, and as much again where links are kept apart.
 
-    In a process that has filled its caches; the allocator keeps some pages now and then.
+    In a process that has filled its caches.
     """
 
     def solved(count: int, at: int) -> None:
@@ -135,7 +137,7 @@ def test_robots_that_are_solved_leave_no_memory_behind() -> None:
             pa.solve_stand(robot, pa.StandTask(self_clearance=0.001))
         gc.collect()
 
-    solved(60, 0)
+    solved(40, 0)
     before = resident()
-    solved(30, 60)
-    assert (resident() - before) / 30 < 200e3
+    solved(20, 40)
+    assert (resident() - before) / 20 < 50e3

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.context import context_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import continue_stand, search_stand
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -208,7 +208,7 @@ class StanceSpace:
         """
         task = self.task(coordinates)
         goal = make_goal(self.robot, replace(task, com_margin=0.0), {})
-        with context_of(self.robot) as context:
+        with lend(self.robot, Context) as context:
             if near is None:
                 stand: Stand | None = search_stand(context, goal, plainly=True)
             else:

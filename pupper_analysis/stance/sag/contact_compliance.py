@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.com_reach import can_move_com
+from pupper_analysis.stance.problem import can_move_com
 from pupper_analysis.stance.sag.units import Units
 
 _PLIANT = 2.5e-6

@@ -15,8 +15,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, NoEquilibriumError, NoStiffnessError
 from pupper_analysis.results import Result
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.lent import lend
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium

@@ -12,7 +12,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.stance.context import context_of
+from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.payload.sharing import share_load
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
@@ -37,8 +37,7 @@ def lowest(robot: pa.Robot, stand: pa.Stand, share: float) -> float:
         for foot, force in sharing.normal_forces.items()
     }
     task = solve_loaded_stand(laden, stand).task
-    with context_of(laden) as context:
-        sunk = solve_goal(context, make_goal(laden, task, depths), explain=False)
+    sunk = solve_goal(Context(laden), make_goal(laden, task, depths), explain=False)
     drive = model_with_servos(laden)
     data = mujoco.MjData(drive.model)
     speed = np.zeros(laden.nv)
