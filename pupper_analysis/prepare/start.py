@@ -259,10 +259,10 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     try:
         check_bodies(robot)
         goal, found = make_goal(robot, task, {}), None
-    except PupperAnalysisError:
-        return None  # the margin leaves nothing of a joint's range, or a body has no mass
-    first = pose if task.ik_seed is None else np.array(task.ik_seed)
-    seeds: Iterable[Array] = itertools.chain([first], _bent(robot, goal, pose))
+    except PupperAnalysisError:  # the margin leaves nothing of a joint's range, or no body is so
+        return None
+    first = [pose if task.ik_seed is None else np.array(task.ik_seed)]
+    seeds: Iterable[Array] = itertools.chain(first, _bent(robot, goal, pose))
     with lend(robot, Context) as context:
         for _ in range(_CALMING):
             stand = _first_solved(context, goal, seeds)
@@ -297,8 +297,7 @@ def _first_solved(context: Context, goal: Goal, seeds: Iterable[Array]) -> Stand
             return stand
         if not goal.com_is_free:
             continue
-        seed = make_seed(context.robot, goal, joints, goal.place)
-        stand = meet_constraints(context, goal, seed)
+        stand = meet_constraints(context, goal, make_seed(context.robot, goal, joints, goal.place))
         if stand is not None and clear_of_ground(context.robot, stand):
             return stand
     return None
