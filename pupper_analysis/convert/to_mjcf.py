@@ -311,7 +311,7 @@ def _loaded(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) ->
 def _trial(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes) -> mujoco.MjModel:
     """Compiles the MJCF as far as it is made."""
     with _draft(mjcf, urdf, meshes) as path:
-        return read_mjcf(path).compile()
+        return read_mjcf(path).model
 
 
 @contextmanager

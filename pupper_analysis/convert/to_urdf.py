@@ -223,7 +223,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     spec = file.spec.copy()
     joined = join_free_base(spec, file.path)
     notes = [*file.notes, *([joined] if joined else [])]
-    model = compile_spec(spec, file.path) if joined else file.compile()
+    model = compile_spec(spec, file.path) if joined else file.model
     base = _base(file, model)
     tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
     shapes = UrdfShapes(file, model, output.resolve().parent)

@@ -188,8 +188,7 @@ def match_models(
     wanted = dict(names or {})
     _check_names(wanted, (mine, root, urdf.path), (theirs, spec, mjcf.path))
     found = pair_up(root, spec, tree, (urdf.path, mjcf.path), (mine, theirs), wanted)
-    pairs, guessed = found.pairs, found.guessed
-    notes += found.notes
+    pairs, notes = found.pairs, [*notes, *found.notes]
     if is_fused(spec, pairs.values()):
         notes += take_mass_of_base(root, urdf.path)
     only_urdf = (*others, *(name for name in mine if name not in pairs))
@@ -203,7 +202,8 @@ def match_models(
     mimics = _make_alike(root, spec, pairs, only_urdf, only_mjcf)
     # In a robot that shall stand, what one file lacks is weight: it stays.
     parts = [] if complete else take_off(sides, paths, ways, pairs)
-    models = whole, whole if joined else mjcf.compile()
+    own = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
+    models = whole, whole if joined else own
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
     unstated = {} if strict else take_unstated(root, spec, mjcf.path, urdf.unknown, pairs)
     frames = common_frames(root, spec, wanted)
@@ -215,7 +215,7 @@ def match_models(
         urdf_joint={new: old for old, new in pairs.items()},
         urdf_link=links_of(root, robot),
         mjcf_body=bodies_of(robot),
-        guessed=guessed,
+        guessed=found.guessed,
         only_urdf=only_urdf,
         only_mjcf=only_mjcf,
         cut_joints=opened,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -130,8 +129,7 @@ class MjcfFile:
     def model(self) -> mujoco.MjModel:
         """What MuJoCo compiles the file to, as it is (without what files are missing for).
 
-        It is shared, not to be changed; ``compile`` gives a copy, which takes as long as its meshes
-        are large.
+        It is shared: who changes it takes a copy, which is as long as its meshes are large.
 
         Raises:
             ModelError: If MuJoCo refuses it; the message is MuJoCo's.
@@ -141,14 +139,6 @@ class MjcfFile:
             raise refuse_file(place, problem)
         assert self._model is not None
         return self._model
-
-    def compile(self) -> mujoco.MjModel:
-        """Returns a copy of ``model``.
-
-        Raises:
-            ModelError: If MuJoCo refuses it; the message is MuJoCo's.
-        """
-        return copy.copy(self.model)
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:
@@ -162,8 +152,7 @@ def read_mjcf(path: str | Path) -> MjcfFile:
     path = Path(path)
     _, root = parse_xml(path)
     file = mjcf_from(path, root)
-    if file.refusal is not None:
-        file.compile()  # raises
+    _ = file.model  # raises
     return file
 
 

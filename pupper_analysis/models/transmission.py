@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.models.joint_kinds import scalar_joints
+from pupper_analysis.models.joint_kinds import JointKind
 
 Array = NDArray[np.float64]
 
@@ -19,8 +19,8 @@ def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
     kinds = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
     if model.actuator_trntype[actuator] not in kinds:
         return False
-    joint = int(model.actuator_trnid[actuator, 0])
-    return joint in scalar_joints(model)
+    kind = model.jnt_type[model.actuator_trnid[actuator, 0]]
+    return bool(kind in (JointKind.HINGE, JointKind.SLIDE))
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
@@ -35,11 +35,8 @@ def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
     Of one, ``jointinparent`` is the same as ``joint``. An actuator may have several controls, so
     that there are fewer of them than ``model.nu``.
     """
-    return [
-        actuator
-        for actuator in range(model.nactuator)
-        if is_at_one_joint(model, actuator) and model.actuator_trnid[actuator, 0] == joint
-    ]
+    there = np.flatnonzero(model.actuator_trnid[:, 0] == joint).tolist()
+    return [actuator for actuator in there if is_at_one_joint(model, actuator)]
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     model = mjcf.model
     grounded = _ground(model) is not None or len(_fixed_geoms(model)) > 0
     if grounded and _has(model, robot):
-        return mjcf.compile()
+        return mjcf.model
     spec = mjcf.spec.copy()
     name_all(spec, set())
     if not grounded:

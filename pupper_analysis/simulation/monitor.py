@@ -81,10 +81,10 @@ class Watcher:
 
 def foot_centres(robot: Robot, data: mujoco.MjData) -> dict[str, Array]:
     """Returns {foot: (3,)} where MuJoCo has the centres of the feet (m)."""
-    return {
-        foot: data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-        for foot, (body, position) in robot.contact_places.items()
-    }
+    bodies = [body for body, _ in robot.contact_places.values()]
+    places = np.array([place for _, place in robot.contact_places.values()]).reshape(-1, 3, 1)
+    turned = data.xmat[bodies].reshape(-1, 3, 3) @ places
+    return dict(zip(robot.contact_places, data.xpos[bodies] + turned[..., 0], strict=True))
 
 
 def base_heights(robot: Robot, states: Array) -> Array:

@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -38,8 +40,12 @@ _SURE = 0.25
 """What is below this part of each bound for a second is at rest; the spectrum says whether it stays
 so."""
 
-_LOST_SLIP = 2.0
-"""Feet that have moved by so many times the bound do not come back: friction holds them."""
+_LOST = 2.0
+"""What has gone so many times as far as its bound does not come back within it: feet are held there
+by friction, and from rest a base overshoots to twice the lean that it comes to at the most."""
+
+_LOOK = 0.25
+"""How often that is looked for (s): longer than a foot that is thrown up stays off the ground."""
 
 _FORGOTTEN = 3.0
 """Time constants of the slowest swing in which it is seen that a nudge is forgotten: a twentieth is
@@ -53,26 +59,36 @@ _SAMPLE_TIME = 0.02  # s between the states at whose feet is looked
 
 
 @dataclass(frozen=True, eq=False)
-class _Second:
-    """A second of a simulation.
+class _Span:
+    """A part of a simulation.
 
     Attributes:
         states: (n, size) after each step.
-        deviation: Standard deviation of the base's height (m).
-        drift: Its rate (m/s).
-        slip: The greatest way of a foot from its target over the ground, on average (m).
+        slips: (feet, 3) the way of each foot from its target, on average (m).
     """
 
     states: Array
-    deviation: float
-    drift: float
-    slip: float
+    slips: Array
 
-    def rests(self, share: float = 1.0) -> bool:
-        """Tells whether all is within a share of its bound."""
+    @property
+    def slip(self) -> float:
+        """The greatest way of a foot over the ground (m)."""
+        return float(np.linalg.norm(self.slips[:, :2], axis=1).max())
+
+    @staticmethod
+    def of(spans: Sequence[_Span]) -> _Span:
+        """Returns spans of the same length as one."""
+        states = np.concatenate([span.states for span in spans])
+        return _Span(states, np.mean([span.slips for span in spans], axis=0))
+
+    def rests(self, held: Standing, share: float = 1.0) -> bool:
+        """Tells whether the base's height and all feet stay, within a share of each bound."""
+        heights = monitor.base_heights(held.robot, self.states)
+        duration = float(held.drive.model.opt.timestep) * (len(self.states) - 1)
+        drift = float(heights[-1] - heights[0]) / duration
         return (
-            self.deviation < share * STILL
-            and abs(self.drift) <= share * SETTLED_DRIFT
+            float(heights.std()) < share * STILL
+            and abs(drift) <= share * SETTLED_DRIFT
             and self.slip <= share * STAYED
         )
 
@@ -126,50 +142,42 @@ def _time_to_forget(stability: Stability) -> float:
     return min(max(_FORGOTTEN * constant, _BRIEF), NUDGED * LASTING)
 
 
-def _settled(held: Standing) -> _Second | None:
+def _settled(held: Standing) -> _Span | None:
     """Simulates a stand until it is at rest; returns its last second, None if it comes to none."""
     model, state = held.drive.model, held.start
-    steps = max(2, round(LAST / float(model.opt.timestep)))
-    seconds = round((1 - NUDGED) * LASTING / LAST)
-    ctrl = np.tile(held.ctrl, (steps, 1))
-    data = mujoco.MjData(model)
-    for _ in range(seconds):
+    timestep = float(model.opt.timestep)
+    ctrl = np.tile(held.ctrl, (max(2, round(_LOOK / timestep)), 1))
+    data, spans, second = mujoco.MjData(model), deque[_Span](maxlen=round(LAST / _LOOK)), None
+    for _ in range(round((1 - NUDGED) * LASTING / _LOOK)):
         states = simulate(model, state, ctrl)
         state = states[-1]
-        if monitor.has_diverged(states, float(model.opt.timestep)):
+        if monitor.has_diverged(states, timestep):
             return None
-        seen = _looked_at(held, data, states)
-        if seen.slip > _LOST_SLIP * STAYED or _collapses(held, state):
+        spans.append(_looked_at(held, data, states))
+        if spans[-1].slip > _LOST * STAYED or _falls(held, state, _LOST * UPRIGHT):
             return None
-        if seen.rests(_SURE):
-            return seen
-    return seen if seen.rests() else None
+        if len(spans) == spans.maxlen:
+            second = _Span.of(spans)
+            if second.rests(held, _SURE):
+                return second
+    return second if second is not None and second.rests(held) else None
 
 
-def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Second:
+def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Span:
     robot, stand, model = held.robot, held.stand, held.drive.model
-    heights = monitor.base_heights(robot, states)
-    step = max(1, round(_SAMPLE_TIME / model.opt.timestep))
-    total, looks = {foot: np.zeros(3) for foot in stand.stance_feet}, states[::-step]
+    looks, seen = states[:: -max(1, round(_SAMPLE_TIME / model.opt.timestep))], []
     for state in looks:
         mujoco.mj_setState(model, data, state, STATE)
         mujoco.mj_kinematics(model, data)
         centres = monitor.foot_centres(robot, data)
-        for foot in total:
-            total[foot] += centres[foot]
-    slips = [stand.foot_targets[foot] - place / len(looks) for foot, place in total.items()]
-    duration = float(model.opt.timestep) * (len(states) - 1)
-    return _Second(
-        states=states,
-        deviation=float(heights.std()),
-        drift=float(heights[-1] - heights[0]) / duration,
-        slip=max(float(np.linalg.norm(slip[:2])) for slip in slips),
-    )
+        seen.append([centres[foot] for foot in stand.stance_feet])
+    targets = np.array([stand.foot_targets[foot] for foot in stand.stance_feet])
+    return _Span(states, targets - np.mean(seen, axis=0))
 
 
-def _falls(held: Standing, state: Array) -> bool:
+def _falls(held: Standing, state: Array, most: float = UPRIGHT) -> bool:
     turned = monitor.turned_by(held.robot, held.stand.task.rotation(), state)
-    return turned > UPRIGHT or _collapses(held, state)
+    return turned > most or _collapses(held, state)
 
 
 def _collapses(held: Standing, state: Array) -> bool:

@@ -257,18 +257,21 @@ class _Descent:
         self._rest = qpos[robot.nq - robot.nu :]
         self._lower, self._upper = lower, upper
         self._targets = np.array([targets[foot] for foot in robot.contact_points])
-        frames = [robot.contact_frames[foot] for foot in robot.contact_points]
-        self._frames = [model.getFrameId(frame, pin.FrameType.BODY) for frame in frames]
-        above = [
-            {model.names[one] for one in model.supports[model.frames[frame].parentJoint]}
-            for frame in self._frames
-        ]
-        self._moves = np.array([[name in own for name in robot.joint_names] for own in above])
+        names = [robot.contact_frames[foot] for foot in robot.contact_points]
+        frames = [model.frames[model.getFrameId(name, pin.FrameType.BODY)] for name in names]
+        joints = [frame.parentJoint for frame in frames]
+        last, self._rows = np.unique(joints, return_inverse=True)
+        self._last = last.tolist()
+        self._points = np.array([frame.placement.translation for frame in frames])[..., None]
+        above = [{model.names[one] for one in model.supports[joint]} for joint in joints]
         self._limbs = find_limbs(robot)
-        self._feet, self._joints = np.empty(len(self._targets), int), np.full(robot.nu, -1)
-        for number, limb in enumerate(self._limbs):
-            self._feet[[foot in limb.feet for foot in robot.contact_points]] = number
-            self._joints[limb.joints] = number
+        self._joints = np.concatenate([limb.joints for limb in self._limbs])  # what moves a foot
+        names = [robot.joint_names[joint] for joint in self._joints]
+        self._moves = np.array([[name in own for name in names] for own in above])
+        limbs = range(len(self._limbs))
+        self._limb = np.repeat(limbs, [len(limb.joints) for limb in self._limbs])
+        within = [[foot in limb.feet for limb in self._limbs] for foot in robot.contact_points]
+        self._feet = np.argmax(within, axis=1)
 
     def run(
         self, starts: Array, moves: Array, iterations: int = _ITERATIONS
@@ -281,14 +284,15 @@ class _Descent:
             iterations: How many at most.
         """
         targets = self._targets - np.broadcast_to(moves, (len(starts), 3))[:, None]
-        joints = np.where(self._joints < 0, self._rest, np.clip(starts, self._lower, self._upper))
+        low, high = self._lower[self._joints], self._upper[self._joints]
+        joints = np.clip(starts[:, self._joints], low, high)
         errors, jacobians = self._evaluate(joints, targets)
         damping = np.full((len(joints), len(self._limbs)), _DAMPING)
         active = np.arange(len(joints))
         for _ in range(iterations):
             now, error, jacobian = joints[active], errors[active], jacobians[active]
-            step = self._step(error, jacobian, now, damping[active][:, self._joints])
-            tried = np.clip(now + step, self._lower, self._upper)
+            step = self._step(error, jacobian, now, damping[active][:, self._limb])
+            tried = np.clip(now + step, low, high)
             moving = np.abs(tried - now).max(axis=1) > _ARRIVED
             active, now, tried, error = active[moving], now[moving], tried[moving], error[moving]
             if not len(active):
@@ -296,16 +300,22 @@ class _Descent:
             new_error, new_jacobian = self._evaluate(tried, targets[active])
             better = self._squares(new_error) < self._squares(error)  # (k, limbs)
             feet = better[:, self._feet, None]
-            joints[active] = np.where(better[:, self._joints], tried, now)
+            joints[active] = np.where(better[:, self._limb], tried, now)
             errors[active] = np.where(feet, new_error, error)
             jacobians[active] = np.where(feet[..., None], new_jacobian, jacobian[moving])
             changed = damping[active] * np.where(better, 0.1, 8.0)
             damping[active] = np.clip(changed, _LEAST_DAMPING, _MOST_DAMPING)
         away = np.linalg.norm(errors, axis=2)
-        return joints, {
+        return self._all(joints), {
             limb: away[:, self._feet == number].max(axis=1)
             for number, limb in enumerate(self._limbs)
         }
+
+    def _all(self, joints: Array) -> Array:
+        """Returns the positions (k, nu) of all joints with those of the limbs (k, n) in them."""
+        every = np.tile(self._rest, (len(joints), 1))
+        every[:, self._joints] = joints
+        return every
 
     def _squares(self, errors: Array) -> Array:
         """Returns the sum of each limb's squared errors (k, limbs)."""
@@ -313,10 +323,11 @@ class _Descent:
         return squares
 
     def _step(self, errors: Array, jacobians: Array, joints: Array, damping: Array) -> Array:
-        """Returns damped steps (k, nu); joints that would leave their range stay at its end."""
+        """Returns damped steps (k, n); joints that would leave their range stay at its end."""
+        low, high = self._lower[self._joints], self._upper[self._joints]
         rows = jacobians.reshape(len(joints), -1, joints.shape[1])
         gradient = np.einsum("kij,ki->kj", rows, errors.reshape(len(joints), -1))
-        held = (joints <= self._lower) & (gradient > 0) | (joints >= self._upper) & (gradient < 0)
+        held = (joints <= low) & (gradient > 0) | (joints >= high) & (gradient < 0)
         rows = np.where(held[:, None], 0.0, rows)
         normal = rows.transpose(0, 2, 1) @ rows
         diagonal = np.arange(joints.shape[1])
@@ -325,15 +336,18 @@ class _Descent:
         return step
 
     def _evaluate(self, joints: Array, targets: Array) -> tuple[Array, Array]:
-        """Returns the feet's errors (k, f, 3) and their Jacobians (k, f, 3, nu)."""
+        """Returns the feet's errors (k, f, 3) and their Jacobians (k, f, 3, n)."""
         convention, model, data = self._robot.pin_convention, self._model, self._data
-        places = np.empty(targets.shape)
-        columns = np.empty((len(joints), 1, 6, len(convention.v_index)))
-        for index, row in enumerate(joints):
+        ends = np.empty((len(joints), len(self._last), 3, 4))
+        columns = np.empty((len(joints), 1, 6, len(self._joints)))
+        own = convention.v_index[self._joints]
+        for index, row in enumerate(self._all(joints)):
             pin.computeJointJacobians(model, data, convention.with_joints(self._q, row))
-            pin.updateFramePlacements(model, data)
-            columns[index] = data.J.reshape(6, -1)[:, convention.v_index]
-            places[index] = [data.oMf[frame].translation for frame in self._frames]
+            columns[index] = data.J.reshape(6, -1)[:, own]
+            for end, joint in enumerate(self._last):
+                ends[index, end] = data.oMi[joint].homogeneous[:3]
+        placed = ends[:, self._rows]  # (k, f, 3, 4) the frames of the last joints above the feet
+        places = (placed[..., :3] @ self._points + placed[..., 3:])[..., 0]
         # Pinocchio's columns are of the point at the world's origin: v = v_0 + omega x p.
         rates = columns[:, :, :3] - cross_matrices(places) @ columns[:, :, 3:]
         return places - targets, rates * self._moves[:, None]

@@ -818,7 +818,7 @@ def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
         part.joint for part in quadruped().values() if part.joint
     ]
     assert len(mjcf.spec.bodies) == 10
-    assert isinstance(mjcf.compile(), mujoco.MjModel)
+    assert isinstance(mjcf.model, mujoco.MjModel)
 
 
 # ------------------------------------------------------------------------------------- fused

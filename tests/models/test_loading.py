@@ -273,7 +273,7 @@ def test_elements_of_an_mjcf_have_their_lines(tmp_path: Path) -> None:
     assert model.place("default", "leg") == Place(path, 2)
     assert model.place("key", "home") == Place(path, 9)
     assert model.place("site", "x") == Place(path)
-    assert model.compile().nv == 8
+    assert model.model.nv == 8
 
 
 def test_includes_stand_by_the_main_file_first(tmp_path: Path) -> None:
@@ -323,11 +323,11 @@ def test_attached_models_are_loaded(tmp_path: Path) -> None:
     path = write(tmp_path, m=parent, sub__c=child)
     model = read_mjcf(path)
     assert model.files == (path, tmp_path / "sub/c.xml")
-    assert (model.compile().ngeom, len(model.notes)) == (0, 1)
+    assert (model.model.ngeom, len(model.notes)) == (0, 1)
     (tmp_path / "sub/meshes").mkdir()
     (tmp_path / "sub/meshes/k.obj").write_text(TETRAHEDRON)
     model = read_mjcf(path)
-    assert (model.compile().ngeom, model.notes) == (1, ())
+    assert (model.model.ngeom, model.notes) == (1, ())
     # Each attaches the next twice: 2^20 bodies.
     double = mjcf(
         '<asset><model name="c" file="a{}.xml"/></asset>',
@@ -368,12 +368,12 @@ def test_meshes_are_looked_for_as_mujoco_does(
         ),
     )
     missing = read_mjcf(path)
-    assert missing.compile().ngeom == 0
+    assert missing.model.ngeom == 0
     assert missing.notes[0].values["files"] == (file.format(tmp_path),)
     (tmp_path / there).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / there).write_text(TETRAHEDRON)
     model = read_mjcf(path)
-    assert (model.compile().ngeom, model.notes) == (1, ())
+    assert (model.model.ngeom, model.notes) == (1, ())
 
 
 PLATE = 'vertex="0 0 0 1 0 0 0 1 0 1 1 0" face="0 1 2 1 3 2"'
@@ -388,7 +388,7 @@ def test_flat_meshes_are_shells_where_they_weigh_nothing(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="mesh volume is too small"):
         mujoco.MjSpec.from_file(str(path)).compile()
     file = read_mjcf(path)
-    assert file.compile().ngeom == 2
+    assert file.model.ngeom == 2
     assert file.spec.copy().compile().ngeom == 2
     assert file.refusal is None
     assert file.as_it_is is not None
@@ -430,7 +430,7 @@ def test_a_mesh_that_gives_mass_is_needed(
         assert message.startswith(f"{path}:4: body 'trunk' takes its mass from geom 'g'")
         assert "'k.obj'" in message
     else:
-        assert read_mjcf(path).compile().ngeom == 1
+        assert read_mjcf(path).model.ngeom == 1
 
 
 def test_what_refers_to_missing_files_is_left_out(tmp_path: Path) -> None:
@@ -448,7 +448,7 @@ def test_what_refers_to_missing_files_is_left_out(tmp_path: Path) -> None:
         '<custom><tuple name="u"><element objtype="geom" objname="g"/></tuple></custom>',
     ]
     model = read_mjcf(write(tmp_path, m=mjcf(*lines)))
-    compiled = model.compile()
+    compiled = model.model
     counts = {
         kind: getattr(compiled, f"n{kind}")
         for kind in ("geom", "mesh", "hfield", "tex", "mat", "sensor", "pair", "tuple")
@@ -508,7 +508,7 @@ def test_what_refers_to_nothing_is_refused_at_its_line(
     file = read_model(path)
     assert isinstance(file, MjcfFile)
     assert file.refusal is not None
-    assert refused(file.compile) == message
+    assert refused(lambda: file.model) == message
     if not missing_mesh and kind != "camera target":
         assert mujoco.MjSpec.from_string(text).copy().compile().nbody == 2
 
@@ -533,7 +533,7 @@ def test_attributes_that_mujoco_once_had_are_passed_over(tmp_path: Path) -> None
     passed_over = [note for note in file.notes if note.code == "attribute-retired"]
     attributes = [note.values["attribute"] for note in passed_over]
     assert attributes == ["sensornoise", "apirate", "mpr_iterations"]
-    model = file.compile()
+    model = file.model
     assert model.opt.enableflags == mujoco.mjtEnableBit.mjENBL_ENERGY
     assert file.place("body", "b").line == 4
     for other in ('<option collision="predefined"/>', '<option><flag passive="disable"/></option>'):
@@ -550,7 +550,7 @@ def test_the_ground_of_a_scene_that_pairs_name_is_put_there(tmp_path: Path) -> N
     )
     file = read_mjcf(write(tmp_path, robot=robot.format("floor")))
     assert "a plane at z = 0 was added" in str(file.notes[0])
-    model = file.compile()
+    model = file.model
     floor = model.geom("floor")
     assert floor.type == mujoco.mjtGeom.mjGEOM_PLANE
     assert (floor.contype, floor.bodyid) == (1, 0)
@@ -586,7 +586,7 @@ def test_a_colour_of_a_urdf_is_checked_at_the_top_level_too(tmp_path: Path) -> N
 def test_no_log_file_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = write(tmp_path, m=mjcf('<worldbody><geom size="nan"/></worldbody>'))
-    refused(lambda: read_mjcf(path).compile())
+    refused(lambda: read_mjcf(path).model)
     assert [file.name for file in tmp_path.iterdir()] == ["m.xml"]
 
 

@@ -145,9 +145,9 @@ def test_joints_are_read_as_they_are_written(tiny: pa.Robot) -> None:
 def test_the_generator_really_turns_the_frames_and_keeps_the_robot(tmp_path: Path) -> None:
     """Otherwise the tests below would show nothing."""
     files = write(tmp_path, urdf_text(quadruped()), mjcf_text(quadruped()))
-    model = read_mjcf(files.mjcf).compile()
+    model = read_mjcf(files.mjcf).model
     files.mjcf.write_text(turned_frames(model, seed=1))
-    turned = read_mjcf(files.mjcf).compile()
+    turned = read_mjcf(files.mjcf).model
     for body in range(2, model.nbody):
         here, there = (
             Rotation.from_quat(m.body_quat[body], scalar_first=True) for m in (model, turned)
@@ -167,7 +167,7 @@ def test_the_generator_really_turns_the_frames_and_keeps_the_robot(tmp_path: Pat
 @pytest.mark.parametrize("seed", range(6))
 def test_turned_frames_are_no_difference(tmp_path: Path, seed: int) -> None:
     files = write(tmp_path, urdf_text(quadruped()), mjcf_text(quadruped()))
-    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).compile(), seed))
+    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).model, seed))
     comparison = compared(files, tolerances=Tolerances.strict())
     assert found(comparison) == []
     assert comparison.agree
@@ -178,7 +178,7 @@ def test_turned_frames_are_no_difference(tmp_path: Path, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_turned_frames_of_slides_and_continuous_joints(tmp_path: Path, seed: int) -> None:
     files = write(tmp_path, urdf_text(arm()), mjcf_text(arm(), free=seed != 0))
-    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).compile(), seed))
+    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).model, seed))
     assert compared(files).agree
 
 
@@ -214,7 +214,7 @@ CHANGES: dict[str, tuple[str, dict[str, Any], tuple[str, str]]] = {
 
 def turned_pair(folder: Path, urdf: Parts, seed: int) -> Any:
     files = write(folder, urdf_text(urdf), mjcf_text(quadruped()))
-    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).compile(), seed))
+    files.mjcf.write_text(turned_frames(read_mjcf(files.mjcf).model, seed))
     return compared(files)
 
 

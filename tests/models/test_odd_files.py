@@ -56,7 +56,7 @@ def test_an_mjcf_may_be_called_so(tmp_path: Path) -> None:
     files = Files(tmp_path / "robot.urdf", tmp_path / "robot.mjcf")
     files.urdf.write_text(URDF)
     files.mjcf.write_text(text)
-    model = read_mjcf(files.mjcf).compile()
+    model = read_mjcf(files.mjcf).model
     assert model.opt.timestep == 0.003
     assert model.nmesh == 1
     assert compared(files).agree

@@ -249,7 +249,7 @@ def _examine(path: Path) -> dict[str, str]:
             pin.buildModelFromXML(model.text, pin.JointModelFreeFlyer())
             said["pinocchio"] = ""
         else:
-            model.compile()
+            _ = model.model
             said["mujoco"] = ""
     except ModelError as error:
         said["mujoco"] = str(error)

@@ -99,7 +99,7 @@ def _of_mjcf(file: MjcfFile) -> Version:
     ]
     carriers = {name: model.body(int(model.joint(name).bodyid[0])).name for name in names}
     base = _base(model, names)
-    reference = Reference(whole if joined else file.compile(), whole, names, base)
+    reference = Reference(whole if joined else file.model, whole, names, base)
     others: dict[tuple[str, str], Any] = {
         (extra.kind, extra.element): extra.value for extra in mjcf_only_effects(reference)
     }

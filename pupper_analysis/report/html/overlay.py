@@ -38,7 +38,7 @@ def _overlay(scene: OverlayScene) -> dict[str, Any] | None:
     """
     comparison = scene.comparison
     try:
-        model = read_mjcf(comparison.mjcf).compile()
+        model = read_mjcf(comparison.mjcf).model
         lines = _urdf_lines(comparison.urdf)
     except (PupperAnalysisError, OSError, ValueError, RuntimeError):
         return None  # the lines of both are quoted all the same
