@@ -17,6 +17,9 @@ from . import (
     matching as matching,
 )
 from . import (
+    posture as posture,
+)
+from . import (
     pupper as pupper,
 )
 from . import (
@@ -43,6 +46,7 @@ from . import (
 from . import (
     sync as sync,
 )
+from .analysis.hold import hold_posture as hold_posture
 from .analysis.robot import analyze_variant as analyze_variant
 from .checks.audit import audit_model as audit_model
 from .checks.compare import compare_models as compare_models

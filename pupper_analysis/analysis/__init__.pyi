@@ -1,1 +1,2 @@
+from .hold import Hold as Hold
 from .robot import Analysis as Analysis

@@ -13,6 +13,7 @@ import click
 import pupper_analysis
 from pupper_analysis.cli.convert import convert_command
 from pupper_analysis.cli.guard import check_command, diff_command
+from pupper_analysis.cli.hold import hold
 from pupper_analysis.cli.live import live_command
 from pupper_analysis.cli.load import load
 from pupper_analysis.cli.models import audit_command, crosscheck
@@ -159,6 +160,7 @@ for _command in (
     best,
     path,
     push,
+    hold,
     crosscheck,
     diff_command,
     sync_command,

@@ -139,6 +139,19 @@ class RobotAndTask:
     integrator: str | None
     style: str
     everything: bool
+    fixed_base: bool = False
+
+    @classmethod
+    def of_held(cls, **given: Any) -> RobotAndTask:
+        """Returns what the options of a robot alone say of one whose base is fixed."""
+        return cls(
+            payload=0.0,
+            payload_at=None,
+            stance={},
+            self_check=False,  # which is of feet
+            fixed_base=True,
+            **given,
+        )
 
     def robot(self, name: str | None) -> Robot:
         """Returns the variant of that name or of a base (v3 by default), or the files' robot."""
@@ -168,7 +181,8 @@ class RobotAndTask:
         if derived is not None:
             variants.append(derived)
         if not self.own:
-            return [load_variant(variant) for variant in variants or default]
+            fixed = self.fixed_base
+            return [load_variant(each, fixed_base=fixed) for each in variants or default]
         if variants:
             raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
         from pupper_analysis.prepare.load import load_robot
@@ -177,7 +191,12 @@ class RobotAndTask:
             self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe, self.packages
         )
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            robot = load_robot(**given, as_is=self.as_is, self_check=self.self_check)
+            robot = load_robot(
+                **given,
+                as_is=self.as_is,
+                self_check=self.self_check,
+                fixed_base=self.fixed_base,
+            )
         if self.style == "text":  # Markdown has them in its document
             print_notes(robot, everything=self.everything)
         return [robot]
@@ -243,7 +262,8 @@ def print_notes(robot: Robot, *, everything: bool = False) -> None:
 
 def robot_and_task(command: Command) -> Command:
     """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
-    names = [field.name for field in fields(RobotAndTask) if field.name != "stance"]
+    own = ("stance", "fixed_base")
+    names = [field.name for field in fields(RobotAndTask) if field.name not in own]
 
     @wraps(command)
     def gathered(**values: Any) -> None:

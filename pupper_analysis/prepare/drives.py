@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError, PupperAnalysisError
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.prepare.servo_tuning import suggested_gains
+from pupper_analysis.prepare.servo_tuning import held_gains, suggested_gains
 from pupper_analysis.prepare.visuals import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
@@ -132,21 +133,45 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     stand = start.first_stand(robot)
     if stand is None:
         return robot, []
-    own = own_servos(robot)
     built, kp, kd, rests = add_position_servos(robot, stand, mjcf.spec)
-    idle = following_joints(robot)
-    model = mjcf.model
-    made = []
+    made, told = _tell_made(robot, built, mjcf, kp, kd)
+    if not rests:
+        told.append(diagnose("no-servos-bring-it-to-rest"))
+    elif rests == 1:
+        told.append(diagnose("rests-with-feed-forward-alone"))
+    return made, told
+
+
+def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
+    """Gives a robot whose base is held position servos where it has none."""
+    model = robot.mj_model
+    ids = np.array([model.joint(name).id for name in robot.joint_names])
+    others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # those that gains are for
+    kp, kd = (gains[np.searchsorted(others, ids)] for gains in held_gains(model, None, None))
+    spec = spec_with_servos(robot.description.mjcf, robot, kp, kd)
+    stated = {limit.joint: limit for limit in robot.efforts}
+    return _tell_made(robot, rebuild_robot(robot, mjcf=spec, efforts=stated), mjcf, kp, kd)
+
+
+def _tell_made(
+    robot: Robot, built: Robot, mjcf: MjcfFile, kp: Array, kd: Array
+) -> tuple[Robot, list[Diagnostic]]:
+    """Returns the robot with servos, which knows them, and tells which were made up.
+
+    Args:
+        robot: The robot without.
+        built: The same with servos.
+        mjcf: Its file.
+        kp: (nu,) their stiffness (N m/rad).
+        kd: (nu,) their damping (N m s/rad).
+    """
+    own, idle, model, made = own_servos(robot), following_joints(robot), mjcf.model, []
     for index, name in enumerate(robot.joint_names):
         if name not in own and index not in idle:
             joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
             what = Drive.NONE if joint < 0 else drive_of(model, joint)
             made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
     told = [*notes.made_servos(made, len(own), built.mj_model.opt.timestep)]
-    if not rests:
-        told.append(diagnose("no-servos-bring-it-to-rest"))
-    elif rests == 1:
-        told.append(diagnose("rests-with-feed-forward-alone"))
     described = replace(built.description, made_servos=tuple(made))
     return replace(built, description=described), told
 

@@ -19,7 +19,7 @@ from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare import drives, notes, start, touching
+from pupper_analysis.prepare import drives, keyframes, notes, start, touching
 from pupper_analysis.prepare.base import free_base, free_of_friction, lift_base_frame
 from pupper_analysis.prepare.draft import Draft, PassRun
 from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
@@ -113,6 +113,11 @@ def _altered(draft: Draft) -> bool:
     return _on_feet(draft) and not draft.request.as_is
 
 
+def _commanded(draft: Draft) -> bool:
+    """Tells whether it is to be brought to rest by servos, on its feet or held."""
+    return _altered(draft) or (_held(draft) and not draft.request.as_is)
+
+
 def _rebuilt(draft: Draft, description: Description | None) -> Draft:
     return draft if description is None else replace(draft, built=build_robot(description))
 
@@ -138,7 +143,9 @@ def _name_elements(draft: Draft) -> Made:
     name_all(spec, set())
     if draft.request.feet is None:  # a foot may be named by a shape that is only seen
         leave_out_visuals(spec)
-    known = start.choose_keyframes(draft.mjcf, start.list_keyframes(spec), draft.request.keyframe)
+    known = keyframes.choose_keyframes(
+        draft.mjcf, keyframes.list_keyframes(spec), draft.request.keyframe
+    )
     return replace(draft, spec=spec, keyframes=known), ()
 
 
@@ -179,8 +186,9 @@ def _couple_mimics(draft: Draft) -> Made:
 def _build_held(draft: Draft) -> Made:
     if draft.request.feet:
         raise ModelError(draft.mjcf.path, diagnose("feet-of-fixed-base"))
-    robot = build_robot(draft.described, fixed_base=draft.request.fixed_base)
-    return replace(draft, built=robot), ()
+    described = keyframes.with_keyframes(draft.described, draft.keyframes)
+    robot = build_robot(described, fixed_base=draft.request.fixed_base)
+    return replace(draft, description=described, built=robot), ()
 
 
 @_pass(Term("adds a level ground, or makes it level"), _stands)
@@ -268,7 +276,7 @@ def _touch_with_feet_alone(draft: Draft) -> Made:
     return replace(draft, built=robot), told
 
 
-@_pass(Term("excludes contacts of parts that overlap"), _altered)
+@_pass(Term("excludes contacts of parts that overlap"), _commanded)
 def _keep_apart(draft: Draft) -> Made:
     robot, told = touching.exclude_overlaps(draft.robot)
     return replace(draft, built=robot), told
@@ -285,14 +293,15 @@ def _tell_what_follows(draft: Draft) -> Made:
     return draft, (*notes.bound_joints(draft.robot), *notes.tell_uncommanded(draft.robot))
 
 
-@_pass(Term("adds position servos that bring it to rest"), _altered)
+@_pass(Term("adds position servos that bring it to rest"), _commanded)
 def _add_servos(draft: Draft) -> Made:
     robot = draft.robot
     idle = {robot.joint_names[joint] for joint in drives.following_joints(robot)}
     if not set(robot.joint_names) <= own_servos(robot).keys() | idle:
-        robot, made = drives.with_added_servos(robot, draft.mjcf)
+        add = drives.with_added_servos if robot.floating else drives.with_held_servos
+        robot, made = add(robot, draft.mjcf)
         return replace(draft, built=robot), made
-    stand = start.first_stand(robot)
+    stand = start.first_stand(robot) if robot.floating else None
     advice = None if stand is None else drives.suggest_servos(robot, stand)
     return draft, () if advice is None else (advice,)
 

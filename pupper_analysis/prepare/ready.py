@@ -47,7 +47,8 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
     """Builds the robot of two files as they are; None if something is to be made up for.
 
     They are ready where feet are named, whose frames both have, and joints alike; where nothing
-    else lies in the scene, and the ground is level or missing.
+    else lies in the scene, and the ground is level or missing. A robot without feet, whose base is
+    held, is ready only if it is to be taken as it is: it may lack servos, or overlap.
 
     Raises:
         ModelError: If they are ready, and make no robot all the same.
@@ -60,6 +61,8 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
         return None
     robot = _built(urdf, mjcf, request)
     if robot is None or (robot.floating and _needs_more(robot)):
+        return None
+    if not (robot.floating or request.feet or request.as_is):
         return None
     said = (*notes.bound_joints(robot), *notes.tell_uncommanded(robot))
     return replace(robot, notes=(*urdf.notes, *mjcf.notes, *said, *robot.notes))

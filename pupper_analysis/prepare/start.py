@@ -13,10 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import PupperAnalysisError, UnknownNameError
-from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
@@ -55,42 +52,6 @@ _SPREAD, _INWARDS, _BENT = 0.6, 0.4, 0.5
 the second, and stand below the hips by the third."""
 
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
-
-
-def list_keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
-    """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
-
-    Args:
-        spec: A copy of its spec, in which every joint has a name.
-    """
-    if not len(spec.keys):
-        return {}
-    with silence_mujoco():
-        model = spec.copy().compile()
-    found = {}
-    for number in range(model.nkey):
-        name = model.key(number).name or f"keyframe {number + 1}"
-        found[name] = {
-            str(model.joint(joint).name): float(model.key_qpos[number, model.jnt_qposadr[joint]])
-            for joint in range(model.njnt)
-            if model.jnt_type[joint] != JointKind.FREE
-        }
-    return found
-
-
-def choose_keyframes(
-    mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
-) -> dict[str, Mapping[str, float]]:
-    """Returns the keyframes to begin with: the one that is wanted, or ``home`` and then the others.
-
-    Raises:
-        UnknownNameError: If the MJCF has no such keyframe.
-    """
-    if wanted is not None:
-        if wanted not in known:
-            raise UnknownNameError(mjcf.path, "keyframe", wanted, tuple(known))
-        return {wanted: known[wanted]}
-    return dict(sorted(known.items(), key=lambda item: item[0] != "home"))
 
 
 def clip_to_limits(robot: Robot, joints: Mapping[str, float] | None = None) -> Array:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.posture.posture import find_posture
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.visuals import geoms_by_id
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+
+Array = NDArray[np.float64]
 
 _BESIDE = 5e-3
 """Shapes that are no further above the ground than this beside a sunk foot may touch it (m)."""
@@ -43,11 +50,11 @@ def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     """Keeps bodies that overlap in the start pose from pushing each other apart."""
-    stand = start.first_stand(robot)
-    if stand is None:
+    pose = _start_of(robot)
+    if pose is None:
         return robot, []
     model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    robot.mj_convention.set_state(data, stand.qpos)
+    robot.mj_convention.set_state(data, pose)
     mujoco.mj_forward(model, data)
     deep: dict[tuple[str, str], float] = {}
     for touch in data.contact:
@@ -67,3 +74,13 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     return rebuild_robot(robot, mjcf=spec), [
         diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
     ]
+
+
+def _start_of(robot: Robot) -> Array | None:
+    """Returns the qpos (nq,) that a robot starts in, standing or held; None if it has none."""
+    if robot.floating:
+        stand = start.first_stand(robot)
+        return None if stand is None else stand.qpos
+    with contextlib.suppress(PupperAnalysisError):  # loops that do not close are told of there
+        return find_posture(robot).qpos
+    return None

@@ -208,7 +208,14 @@ def told_cause(cause: Cause) -> Diagnostic:  # noqa: C901 - one case for each ca
 def _beyond(verdict: Verdict) -> Iterator[Clause]:
     """Says which motors are beyond their limits, and what grows."""
     if verdict.overloaded:
-        yield Clause(False, diagnose("motors-overloaded", joints=verdict.overloaded))
+        yield Clause(
+            False,
+            diagnose(
+                "motors-overloaded",
+                joints=verdict.overloaded,
+                standing=verdict.force_error is not None,
+            ),
+        )
     if math.isfinite(verdict.doubling_time):
         time = Quantity(verdict.doubling_time, "s")
         yield Clause(False, diagnose("deviation-doubles", doubling_time=time))

@@ -125,7 +125,8 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
     Raises:
         ModelError: If a model cannot be built.
     """
-    return with_knowledge_of(build_robot(replace(robot.description, **changes)), robot)
+    described = replace(robot.description, **changes)
+    return with_knowledge_of(build_robot(described, fixed_base=not robot.floating), robot)
 
 
 def with_knowledge_of(built: Robot, robot: Robot) -> Robot:

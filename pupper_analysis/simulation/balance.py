@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
@@ -11,16 +12,33 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
+Array = NDArray[np.float64]
+
+
+def load_by_mujoco(robot: Robot, qpos: Array) -> Array:
+    """Returns what motors and contacts hold at rest (nv,), by MuJoCo's dynamics of the MJCF.
+
+    It is ``Configuration.load`` of the other engine, from the other file.
+    """
+    data = _at(robot, qpos)
+    load: Array = (data.qfrc_bias - data.qfrc_passive)[robot.mj_convention.qvel_index]
+    return load
+
+
+def _at(robot: Robot, qpos: Array) -> mujoco.MjData:
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_fwdPosition(robot.mj_model, data)
+    mujoco.mj_fwdVelocity(robot.mj_model, data)
+    return data
+
 
 def balance_by_mujoco(
     robot: Robot, stand: Stand, prediction: GravityCompensation
 ) -> tuple[float, float]:
     """Checks stand and statics with MuJoCo's kinematics and dynamics of the MJCF."""
     model = robot.mj_model
-    data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, stand.qpos)
-    mujoco.mj_fwdPosition(model, data)
-    mujoco.mj_fwdVelocity(model, data)
+    data = _at(robot, stand.qpos)
     remainder = data.qfrc_bias - data.qfrc_passive
     foot_error = 0.0
     jacobian = np.zeros((3, model.nv))

@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
 from pupper_analysis.robot.stability import Stability
-from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
 CLOSE = 0.05
@@ -54,6 +54,38 @@ class Ending(StrEnum):
     UNTRIED = "was not simulated"
 
 
+class Simulated(Protocol):
+    """What a verdict needs to know of a simulation: of a stand, or of a posture that is held."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether it is verified."""
+
+    @property
+    def collapses(self) -> bool:
+        """Whether it has fallen, or is far from where it was."""
+
+    @property
+    def failures(self) -> tuple[Diagnostic, ...]:
+        """If it is not verified, why."""
+
+    @property
+    def duration(self) -> float:
+        """What was simulated (s)."""
+
+    @property
+    def torque_error(self) -> float:
+        """Largest deviation / largest predicted torque."""
+
+    @property
+    def force_error(self) -> float | None:
+        """Largest deviation of a foot's force / its prediction; None where no foot carries."""
+
+    @property
+    def stability(self) -> Stability:
+        """Of where it settled."""
+
+
 @dataclass(frozen=True, eq=False)
 class Verdict(Result):
     """Whether a stance holds, and what that rests on.
@@ -65,7 +97,8 @@ class Verdict(Result):
         with_feedforward: How it ends with gravity feed-forward, ctrl = q* + tau / kp.
         commands_alone: How it ends on position commands alone, ctrl = q*; None if it was not asked.
         torque_error: With feed-forward, largest deviation / largest predicted torque.
-        force_error: With feed-forward, largest deviation of a vertical foot force / its prediction.
+        force_error: With feed-forward, largest deviation of a vertical foot force / its prediction;
+            None where no foot carries.
         failures: Why it fails with feed-forward, if it does.
         failures_alone: Why it fails without, if it does.
         overloaded: Motors above their limits.
@@ -82,7 +115,7 @@ class Verdict(Result):
     with_feedforward: Ending
     commands_alone: Ending | None
     torque_error: float
-    force_error: float
+    force_error: float | None
     failures: tuple[Diagnostic, ...]
     failures_alone: tuple[Diagnostic, ...]
     overloaded: tuple[str, ...]
@@ -93,15 +126,15 @@ class Verdict(Result):
 
 
 def judge_stance(
-    fed: StandVerification,
-    alone: StandVerification | None,
+    fed: Simulated,
+    alone: Simulated | None,
     servos: ServosUsed,
     *,
     overloaded: tuple[str, ...] = (),
     own: OwnRun | None = None,
     published: Published | None = None,
 ) -> Verdict:
-    """Weighs what was simulated of a stance.
+    """Weighs what was simulated of a stance, or of a posture.
 
     Args:
         fed: The simulation with feed-forward.
@@ -169,16 +202,16 @@ def beyond_limits(statics: GravityCompensation) -> tuple[str, ...]:
     return tuple(name for name, share in used if share > 1)
 
 
-def describe_ending(run: StandVerification) -> Ending:
-    """Tells how a simulation of a stand ended."""
+def describe_ending(run: Simulated) -> Ending:
+    """Tells how a simulation ended."""
     if run.passed:
         return Ending.HOLDS
     return Ending.COLLAPSES if run.collapses else Ending.FAILS
 
 
 def _code(
-    fed: StandVerification,
-    alone: StandVerification | None,
+    fed: Simulated,
+    alone: Simulated | None,
     servos: ServosUsed,
     overloaded: tuple[str, ...],
     own: OwnRun | None,

@@ -11,6 +11,7 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 
 import pupper_analysis as pa
+from pupper_analysis.analysis.hold import Hold
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.analysis.push import PushedStance
 from pupper_analysis.analysis.stance import Stance
@@ -23,6 +24,7 @@ from tests.support.names import public, public_modules
 OWN_PAGES = (
     pa.analysis.Analysis,
     Stance,
+    Hold,
     PushedStance,
     PathThere,
     pa.checks.Comparison,

@@ -78,7 +78,7 @@ def load_blocks(
     torques = torque_table(statics, limits, compared)
     return [
         replace(torques, notes=notes, source=source),
-        torque_plot(statics, verification, limits),
+        torque_plot(statics, verification.joint_torques.tolist(), limits),
         _contacts(statics, min_max_torque, verification),
     ]
 
@@ -129,14 +129,14 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
 
 
 def torque_plot(
-    statics: GravityCompensation, verification: StandVerification, limits: Sequence[float]
+    statics: GravityCompensation, simulated: Sequence[float], limits: Sequence[float]
 ) -> plots.BarPlot:
     """Draws each motor's torque, predicted and simulated, against its limit."""
     bars = [
         plots.Bar(
             doc.Name(name),
             float(statics.joint_torques[index]),
-            float(verification.joint_torques[index]),
+            float(simulated[index]),
             float(limits[index]),
         )
         for index, name in enumerate(statics.joint_names)

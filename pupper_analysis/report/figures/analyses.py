@@ -46,7 +46,10 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     figure, panels = style.panels_of(analyses, title, 0.16 * rows + 0.62)
     for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
         limits = [joint.effort for joint in analysis.joints]
-        handles = draw_plot(torque_plot(analysis.statics, analysis.verification, limits), axes)
+        handles = draw_plot(
+            torque_plot(analysis.statics, analysis.verification.joint_torques.tolist(), limits),
+            axes,
+        )
         low, high = min(limits), max(limits)
         span = f"{low:g}" + (f" to {high:g}" if high > low else "")
         style.title_panel(axes, f"{analysis.name}: limit {span} N m")

@@ -1,0 +1,132 @@
+"""What a posture of a robot whose base is held costs, and whether it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.posture.posture import Posture, find_posture, joint_units
+from pupper_analysis.posture.sag import SaggedPosture, sag_posture
+from pupper_analysis.posture.tool import Tool, find_tool
+from pupper_analysis.posture.verify import PostureVerification, verify_posture
+from pupper_analysis.results import Tabular
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge_stance
+from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Hold(Tabular):
+    """A posture of a robot whose base is held, what it costs, and whether it holds.
+
+    Attributes:
+        name: The robot's name.
+        posture: Where it is told to be.
+        units: (nu,) of the joints' positions: rad, or m of one that slides; of its motor, N for
+            N m.
+        tool: Where it carries, and is pushed.
+        tool_position: (3,) in the world (m).
+        limits: (nu,) of the motors' torques, the least that both files state (N m).
+        limit_origins: (nu,) which statement of which file each is; None without a limit.
+        statics: What the motors hold.
+        verification: The simulation, with feed-forward.
+        sagging: The simulation without.
+        sagged: Where servos let it come to rest without; None where that is not predicted.
+        unsettled: Why ``sagged`` is None; None where it is not.
+        verdict: Whether it holds, and what that rests on.
+    """
+
+    name: str
+    posture: Posture
+    units: tuple[str, ...]
+    tool: Tool
+    tool_position: Array
+    limits: Array
+    limit_origins: tuple[EffortStatement | None, ...]
+    statics: GravityCompensation
+    verification: PostureVerification
+    sagging: PostureVerification
+    sagged: SaggedPosture | None
+    unsettled: Diagnostic | None
+    verdict: Verdict
+
+    @property
+    def passed(self) -> bool:
+        """Whether it holds, by its verdict."""
+        return self.verdict.passed
+
+    def _columns(self) -> dict[str, ArrayLike]:
+        return {
+            "joint": self.statics.joint_names,
+            "position": self.posture.qpos,
+            "torque": self.statics.joint_torques,
+            "utilisation": self.statics.motor_utilisation,
+        }
+
+
+@check_arguments
+def hold_posture(
+    robot: Robot,
+    joints: Mapping[str, float] | None = None,
+    *,
+    keyframe: str | None = None,
+    tool: str | None = None,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> Hold:
+    """Finds out what a posture of a robot whose base is held costs, and whether it holds.
+
+    Args:
+        robot: A robot whose base is held: an arm, a hand, or one that is loaded with
+            ``fixed_base=True``.
+        joints: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}.
+        keyframe: The MJCF's keyframe for the other joints; by default ``home`` or the first if
+            there is one, else they are in the middle of their ranges.
+        tool: A link of the URDF, or a site, body or geom of the MJCF; by default the end of the
+            longest chain of joints.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+
+    Raises:
+        ConfigurationError: If the base is free, or an argument makes no sense for the robot.
+        UnknownNameError: If a joint, the keyframe or the tool is not there.
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
+    """
+    posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)
+    config = Configuration(robot, posture.qpos)
+    statics = gravity_compensation(config, contacts=[])
+    sagged, unsettled = None, None
+    try:
+        sagged = sag_posture(robot, posture, point, kp=kp)
+    except NoEquilibriumError as error:
+        unsettled = error.diagnostic
+    fed = verify_posture(robot, posture, point, kp=kp, kd=kd)
+    alone = verify_posture(robot, posture, point, sagged=sagged, feedforward=False, kp=kp, kd=kd)
+    return Hold(
+        name=robot.name,
+        posture=posture,
+        units=joint_units(robot),
+        tool=point,
+        tool_position=point.position(config),
+        limits=robot.effort_limits,
+        limit_origins=tuple(limit.origin for limit in robot.efforts),
+        statics=statics,
+        verification=fed,
+        sagging=alone,
+        sagged=sagged,
+        unsettled=unsettled,
+        verdict=judge_stance(
+            fed, alone, servos_used(robot, kp, kd), overloaded=beyond_limits(statics)
+        ),
+    )

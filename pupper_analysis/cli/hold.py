@@ -1,0 +1,98 @@
+"""``pupper-analysis hold``: what a robot that is bolted down holds, at a posture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.stance_options import (
+    AS_IS,
+    LOOK,
+    OWN,
+    SERVOS,
+    VARIANT,
+    RobotAndTask,
+    name_argument,
+    stance_options,
+)
+from pupper_analysis.diagnostics import Term, diagnose
+from pupper_analysis.errors import ConfigurationError
+
+
+@click.command(
+    context_settings=shared.CONTEXT, short_help="What an arm's motors hold, with its base fixed."
+)
+@name_argument
+@click.option(
+    "--joints",
+    "positions",
+    multiple=True,
+    metavar="NAME=POSITION",
+    help="Position of a joint, or of all that match a pattern (rad, m); e.g. elbow=90deg, "
+    "'*finger*=2cm'. Repeatable.",
+)
+@click.option(
+    "--tool",
+    metavar="FRAME",
+    help="Where it carries: a link, site, body or geom; e.g. tool0. By default the end of the "
+    "longest chain of joints.",
+)
+@stance_options(OWN, (AS_IS,), VARIANT, SERVOS, LOOK)
+@shared.json_option
+@shared.report_option
+def hold(
+    name: str | None,
+    positions: tuple[str, ...],
+    tool: str | None,
+    json_path: Path | None,
+    report_path: Path | None,
+    **robot_options: object,
+) -> None:
+    """Hold a posture with the base fixed: motor torques, sag, and whether it stays.
+
+    For arms, hands, and any robot that is bolted down. Gravity torques are computed by Pinocchio
+    from the URDF and by MuJoCo from the MJCF, and held against the motors' limits; the sag of the
+    position servos is predicted at each joint and at the tool; then MuJoCo simulates 12 s with
+    feed-forward and 12 s without, and nudges the robot.
+
+    The joints that --joints does not name are where a keyframe of the MJCF has them, or else in the
+    middle of their ranges. Servos are added where the MJCF has none, and a note says so.
+
+    \b
+    Examples:
+      pupper-analysis hold --urdf panda.urdf --mjcf panda.xml
+      pupper-analysis hold --urdf ur5.urdf --mjcf ur5.xml --joints '*lift*=-90deg' --tool tool0
+      pupper-analysis hold v3 --joints '*_3=0.5' --kp 20 --kd 0.5 --json held.json
+
+    \b
+    Exit status: 0 it holds, 1 it does not, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.analysis.hold import hold_posture
+
+    joints = dict(_position(text) for text in positions)
+    shared.check_outputs(json_path, report_path)
+    asked = RobotAndTask.of_held(**robot_options)
+    robot = asked.robot(name)
+    kp, kd = asked.gains(robot)
+    with shared.show_progress("holding the posture, and simulating it"):
+        result = hold_posture(robot, joints, keyframe=asked.keyframe, tool=tool, kp=kp, kd=kd)
+    asked.show(result, robot)
+    shared.write_page(report_path, result, [robot])
+    shared.finish_command(json_path, result, passed=result.passed)
+
+
+def _position(text: str) -> tuple[str, float]:
+    """Returns name and position of NAME=POSITION, an angle or a length."""
+    name, value = shared.parse_assignment("joints", text)
+    for kind in ("angle", "length"):
+        try:
+            return name, shared.parse_quantity(kind, value)
+        except ValueError:
+            continue
+    units = tuple(unit for kind in ("angle", "length") for unit in shared.UNITS[kind])
+    told = diagnose(
+        "part-is-no-quantity", part=value, given=text, kind=Term("position"), units=units
+    )
+    raise ConfigurationError("joints", told)

@@ -1,0 +1,162 @@
+"""Where a robot whose base is held is told to be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_arguments, check_finite
+from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_ROUNDED = 1e-6
+"""A position that is further beyond a limit is out of range (rad, m): both are typed."""
+
+_SLACK = 1e-3
+"""The same of keyframes, which files round to fewer digits than limits; they are cut to these."""
+
+
+class PostureSource(StrEnum):
+    """Where a posture is from, but for the joints that were given."""
+
+    KEYFRAME = "a keyframe of the MJCF"
+    MIDDLE = "the middle of the joints' ranges"
+
+
+@dataclass(frozen=True, eq=False)
+class Posture(Result):
+    """Where a robot whose base is held is told to be.
+
+    Attributes:
+        joint_names: In actuator order.
+        qpos: (nu,) joint positions (rad, m of a joint that slides): all of a held robot's qpos.
+        source: Where it is from, but for the joints that were given.
+        keyframe: The keyframe's name; "" if it is from none, or that has no name.
+        given: The joints that were given.
+    """
+
+    joint_names: tuple[str, ...]
+    qpos: Array
+    source: PostureSource
+    keyframe: str
+    given: tuple[str, ...]
+
+
+def check_held(robot: Robot) -> None:
+    """Checks that a robot's base is held in the world.
+
+    Raises:
+        ConfigurationError: If it is free.
+    """
+    if robot.floating:
+        raise ConfigurationError("robot", diagnose("base-is-free", robot=robot.name))
+
+
+def joint_ranges(robot: Robot) -> Array:
+    """Returns between which positions (nu, 2) joints may be, by both files (rad, m).
+
+    Infinite for a joint that neither file limits.
+    """
+    model = robot.mj_model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    stated = np.where(
+        model.jnt_limited[joints].astype(bool)[:, None],
+        model.jnt_range[joints],
+        (-np.inf, np.inf),
+    )
+    low = np.maximum(stated[:, 0], robot.lower_limits)
+    return np.column_stack([low, np.maximum(low, np.minimum(stated[:, 1], robot.upper_limits))])
+
+
+def joint_units(robot: Robot) -> tuple[str, ...]:
+    """Returns the unit of each joint's position: rad, or m of one that slides."""
+    model = robot.mj_model
+    kinds = [model.jnt_type[model.joint(name).id] for name in robot.joint_names]
+    return tuple("m" if kind == JointKind.SLIDE else "rad" for kind in kinds)
+
+
+@check_arguments
+def find_posture(
+    robot: Robot, joints: Mapping[str, float] | None = None, *, keyframe: str | None = None
+) -> Posture:
+    """Finds the posture that is asked for.
+
+    Joints that are not given are where a keyframe has them, or else in the middle of their ranges,
+    at zero where they have none. Joints that follow others are where these take them.
+
+    Args:
+        robot: A robot whose base is held.
+        joints: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}; of patterns that
+            match the same joint the last counts.
+        keyframe: The MJCF's keyframe for the others; by default ``home``, or else the first, if
+            it is within the joints' ranges.
+
+    Raises:
+        ConfigurationError: If the base is free, a position is out of its joint's range, or loops
+            and couplings of joints cannot be closed there.
+        UnknownNameError: If a joint or the keyframe is not there; the message lists what is.
+    """
+    check_held(robot)
+    ranges = joint_ranges(robot)
+    qpos, source, name = _others(robot, ranges, keyframe)
+    given: dict[str, None] = {}
+    for pattern, value in (joints or {}).items():
+        chosen = [i for i, joint in enumerate(robot.joint_names) if fnmatchcase(joint, pattern)]
+        if not chosen:
+            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at("joints")
+        qpos[chosen] = check_finite(f"joints {pattern!r}", value)
+        given |= dict.fromkeys(robot.joint_names[index] for index in chosen)
+    if robot.closure is not None:
+        placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
+        closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
+        if closed is None:
+            problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
+            raise ConfigurationError("joints", problem)
+        qpos = closed
+    for index, joint in enumerate(robot.joint_names):
+        low, high = ranges[index]
+        if not low - _ROUNDED <= qpos[index] <= high + _ROUNDED:
+            unit = joint_units(robot)[index]
+            problem = diagnose(
+                "joint-out-of-range",
+                subject=("joint", joint),
+                position=Quantity(qpos[index], unit),
+                low=Quantity(low, unit),
+                high=Quantity(high, unit),
+            )
+            raise ConfigurationError("joints", problem)
+    return Posture(robot.joint_names, qpos, source, name, tuple(given))
+
+
+def _others(robot: Robot, ranges: Array, keyframe: str | None) -> tuple[Array, PostureSource, str]:
+    """Returns the positions (nu,) of joints that are not given, and where they are from.
+
+    Raises:
+        UnknownNameError: If there is no such keyframe.
+    """
+    keys = {str(key.name): np.array(key.qpos) for key in robot.description.mjcf.keys}
+    if keyframe is not None and keyframe not in keys:
+        raise UnknownNameError(robot.description.mjcf_source, "keyframe", keyframe, tuple(keys))
+    name = keyframe if keyframe is not None else next((k for k in ("home", *keys) if k in keys), "")
+    whole = keys.get(name, np.zeros(0))
+    if len(whole) >= robot.mj_model.nq:
+        # The keyframe may be that of the model with a free base.
+        own = whole[len(whole) - robot.mj_model.nq + robot.mj_convention.qpos_index]
+        cut = np.clip(own, *ranges.T)
+        rounded = np.abs(own - cut) < _SLACK
+        if keyframe is not None or rounded.all():
+            return np.where(rounded, cut, own), PostureSource.KEYFRAME, name
+    bounded = np.isfinite(ranges)
+    ends = np.where(bounded, ranges, 0.0)
+    middle = np.where(bounded.all(axis=1), ends.mean(axis=1), np.clip(0.0, *ranges.T))
+    return middle, PostureSource.MIDDLE, ""

@@ -1,0 +1,73 @@
+"""An MJCF's keyframes: read before its joints are matched, and put back where they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+
+from pupper_analysis.errors import UnknownNameError
+from pupper_analysis.models.description import Description
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf_file import MjcfFile
+
+
+def list_keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
+    """Returns an MJCF's keyframes, {name: {joint: position}}; those without a name are numbered.
+
+    Args:
+        spec: A copy of its spec, in which every joint has a name.
+    """
+    if not len(spec.keys):
+        return {}
+    with silence_mujoco():
+        model = spec.copy().compile()
+    found = {}
+    for number in range(model.nkey):
+        name = model.key(number).name or f"keyframe {number + 1}"
+        found[name] = {
+            str(model.joint(joint).name): float(model.key_qpos[number, model.jnt_qposadr[joint]])
+            for joint in range(model.njnt)
+            if model.jnt_type[joint] != JointKind.FREE
+        }
+    return found
+
+
+def choose_keyframes(
+    mjcf: MjcfFile, known: Mapping[str, Mapping[str, float]], wanted: str | None
+) -> dict[str, Mapping[str, float]]:
+    """Returns the keyframes to begin with: the one that is wanted, or ``home`` and then the others.
+
+    Raises:
+        UnknownNameError: If the MJCF has no such keyframe.
+    """
+    if wanted is not None:
+        if wanted not in known:
+            raise UnknownNameError(mjcf.path, "keyframe", wanted, tuple(known))
+        return {wanted: known[wanted]}
+    return dict(sorted(known.items(), key=lambda item: item[0] != "home"))
+
+
+def with_keyframes(
+    description: Description, known: Mapping[str, Mapping[str, float]]
+) -> Description:
+    """Returns a robot's files with keyframes, which were lost where the two were matched.
+
+    Args:
+        description: Both files, made alike.
+        known: {keyframe: {joint: position}}; where they have none, a joint is at its reference.
+    """
+    if not known:
+        return description
+    spec = description.mjcf.copy()
+    with silence_mujoco():
+        model = spec.copy().compile()
+    for name, pose in known.items():
+        qpos = model.qpos0.copy()
+        for joint in range(model.njnt):
+            place = model.jnt_qposadr[joint]
+            qpos[place] = pose.get(model.joint(joint).name, qpos[place])
+        spec.add_key(name=name, qpos=qpos)
+    return replace(description, mjcf=spec)

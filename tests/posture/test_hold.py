@@ -1,0 +1,121 @@
+"""A posture of a robot whose base is held, against closed forms and both engines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.posture.posture import find_posture
+from pupper_analysis.posture.sag import sag_posture
+from pupper_analysis.posture.tool import find_tool
+from pupper_analysis.posture.verify import verify_posture
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.simulation.balance import load_by_mujoco
+from pupper_analysis.simulation.verdict import VerdictCode
+from tests.support import arm as by_hand
+from tests.support.arm import STIFFNESS, arm, load_arm
+
+POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
+ANGLES = tuple(POSTURE.values())  # of the closed forms
+
+
+def test_torques_sag_and_the_tool_are_those_of_the_closed_form() -> None:
+    """Of both engines, of servos by joint, and simulated."""
+    robot = arm()
+    held = pa.hold_posture(robot, POSTURE)
+    wanted = by_hand.torques(*ANGLES)
+    torques = dict(zip(robot.joint_names, held.statics.joint_torques, strict=True))
+    assert robot.joint_names == by_hand.ORDER
+    assert torques == pytest.approx(wanted, abs=1e-12)
+    by_mujoco = load_by_mujoco(robot, held.posture.qpos)
+    assert by_mujoco == pytest.approx(held.statics.joint_torques, abs=1e-12)
+    assert held.tool.name == "tip"
+    assert held.tool_position == pytest.approx(by_hand.tip(*ANGLES), abs=1e-12)
+    assert held.passed
+    assert held.verdict.code is VerdictCode.HOLDS
+    assert held.verification.torque_error < 1e-6
+
+    assert held.sagged is not None
+    rest = dict(zip(robot.joint_names, held.sagged.qpos, strict=True))
+    there = by_hand.torques(*(rest[name] for name in POSTURE))
+    for name, angle in POSTURE.items():
+        assert STIFFNESS[name] * (angle - rest[name]) == pytest.approx(there[name], abs=1e-9)
+    moved = by_hand.tip(*(rest[name] for name in POSTURE)) - by_hand.tip(*ANGLES)
+    assert held.sagged.tool_sag == pytest.approx(moved, abs=1e-12)
+    assert moved[2] < -5e-3
+    assert held.sagging.joint_positions == pytest.approx(held.sagged.qpos, abs=1e-6)
+
+
+def test_joints_that_are_not_given_are_in_the_middle_or_the_keyframe(tmp_path: Path) -> None:
+    robot = arm()
+    middle = {name: np.mean(ends) for name, ends in by_hand.RANGES.items()}
+    found = find_posture(robot, {"*l*": 0.1, "elbow": 0.5})
+    wanted = middle | {"shoulder": 0.1, "b_slide": 0.1, "elbow": 0.5}
+    assert dict(zip(robot.joint_names, found.qpos, strict=True)) == pytest.approx(wanted)
+    assert set(found.given) == {"elbow", "b_slide", "shoulder"}
+
+    keys = '<keyframe><key name="home" qpos="0.1 -0.2 0.3 0.04"/><key name="out" qpos="9 0 1 0"/>'
+    text = by_hand.MJCF.replace("</mujoco>", f"{keys}</keyframe></mujoco>")
+    keyed = load_arm(tmp_path, mjcf=text)
+    found = find_posture(keyed)  # in the tree's order in the file, in actuator order here
+    assert found.keyframe == "home"
+    assert found.qpos == pytest.approx([0.3, 0.04, -0.2, 0.1])
+    with pytest.raises(pa.ConfigurationError, match=r"a_turn.* 9 rad, outside"):
+        find_posture(keyed, keyframe="out")
+    with pytest.raises(pa.UnknownNameError, match="home"):
+        find_posture(keyed, keyframe="none")
+
+
+@pytest.mark.parametrize(
+    ("joints", "said"),
+    [
+        ({"elbow": 3.0}, "3 rad, outside"),
+        ({"knee": 0.0}, "shoulder"),
+        ({"elbow": np.nan}, "finite"),
+    ],
+)
+def test_a_posture_that_is_none_is_refused(joints: dict[str, float], said: str) -> None:
+    with pytest.raises((pa.ConfigurationError, pa.UnknownNameError), match=said):
+        find_posture(arm(), joints)
+
+
+def test_a_tool_may_be_a_link_or_a_site() -> None:
+    """At the same place, whichever file has it."""
+    config = Configuration(arm(), find_posture(arm(), POSTURE).qpos)
+    for name in ("tip", "hand", "fore"):
+        tool = find_tool(arm(), name)
+        step, jacobian = 1e-6, tool.jacobian(config)
+        for joint in range(4):
+            ends = []
+            for way in (step, -step):
+                qpos = config.qpos.copy()
+                qpos[joint] += way
+                ends.append(tool.position(Configuration(arm(), qpos)))
+            assert jacobian[:, joint] == pytest.approx((ends[0] - ends[1]) / (2 * step), abs=1e-8)
+    assert find_tool(arm(), "fore").chain == ("a_turn", "shoulder", "elbow")
+    with pytest.raises(pa.UnknownNameError, match="upper"):
+        find_tool(arm(), "thumb")
+
+
+def test_motors_that_are_too_weak_do_not_hold(tmp_path: Path) -> None:
+    """And parts that touch, and servos too soft to hold an arm up."""
+    needs = abs(by_hand.torques(0.0, 0.0, 0.5, 0.1)["elbow"])
+    posture = {"a_turn": 0.0, "shoulder": 0.0, "elbow": 0.5, "b_slide": 0.1}
+    for share, holds in ((1.02, True), (0.98, False)):
+        urdf = by_hand.URDF.replace('effort="9.0"', f'effort="{share * needs}"')
+        robot = load_arm(tmp_path, urdf=urdf)
+        tool = find_tool(robot)
+        posed = find_posture(robot, posture)
+        assert verify_posture(robot, posed, tool, duration=4.0).passed is holds
+    with pytest.raises(pa.errors.NoEquilibriumError, match="elbow"):
+        sag_posture(robot, posed, tool)
+
+
+def test_robots_with_a_free_base_are_sent_elsewhere_and_those_without_feet_here() -> None:
+    with pytest.raises(pa.ConfigurationError, match="fixed_base"):
+        pa.hold_posture(pa.load_variant("v3"))
+    with pytest.raises(pa.ConfigurationError, match="hold"):
+        pa.solve_stand(arm())

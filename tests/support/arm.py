@@ -1,0 +1,119 @@
+"""An arm whose every number is known in closed form: a turntable, two elbows and a slide.
+
+The upper arm turns about y: at an angle a it points along (cos a, 0, -sin a). The MJCF's actuators
+stand in another order than the joints do in the tree or by name.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.robot.robot import Robot
+
+G = 9.81
+UPPER, FORE, SLIDE = 0.4, 0.3, 0.1  # m: of the links, and of the slide at zero
+MASSES = {"turn": 3.0, "upper": 2.0, "fore": 1.0, "hand": 0.5}  # kg
+CENTRES = {"upper": 0.15, "fore": 0.2}  # m, of the links' coms from their joints
+EFFORTS = {"a_turn": 5.0, "shoulder": 30.0, "elbow": 9.0, "b_slide": 12.0}  # N m, N
+RANGES = {
+    "a_turn": (-3.0, 3.0),
+    "shoulder": (-2.0, 0.5),
+    "elbow": (0.2, 2.4),
+    "b_slide": (0.0, 0.2),
+}
+STIFFNESS = {"a_turn": 50.0, "shoulder": 800.0, "elbow": 300.0, "b_slide": 900.0}
+ORDER = ("elbow", "b_slide", "shoulder", "a_turn")
+
+
+def _inertial(mass: float, x: float) -> str:
+    return (
+        f'<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>'
+        '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+
+
+def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str) -> str:
+    low, high = RANGES[name]
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}"/><axis xyz="{axis}"/>'
+        f'<limit lower="{low}" upper="{high}" effort="{EFFORTS[name]}" velocity="5"/></joint>'
+    )
+
+
+URDF = f"""<robot name="arm"><link name="base"/>
+<link name="turn">{_inertial(MASSES["turn"], 0)}</link>
+<link name="upper">{_inertial(MASSES["upper"], CENTRES["upper"])}</link>
+<link name="fore">{_inertial(MASSES["fore"], CENTRES["fore"])}</link>
+<link name="hand">{_inertial(MASSES["hand"], 0)}</link><link name="tip"/>
+{_joint("a_turn", "revolute", "base", "turn", "0 0 0.5", "0 0 1")}
+{_joint("shoulder", "revolute", "turn", "upper", "0 0 0", "0 1 0")}
+{_joint("elbow", "revolute", "upper", "fore", f"{UPPER} 0 0", "0 1 0")}
+{_joint("b_slide", "prismatic", "fore", "hand", f"{FORE} 0 0", "1 0 0")}
+<joint name="weld" type="fixed"><parent link="hand"/><child link="tip"/>
+<origin xyz="{SLIDE} 0 0"/></joint></robot>"""
+
+
+def _body(name: str, joint: str, mass: float, x: float, inner: str = "") -> str:
+    low, high = RANGES[joint]
+    kind = "slide" if joint == "b_slide" else "hinge"
+    axis = {"a_turn": "0 0 1", "b_slide": "1 0 0"}.get(joint, "0 1 0")
+    pos = {"turn": "0 0 0.5", "fore": f"{UPPER} 0 0", "hand": f"{FORE} 0 0"}.get(name, "0 0 0")
+    return (
+        f'<body name="{name}" pos="{pos}"><joint name="{joint}" type="{kind}" axis="{axis}" '
+        f'range="{low} {high}" damping="2"/><inertial pos="{x} 0 0" mass="{mass}" '
+        f'diaginertia="0.01 0.01 0.01"/>{inner}</body>'
+    )
+
+
+_HAND = _body("hand", "b_slide", MASSES["hand"], 0, f'<site name="tip" pos="{SLIDE} 0 0"/>')
+_FORE = _body("fore", "elbow", MASSES["fore"], CENTRES["fore"], _HAND)
+_UPPER = _body("upper", "shoulder", MASSES["upper"], CENTRES["upper"], _FORE)
+_SERVOS = "".join(f'<position joint="{name}" kp="{STIFFNESS[name]}" kv="20"/>' for name in ORDER)
+MJCF = f"""<mujoco model="arm"><compiler angle="radian"/>
+<option timestep="0.002" integrator="implicitfast"/><worldbody><body name="base">
+{_body("turn", "a_turn", MASSES["turn"], 0, _UPPER)}</body></worldbody>
+<actuator>{_SERVOS}</actuator></mujoco>"""
+
+
+@cache
+def arm() -> Robot:
+    """Loads the arm."""
+    with TemporaryDirectory() as folder:
+        return load_arm(Path(folder))
+
+
+def load_arm(folder: Path, urdf: str = URDF, mjcf: str = MJCF) -> Robot:
+    """Loads the arm of two texts."""
+    files = folder / "arm.urdf", folder / "arm.xml"
+    for file, text in zip(files, (urdf, mjcf), strict=True):
+        file.write_text(text, encoding="utf-8")
+    return load_robot(urdf=files[0], mjcf=files[1])
+
+
+def torques(turn: float, shoulder: float, elbow: float, slide: float) -> dict[str, float]:
+    """What holds it, by hand: the derivatives of its potential energy."""
+    del turn  # about the vertical
+    ahead = shoulder + elbow
+    fore = MASSES["fore"] * CENTRES["fore"] + MASSES["hand"] * (FORE + slide)
+    upper = MASSES["upper"] * CENTRES["upper"] + (MASSES["fore"] + MASSES["hand"]) * UPPER
+    return {
+        "a_turn": 0.0,
+        "shoulder": -G * (upper * np.cos(shoulder) + fore * np.cos(ahead)),
+        "elbow": -G * fore * np.cos(ahead),
+        "b_slide": -G * MASSES["hand"] * np.sin(ahead),
+    }
+
+
+def tip(turn: float, shoulder: float, elbow: float, slide: float) -> NDArray[np.float64]:
+    """Where its tip is (m)."""
+    ahead, reach = shoulder + elbow, FORE + slide + SLIDE
+    out = UPPER * np.cos(shoulder) + reach * np.cos(ahead)
+    up = -UPPER * np.sin(shoulder) - reach * np.sin(ahead)
+    return np.array([out * np.cos(turn), out * np.sin(turn), 0.5 + up])
