@@ -205,7 +205,7 @@ def match_models(
     own = copy.copy(mjcf.model) if mjcf.unknown else mjcf.model  # as long as compiling
     models = whole, whole if joined else own
     notes += take_unknown(root, spec, models, {} if strict else mjcf.unknown, mjcf.path)
-    unstated = {} if strict else take_unstated(root, spec, mjcf.path, urdf.unknown, pairs)
+    unstated = {} if strict else take_unstated(root, tree.joints, urdf.unknown, pairs)
     frames = common_frames(root, spec, wanted)
     _check_feet(feet, frames, urdf.path)
     description = _described(root, spec, (urdf, mjcf), {n: frames[n] for n in feet or frames})

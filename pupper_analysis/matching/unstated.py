@@ -10,16 +10,15 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.matching.mjcf import mjcf_tree
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
+from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.spec_tree import state_number
 from pupper_analysis.models.urdf_tree import UrdfTree
 
 
 def take_unstated(
     root: etree._Element,
-    spec: mujoco.MjSpec,
-    source: Path,
+    theirs: Mapping[str, TreeJoint],
     unknown: Mapping[str, tuple[str, ...]],
     pairs: Mapping[str, str],
 ) -> dict[str, tuple[str, ...]]:
@@ -27,8 +26,7 @@ def take_unstated(
 
     Args:
         root: The URDF, with the MJCF's names of joints.
-        spec: The MJCF.
-        source: Its file.
+        theirs: The MJCF's joints.
         unknown: What the URDF leaves open, see `UrdfFile.unknown`: its efforts become the MJCF's.
         pairs: {joint in the URDF's file: in the MJCF}.
 
@@ -41,7 +39,6 @@ def take_unstated(
     lacking = [joint for joint in mine if any(joint.stated(one) is None for one in optional)]
     if not (lacking or unknown.get("effort")):
         return dict.fromkeys(given, ())
-    theirs = mjcf_tree(spec, source).joints
     effort = BY_KIND["effort"]
     for name in (pairs.get(name, name) for name in unknown.get("effort", ())):
         if name in theirs and math.isfinite(theirs[name].effort):

@@ -13,7 +13,7 @@ from pupper_analysis.matching.pairs import without_affixes
 from pupper_analysis.matching.trees import at_zero
 from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.free_base import join_free_base
-from pupper_analysis.models.joint_kinds import JointKind, has_free_joint
+from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.spec_tree import set_inertia
@@ -108,7 +108,7 @@ def free_of_friction(spec: mujoco.MjSpec) -> list[Diagnostic]:
     return notes
 
 
-def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
+def lift_base_frame(spec: mujoco.MjSpec, file: mujoco.MjModel) -> list[Diagnostic]:
     """Puts the frame of a free base to its com, in height, if no limb ends below the frame.
 
     The base's height is then one above the ground, as everywhere else. The URDF's frame follows, as
@@ -116,6 +116,7 @@ def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
 
     Args:
         spec: The MJCF's, in which all bodies have names; it is changed.
+        file: What MuJoCo compiles its file to: the same, unless the base has been freed.
 
     Returns:
         What was done.
@@ -123,20 +124,24 @@ def lift_base_frame(spec: mujoco.MjSpec) -> list[Diagnostic]:
     base = next((joint.parent for joint in spec.joints if joint.type == JointKind.FREE), None)
     if base is None or list(base.frames):
         return []  # what is in a frame has its place in that
-    whole = spec.copy()
-    whole.compiler.discardvisual = False
-    for one in (spec.copy(), whole):  # without what is only seen it takes a hundredth of the time
+    body = mujoco.mj_name2id(file, mujoco.mjtObj.mjOBJ_BODY, base.name)
+    if body >= 0 and body in file.jnt_bodyid[free_joints(file)]:
+        model = file
+    else:
+        whole = spec.copy()
+        whole.compiler.discardvisual = False  # a limb may end in what is only seen
         with silence_mujoco():
-            model = one.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, data)
+            model = whole.compile()
         body = model.body(base.name).id
-        ends = {end for end in limb_ends(model) if end != body}
-        weld = model.body_weldid
-        geoms = [g for g in range(model.ngeom) if int(weld[model.geom_bodyid[g]]) in ends]
-        bottom = lowest_point(model, data, geoms)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    ends = [end for end in limb_ends(model) if end != body]
+    below = np.isin(model.body_weldid[model.geom_bodyid], ends)
+    touching = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    for some in (below & touching, below):  # of what is only seen each vertex is looked at
+        bottom = lowest_point(model, data, np.flatnonzero(some).tolist())
         if data.xpos[body][2] > bottom:
-            return []  # nor with what is only seen, with which a limb may end lower
+            return []
     up = float(data.xipos[body][2] - data.xpos[body][2])
     turn = data.xmat[body].reshape(3, 3)
     hangs = bottom < data.xipos[body][2] - up / 2

@@ -157,7 +157,7 @@ def _free_base(draft: Draft) -> Made:
 
 @_pass(Term("puts the base's body where its free joint is"), _free)
 def _lift_base_frame(draft: Draft) -> Made:
-    return draft, lift_base_frame(draft.spec)
+    return draft, lift_base_frame(draft.spec, draft.mjcf.model)
 
 
 @_pass(Term("finds whose joint is whose"), _any)
