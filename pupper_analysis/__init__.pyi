@@ -95,7 +95,7 @@ from .errors import (
 from .errors import (
     VariantError as VariantError,
 )
-from .prepare.load import load_robot as load_robot
+from .convert.load import load_robot as load_robot
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study
 from .pupper.variants import VARIANTS as VARIANTS

@@ -167,4 +167,5 @@ def verdict_of(
         overloaded=beyond_limits(statics),
         own=robot.own_run if servos.source is not ServoSource.GIVEN else None,
         published=as_published_in(robot, stand, servos),
+        converted=robot.description.converted,
     )

@@ -185,7 +185,7 @@ class RobotAndTask:
             return [load_variant(each, fixed_base=fixed) for each in variants or default]
         if variants:
             raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
-        from pupper_analysis.prepare.load import load_robot
+        from pupper_analysis.convert.load import load_robot
 
         given = files_given(
             self.urdf, self.mjcf, self.feet, self.pairs, self.keyframe, self.packages

@@ -109,15 +109,15 @@ class Meshes:
         asset: etree._Element,
         *,
         used: Collection[str] | None = None,
-        trial: Path | None = None,
+        assets: dict[str, bytes] | None = None,
     ) -> None:
         """Adds the meshes to an MJCF's <asset>.
 
         Args:
             asset: The element.
             used: The names of those that are needed; all by default.
-            trial: A folder for the meshes that are written anew, if the MJCF is to be tried before
-                there is a file; all paths are absolute then.
+            assets: Takes {name: content} of the meshes that are written anew, if there is to be no
+                file; all other paths are absolute then.
         """
         for (path, scale), name in self._names.items():
             if used is not None and name not in used:
@@ -125,11 +125,11 @@ class Meshes:
             place = self._place(path)
             named = self._named[path] if place == path else place
             file = _relative(named, place, self.output)
-            if trial is not None:
+            if assets is not None:
                 file = str(place)
                 if place in self.made:
-                    file = str(trial / place.name)
-                    Path(file).write_bytes(self.made[place])
+                    file = place.name
+                    assets[file] = self.made[place]
             scaled = [float(word) for word in scale.split()] != [1.0, 1.0, 1.0]
             own = Path(file).stem == name
             add_element(

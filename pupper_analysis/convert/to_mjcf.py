@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,11 +15,17 @@ from pupper_analysis.convert import equip
 from pupper_analysis.convert.conversion import ConversionDraft
 from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
 from pupper_analysis.convert.meshes import Meshes
-from pupper_analysis.convert.repair import carry_shapes, mend_inertials, merge_fixed, repaired_urdf
+from pupper_analysis.convert.repair import (
+    Repair,
+    carry_shapes,
+    mend_inertials,
+    merge_fixed,
+    repaired_urdf,
+)
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_layout import put_defaults, to_text
@@ -100,44 +104,110 @@ def mjcf_draft(urdf: UrdfFile, output: Path, options: MjcfOptions) -> Conversion
         return replace(held, notes=(*held.notes, told))
 
 
+@dataclass(frozen=True)
+class _Bare:
+    """A URDF's links, shapes and couplings as an MJCF, before anything is added.
+
+    Attributes:
+        urdf: The URDF, with the inertials that were repaired.
+        mjcf: The MJCF, without its meshes.
+        meshes: Its meshes.
+        bodies: What is known of its bodies.
+        free: Whether its base is free.
+        notes: What was assumed.
+        repairs: Inertials that were repaired.
+    """
+
+    urdf: UrdfFile
+    mjcf: MjcfXml
+    meshes: Meshes
+    bodies: UrdfBodies
+    free: bool
+    notes: tuple[Diagnostic, ...]
+    repairs: tuple[Repair, ...]
+
+    @staticmethod
+    def of(urdf: UrdfFile, output: Path, options: MjcfOptions, *, free: bool | None) -> _Bare:
+        """Makes it; whether its base is free is found, if it is not said."""
+        if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
+            raise ModelError(urdf.path, diagnose("no-joint-moves"))
+        meshes = Meshes(urdf, output, copied=options.copy_meshes)
+        bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
+        mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
+        freed = _is_free(urdf, bodies) if free is None else free
+        bodies.add(mjcf, free=freed)
+        moved, repairs = mend_inertials(urdf, mjcf, repair=options.repair_inertia)
+        mended = repaired_urdf(urdf, mjcf, repairs)
+        notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
+        if options.merge_fixed:
+            merged = merge_fixed(mjcf)
+            if merged:
+                notes.append(diagnose("fixed-links-are-sites", links=merged))
+        carried = carry_shapes(mjcf)
+        if carried:
+            notes.append(diagnose("shapes-carried", links=carried))
+        for name, rgba in bodies.materials.items():
+            add_element(mjcf.section("asset"), "material", name=name, rgba=rgba)
+        for follower, mimic in bodies.mimics.items():
+            mjcf.add_coupling(follower, *mimic)
+        return _Bare(mended, mjcf, meshes, bodies, freed, tuple(notes), tuple(repairs))
+
+    def file(self, *, visuals: bool = False) -> MjcfFile:
+        """Returns the MJCF as far as it is made, as if it were read from the URDF's file.
+
+        Args:
+            visuals: Whether it has what only looks are for.
+
+        Raises:
+            ModelError: If MuJoCo refuses it.
+        """
+        draft, assets = self.mjcf.copy(), dict[str, bytes]()
+        if not visuals:
+            draft.remove_visuals()
+        used = None if visuals else draft.used_meshes
+        self.meshes.write(draft.section("asset"), used=used, assets=assets)
+        return mjcf_of_text(self.urdf.path, draft.text, assets)
+
+
+def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile]:
+    """Makes the MJCF of a URDF in memory, its base fixed as it is in the URDF.
+
+    Links whose inertia no body can have get the nearest that one can, and a gram if they have no
+    mass; the notes of the MJCF say so.
+
+    Returns:
+        The URDF with such inertials, and the MJCF.
+
+    Raises:
+        ModelError: If MuJoCo cannot have the robot.
+    """
+    bare = _Bare.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
+    stated = {shape.get("name") for shape in urdf.root.iter("collision")}
+    for geom in bare.mjcf.geoms:
+        if geom.get("name") not in stated:
+            geom.attrib.pop("name", None)  # a foot is called as its link then
+    left = (*bare.bodies.notes, *bare.meshes.notes)
+    return bare.urdf, replace(bare.file(visuals=True), notes=(*bare.notes, *left))
+
+
 def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:
     """Makes the MJCF of a URDF, whose base may turn out to have no legs."""
-    if all(joint.kind in ("fixed", "floating") for joint in urdf.tree.joints.values()):
-        raise ModelError(urdf.path, diagnose("no-joint-moves"))
-    meshes = Meshes(urdf, output, copied=options.copy_meshes)
-    bodies = UrdfBodies(urdf, meshes, dict(options.armature or {}))
-    free = _is_free(urdf, bodies) if options.fixed_base is None else not options.fixed_base
-    mjcf = MjcfXml.of_urdf(str(urdf.root.get("name")))
-    bodies.add(mjcf, free=free)
-    moved, repairs = mend_inertials(urdf, mjcf, repair=options.repair_inertia)
-    mended = repaired_urdf(urdf, mjcf, repairs)
-    notes = [*urdf.notes, *moved, *(repair.diagnostic for repair in repairs)]
-    left = [*bodies.notes, *meshes.notes, *_unsaid(urdf)]
-    if options.merge_fixed:
-        merged = merge_fixed(mjcf)
-        if merged:
-            notes.append(diagnose("fixed-links-are-sites", links=merged))
-    carried = carry_shapes(mjcf)
-    if carried:
-        notes.append(diagnose("shapes-carried", links=carried))
-    asset = mjcf.section("asset")
-    for name, rgba in bodies.materials.items():
-        add_element(asset, "material", name=name, rgba=rgba)
-    if free:
+    said = None if options.fixed_base is None else not options.fixed_base
+    bare = _Bare.of(urdf, output, options, free=said)
+    mjcf, meshes = bare.mjcf, bare.meshes
+    left = [*bare.bodies.notes, *meshes.notes, *_unsaid(urdf)]
+    notes, failure = list(bare.notes), None
+    if bare.free:
         mjcf.add_floor()
         notes += [diagnose("floor-and-free-joint-added"), diagnose("contacts-made-to-hold")]
-    for follower, mimic in bodies.mimics.items():
-        mjcf.add_coupling(follower, *mimic)
-    failure = None
-    if free:
-        found, failure = _put_stand(mjcf, mended, meshes, bodies, options)
-        notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(mjcf, bodies)]
+        found, failure = _put_stand(bare, options)
+        notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(mjcf, bare.bodies)]
     else:
         notes.append(diagnose("base-fixed-in-the-world"))
-        notes += _put_held(mjcf, _trial(mjcf, urdf, meshes), bodies, options)
+        notes += _put_held(bare, options)
     elsewhere = meshes.elsewhere
     notes += [*_unstated(mjcf), *([elsewhere] if elsewhere else [])]
-    meshes.write(asset)
+    meshes.write(mjcf.section("asset"))
     mjcf.remove_empty_sections()
     put_defaults(mjcf.root)
     header = f"Converted from {urdf.path.name} by pupper-analysis."
@@ -146,9 +216,9 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
         meshes=meshes.made,
         notes=tuple(notes),
         not_converted=tuple(left),
-        repairs=tuple(repairs),
-        urdf=mended,
-        stands=free,
+        repairs=bare.repairs,
+        urdf=bare.urdf,
+        stands=bare.free,
         failure=failure,
         lost=tuple(meshes.lost),
     )
@@ -185,31 +255,26 @@ def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
     return sum(not joint.is_fixed for joint in carried) >= _LIMBS
 
 
-def _put_stand(
-    mjcf: MjcfXml,
-    urdf: UrdfFile,
-    meshes: Meshes,
-    bodies: UrdfBodies,
-    options: MjcfOptions,
-) -> tuple[list[Diagnostic], Diagnostic | None]:
+def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Diagnostic | None]:
     """Adds what `load_robot` finds out: feet, servos, start pose.
 
     Returns:
         Its notes, and why the robot does not stand, if so.
     """
+    mjcf, meshes, bodies = bare.mjcf, bare.meshes, bare.bodies
     # Without shapes nothing can stand, which is no sign of a hand.
     sure = not mjcf.touches
     sure |= bodies.floats or options.feet is not None or options.fixed_base is False
     try:
-        robot = _loaded(mjcf, urdf, meshes, options.feet)
+        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
         problem = error.cause
-        model = _trial(mjcf, urdf, meshes)
+        model = bare.file().model
         if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
             raise _LeglessError(problem) from error
-        _put_held(mjcf, model, bodies, options)
+        _put_held(bare, options)
         equip.lift_base(mjcf, bodies, model)
         return [], diagnose("does-not-stand", missing=meshes.missing, problem=problem)
     if len(robot.contact_points) < _LIMBS and not sure:
@@ -271,18 +336,17 @@ def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
     return bare >= _LIMBS
 
 
-def _put_held(
-    mjcf: MjcfXml, model: mujoco.MjModel, bodies: UrdfBodies, options: MjcfOptions
-) -> list[Diagnostic]:
+def _put_held(bare: _Bare, options: MjcfOptions) -> list[Diagnostic]:
     """Adds the servos of a robot that is held; returns what was added."""
-    mjcf.use_implicit_damping()
+    model = bare.file().model
+    bare.mjcf.use_implicit_damping()
     moving = np.flatnonzero(model.jnt_type != JointKind.FREE)
     if not len(moving):
         return [diagnose("nothing-moves")]
     kp, kd = held_gains(model, options.sag, options.damping_ratio)
     names = [str(model.joint(int(index)).name) for index in moving]
     gains = zip(kp.tolist(), kd.tolist(), strict=True)
-    equip.add_servos(mjcf, bodies, dict(zip(names, gains, strict=True)))
+    equip.add_servos(bare.mjcf, bare.bodies, dict(zip(names, gains, strict=True)))
     return [_servos(kp, kd)]
 
 
@@ -300,36 +364,3 @@ def _servos(kp: Array, kd: Array) -> Diagnostic:
     return diagnose(
         "servos-made", kp=describe_span(kp, "N m/rad"), kd=describe_span(kd, "N m s/rad")
     )
-
-
-def _loaded(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes, feet: Feet | None) -> Robot:
-    """Loads the robot from the MJCF as far as it is made."""
-    with _draft(mjcf, urdf, meshes) as path:
-        return robot_of(urdf, read_mjcf(path), feet=feet)
-
-
-def _trial(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes) -> mujoco.MjModel:
-    """Compiles the MJCF as far as it is made."""
-    with _draft(mjcf, urdf, meshes) as path:
-        return read_mjcf(path).model
-
-
-@contextmanager
-def _draft(mjcf: MjcfXml, urdf: UrdfFile, meshes: Meshes) -> Iterator[Path]:
-    """Writes the MJCF as far as it is made, without what only looks are for.
-
-    Raises:
-        ModelError: What is raised about the draft, which nobody knows, as about the URDF.
-    """
-    draft = mjcf.copy()
-    draft.remove_visuals()
-    with tempfile.TemporaryDirectory() as folder:
-        meshes.write(draft.section("asset"), used=draft.used_meshes, trial=Path(folder))
-        path = Path(folder) / "draft.xml"
-        path.write_text(draft.text)
-        try:
-            yield path
-        except ModelError as error:
-            if str(path) in error.source:
-                raise ModelError(urdf.path, error.cause) from error
-            raise

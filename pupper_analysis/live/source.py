@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
 
 

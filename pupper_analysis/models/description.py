@@ -39,6 +39,8 @@ class Description:
         made_servos: The servos in ``mjcf`` that the file does not have.
         efforts: {joint: what its motor can give}, of motors that were replaced by servos: what
             their own attributes stated is not in ``mjcf`` any more.
+        converted: ``"urdf"`` or ``"mjcf"``: the model that was made of the other one in memory, as
+            it has no file; empty if both have one.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Description:
     nominal: Mapping[str, float] = field(default_factory=dict)
     made_servos: tuple[MadeServo, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
+    converted: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
         return {**plain_state(self), "mjcf": state_of(self.mjcf)}

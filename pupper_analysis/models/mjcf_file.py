@@ -16,7 +16,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
-from pupper_analysis.models.mjcf import no_number, silence_mujoco, spec_of
+from pupper_analysis.models.mjcf import compile_spec, no_number, silence_mujoco, spec_of
 from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating_element, walk_elements
 from pupper_analysis.models.places import (
     Place,
@@ -154,6 +154,26 @@ def read_mjcf(path: str | Path) -> MjcfFile:
     file = mjcf_from(path, root)
     _ = file.model  # raises
     return file
+
+
+def mjcf_of_text(path: Path, text: str, assets: Mapping[str, bytes]) -> MjcfFile:
+    """Makes an MJCF that was written here, in memory.
+
+    Args:
+        path: The file that it was made from, of which its errors tell; all places are its.
+        text: Its XML, whose paths are absolute or names of ``assets``.
+        assets: {name: content} of files that it names.
+
+    Raises:
+        ModelError: If MuJoCo refuses it; the message is MuJoCo's.
+    """
+    try:
+        with silence_mujoco():
+            spec, same = (mujoco.MjSpec.from_string(text, assets=dict(assets)) for _ in range(2))
+    except _MUJOCO_ERRORS as error:
+        message = one_line(error)
+        raise refuse_file(Place(path), diagnose("mjcf-not-valid", message=message)) from error
+    return MjcfFile(path, spec, _model=compile_spec(same, path))
 
 
 _MUJOCO_ERRORS: Final = (ValueError, RuntimeError, TypeError, OSError, MemoryError)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import mujoco
 import numpy as np
 import pinocchio as pin
@@ -44,13 +46,19 @@ def free_base(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[
     base = max(bodies, key=lambda body: size[body.name], default=None)
     if base is None or list(base.joints):
         return spec, []
-    limbs = [
-        body for body in base.bodies if body.find_all(mujoco.mjtObj.mjOBJ_JOINT) or body.joints
-    ]
-    if len(limbs) < 2:
+    if len(list(_limbs(base))) < 2:
         return spec, []
     base.add_freejoint()
     return spec, [diagnose("free-joint-added", subject=("body", base.name))]
+
+
+def _limbs(base: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+    """Yields the bodies that joints attach to a base, or to what is fixed to it."""
+    for body in base.bodies:
+        if list(body.joints):
+            yield body
+        else:
+            yield from _limbs(body)
 
 
 def _unfused(urdf: UrdfFile, spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, list[Diagnostic]]:

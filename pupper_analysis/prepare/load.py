@@ -1,20 +1,17 @@
-"""Loads a robot from its two files, as they are, or made ready in memory."""
+"""Makes a robot of its two files, as they are, or made ready in memory."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.draft import PassRun
 from pupper_analysis.prepare.passes import run_passes
 from pupper_analysis.prepare.ready import Request
@@ -26,68 +23,6 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 Feet = Sequence[str] | Mapping[str, str | tuple[str, str]]
-
-
-@check_arguments
-@silence_mujoco()
-def load_robot(
-    *,
-    urdf: str | Path,
-    mjcf: str | Path,
-    feet: Feet | None = None,
-    fixed_base: bool = False,
-    name: str | None = None,
-    joints: Mapping[str, str] | None = None,
-    keyframe: str | None = None,
-    packages: Mapping[str, str | Path] | None = None,
-    self_check: bool = True,
-    as_is: bool = False,
-) -> Robot:
-    """Loads a robot from a URDF and an MJCF, as they were published.
-
-    What the files lack is made up for in memory, and each such thing is said in ``notes``: joints
-    whose names differ are matched, those that only one file has are held at zero, a floor, a free
-    base and position servos are added, and where the MJCF has no keyframe in which the robot
-    stands, a stand is looked for.
-
-    Args:
-        urdf: Path of the URDF.
-        mjcf: Path of the MJCF.
-        feet: The feet's frames, or {foot: its frame}; a frame is a link of the URDF, or a geom,
-            site or body of the MJCF, or a pair of both. By default the feet are the collision geoms
-            at the ends of the limbs that are lowest in the start pose; an empty list: no feet.
-        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
-        name: The robot's name; by default the MJCF's.
-        joints: {joint in the URDF: joint in the MJCF}, of those that are not matched by name.
-        keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
-            robot stands.
-        packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
-        self_check: Simulate the MJCF as it was published, too: from its own keyframe on its own
-            actuators (``own_run``), and from the nominal stand, against the prediction
-            (``published``). It takes less than the rest.
-        as_is: Add no servos, and alter no shapes: what the file has is to hold the robot.
-
-    Returns:
-        The robot.
-
-    Raises:
-        ConfigurationError: If an argument is of another kind.
-        ModelError: If a file cannot be read, the two have no joints in common, or no feet are
-            found.
-        UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
-    """
-    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
-    return robot_of(
-        read_urdf(urdf, folders),
-        read_mjcf(mjcf),
-        feet=feet,
-        fixed_base=fixed_base,
-        name=name,
-        joints=joints,
-        keyframe=keyframe,
-        self_check=self_check,
-        as_is=as_is,
-    )
 
 
 def robot_of(
@@ -102,7 +37,10 @@ def robot_of(
     self_check: bool = True,
     as_is: bool = False,
 ) -> Robot:
-    """Makes a robot of two files that have been read; see ``load_robot``."""
+    """Makes a robot of two files that have been read, as they are, or made ready in memory.
+
+    What its arguments mean says ``load_robot``, which reads the files.
+    """
     frames = None if feet is None else feet_frames(feet)
     request = Request(frames, fixed_base, name, joints, keyframe, as_is)
     robot, _ = prepare_robot(urdf, mjcf, request)

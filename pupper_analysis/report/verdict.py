@@ -58,7 +58,8 @@ def short_verdict(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
     if verdict.passed:
         alone = verdict.commands_alone in (None, Ending.HOLDS)
-        return "HOLDS" if alone else "HOLDS with feed-forward"
+        word = "HOLDS" if alone else "HOLDS with feed-forward"
+        return f"{word} (from one file)" if verdict.converted else word
     return "FAILS"
 
 
@@ -121,6 +122,7 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
     else:
         told = diagnose(
             "holds-in-mujoco",
+            one=bool(verdict.converted),
             both=alone in (None, Ending.HOLDS),
             duration=Quantity(verdict.seconds, "s"),
             torque=verdict.torque_error,

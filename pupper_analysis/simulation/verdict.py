@@ -107,6 +107,8 @@ class Verdict(Result):
         published: How the MJCF as it was published differs; None where it was not looked at.
         doubling_time: In which what deviates doubles (s), with feed-forward; infinite if nothing
             grows.
+        converted: Which of the robot's models was made of the other one, ``"urdf"`` or ``"mjcf"``:
+            both engines read one file then; empty if each read its own.
     """
 
     code: VerdictCode
@@ -123,6 +125,7 @@ class Verdict(Result):
     own: OwnRun | None
     published: Published | None
     doubling_time: float
+    converted: str = ""
 
 
 def judge_stance(
@@ -133,6 +136,7 @@ def judge_stance(
     overloaded: tuple[str, ...] = (),
     own: OwnRun | None = None,
     published: Published | None = None,
+    converted: str = "",
 ) -> Verdict:
     """Weighs what was simulated of a stance, or of a posture.
 
@@ -143,6 +147,7 @@ def judge_stance(
         overloaded: Motors above their limits.
         own: What the MJCF does from its own keyframe.
         published: How the MJCF as it was published differs from what was simulated.
+        converted: Which of the robot's models was made of the other one, if one was.
     """
     code = _code(fed, alone, servos, overloaded, own, published)
     return Verdict(
@@ -160,6 +165,7 @@ def judge_stance(
         own=own,
         published=published,
         doubling_time=fed.stability.doubling_time or math.inf,
+        converted=converted,
     )
 
 

@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_state import state_of
-from pupper_analysis.prepare.load import load_robot
+from pupper_analysis.convert.load import load_robot
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.parameters import without_visuals

@@ -23,7 +23,7 @@ def page_of(name: str, heading: str) -> Text:
 
 
 def files_text(robot: Robot | None) -> Text:
-    """Returns which two files a robot is from."""
+    """Returns which files a robot is from."""
     if robot is None:
         return text("source-own-files")
     description = robot.description
@@ -31,13 +31,17 @@ def files_text(robot: Robot | None) -> Text:
         "urdf": Name(description.urdf_source.name),
         "mjcf": Name(description.mjcf_source.name),
     }
+    if description.converted:
+        return text("source-one-file", file=names["mjcf"], made=Name(description.converted.upper()))
     if is_derived(robot):
         return text("source-changed-files", **names)
     return text("source-files", **names)
 
 
 def is_derived(robot: Robot) -> bool:
-    """Whether a robot's URDF is not word by word what stands in its file."""
+    """Whether a robot's URDF is not word by word what stands in its file, if it has one."""
+    if robot.description.converted == "urdf":
+        return False
     return robot.description.urdf != _text(robot.description.urdf_source)
 
 
@@ -45,13 +49,15 @@ def joint_places(robot: Robot) -> dict[str, tuple[str, str]]:
     """Returns {joint: its lines in URDF and MJCF}; an empty text where it is not found."""
     description = robot.description
     lines: dict[str, tuple[str, str]] = {}
+    made = description.converted
     try:
-        files = read_urdf(description.urdf_source), read_mjcf(description.mjcf_source)
+        urdf = None if made == "urdf" else read_urdf(description.urdf_source)
+        mjcf = None if made == "mjcf" else read_mjcf(description.mjcf_source)
     except ModelError:
         return lines  # made in memory, or gone: the report has its numbers all the same
     for name in robot.joint_names:
-        urdf, mjcf = (file.place("joint", name) for file in files)
-        lines[name] = (_where(urdf), _where(mjcf))
+        found = [file and _where(file.place("joint", name)) for file in (urdf, mjcf)]
+        lines[name] = (found[0] or "", found[1] or "")
     return lines
 
 

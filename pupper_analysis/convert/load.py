@@ -1,0 +1,172 @@
+"""Loads a robot from its URDF, from its MJCF, or from both.
+
+Where there is one file, the other model is made of it in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from pupper_analysis.arguments import check_arguments, check_type
+from pupper_analysis.convert.to_mjcf import bare_mjcf
+from pupper_analysis.convert.to_urdf import bare_urdf
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.robot.robot import Robot
+
+FORMATS = ("urdf", "mjcf")
+
+
+@dataclass(frozen=True, eq=False)
+class ModelPair:
+    """Both models of a robot.
+
+    Attributes:
+        urdf: The URDF.
+        mjcf: The MJCF.
+        converted: ``"urdf"`` or ``"mjcf"``: which of them was made of the other one; empty if each
+            has a file.
+    """
+
+    urdf: UrdfFile
+    mjcf: MjcfFile
+    converted: str = ""
+
+    @staticmethod
+    def of(file: UrdfFile | MjcfFile) -> ModelPair:
+        """Makes the other model of a file, in memory.
+
+        Raises:
+            ModelError: If the other format cannot have the robot.
+        """
+        if isinstance(file, UrdfFile):
+            return ModelPair(*bare_mjcf(file), "mjcf")
+        return ModelPair(bare_urdf(file), file, "urdf")
+
+    def mark(self, robot: Robot) -> Robot:
+        """Returns the robot of these models, which knows which of them was made."""
+        if not self.converted:
+            return robot
+        description = replace(robot.description, converted=self.converted)
+        told = diagnose("one-model-converted", **names_of_files(self))
+        return replace(robot, description=description, notes=(told, *robot.notes))
+
+
+def names_of_files(pair: ModelPair) -> dict[str, str]:
+    """Returns what is told of a pair of which one model was made."""
+    source = pair.urdf if pair.converted == "mjcf" else pair.mjcf
+    return {"made": pair.converted.upper(), "file": source.path.name}
+
+
+def read_pair(
+    *models: str | Path,
+    urdf: str | Path | None = None,
+    mjcf: str | Path | None = None,
+    take: str | None = None,
+    packages: Mapping[str, str | Path] | None = None,
+) -> ModelPair:
+    """Reads a robot's files, and makes the model that has none.
+
+    Args:
+        *models: A URDF, an MJCF, or one of each, in any order.
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.
+        packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
+
+    Raises:
+        ConfigurationError: If there is no file, or two of one format.
+        ModelError: If a file cannot be read, or the other format cannot have the robot.
+    """
+    folders = {name: Path(folder) for name, folder in (packages or {}).items()}
+    for model in models:
+        check_type("model", model, str | Path)
+    files: list[UrdfFile | MjcfFile] = [read_model(model, folders) for model in models]
+    files += [] if urdf is None else [read_urdf(urdf, folders)]
+    files += [] if mjcf is None else [read_mjcf(mjcf)]
+    found = {"urdf" if isinstance(file, UrdfFile) else "mjcf": file for file in files}
+    if not files or len(found) < len(files):
+        paths = [str(file.path) for file in files]
+        raise ConfigurationError("model", diagnose("not-one-robots-files", files=paths))
+    if take is not None and take not in found:
+        raise ConfigurationError("take", diagnose("take-what-is-not-there", take=take))
+    if take is not None:
+        found = {take: found[take]}
+    one, other = found.get("urdf"), found.get("mjcf")
+    if isinstance(one, UrdfFile) and isinstance(other, MjcfFile):
+        return ModelPair(one, other)
+    return ModelPair.of(next(iter(found.values())))
+
+
+@check_arguments
+@silence_mujoco()
+def load_robot(
+    *models: str | Path,
+    urdf: str | Path | None = None,
+    mjcf: str | Path | None = None,
+    take: str | None = None,
+    feet: Feet | None = None,
+    fixed_base: bool = False,
+    name: str | None = None,
+    joints: Mapping[str, str] | None = None,
+    keyframe: str | None = None,
+    packages: Mapping[str, str | Path] | None = None,
+    self_check: bool = True,
+    as_is: bool = False,
+) -> Robot:
+    """Loads a robot from its URDF, its MJCF or both, as they were published.
+
+    What the files lack is made up for in memory, and each such thing is said in ``notes``: the
+    model of which there is no file is made of the other one, joints whose names differ are matched,
+    those that only one file has are held at zero, a floor, a free base and position servos are
+    added, and where the MJCF has no keyframe in which the robot stands, a stand is looked for.
+
+    Args:
+        *models: Path of a URDF or an MJCF, or of both, in any order.
+        urdf: Path of the URDF.
+        mjcf: Path of the MJCF.
+        take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.
+        feet: The feet's frames, or {foot: its frame}; a frame is a link of the URDF, or a geom,
+            site or body of the MJCF, or a pair of both. By default the feet are the collision geoms
+            at the ends of the limbs that are lowest in the start pose; an empty list: no feet.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        name: The robot's name; by default the MJCF's.
+        joints: {joint in the URDF: joint in the MJCF}, of those that are not matched by name.
+        keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
+            robot stands.
+        packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
+        self_check: Simulate the MJCF as it was published, too: from its own keyframe on its own
+            actuators (``own_run``), and from the nominal stand, against the prediction
+            (``published``). It takes less than the rest. An MJCF that was made of the URDF was
+            never published.
+        as_is: Add no servos, and alter no shapes: what the file has is to hold the robot.
+
+    Returns:
+        The robot; ``robot.description.converted`` tells which model was made of the other one.
+
+    Raises:
+        ConfigurationError: If an argument is of another kind, or no file is given.
+        ModelError: If a file cannot be read, the two have no joints in common, or no feet are
+            found.
+        UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
+    """
+    pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, packages=packages)
+    robot = robot_of(
+        pair.urdf,
+        pair.mjcf,
+        feet=feet,
+        fixed_base=fixed_base,
+        name=name,
+        joints=joints,
+        keyframe=keyframe,
+        self_check=self_check and pair.converted != "mjcf",
+        as_is=as_is,
+    )
+    return pair.mark(robot)
