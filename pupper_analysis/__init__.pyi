@@ -52,6 +52,7 @@ from .checks.audit import audit_model as audit_model
 from .checks.compare import compare_models as compare_models
 from .checks.engines import cross_check as cross_check
 from .checks.versions.compare import diff_models as diff_models
+from .convert.load import load_robot as load_robot
 from .convert.model import convert_model as convert_model
 from .errors import (
     ConfigurationError as ConfigurationError,
@@ -95,7 +96,6 @@ from .errors import (
 from .errors import (
     VariantError as VariantError,
 )
-from .convert.load import load_robot as load_robot
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study
 from .pupper.variants import VARIANTS as VARIANTS

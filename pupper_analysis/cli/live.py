@@ -3,31 +3,29 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import (
-    OWN,
+from pupper_analysis.cli.robots import (
+    FILES,
     VARIANT,
-    derived_variant,
-    files_given,
-    name_argument,
+    FilesGiven,
+    RobotOptions,
+    add_options,
     print_notes,
-    stance_options,
+    robot_argument,
+    with_robot,
 )
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pupper_analysis.live.source import LiveSource
 
 
 @click.command("live", context_settings=shared.CONTEXT, short_help="A page to play with stances.")
-@name_argument
-@stance_options(OWN, VARIANT)
+@robot_argument
+@add_options(FILES, VARIANT)
 @click.option(
     "--state",
     default="",
@@ -49,17 +47,10 @@ if TYPE_CHECKING:
 )
 @click.option("--port", type=int, help="Port to serve on. [default: any that is free]")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser; print the address.")
+@with_robot
 def live_command(
-    name: str | None,
-    urdf: Path | None,
-    mjcf: Path | None,
-    feet: tuple[str, ...],
-    pairs: tuple[str, ...],
-    keyframe: str | None,
-    packages: tuple[str, ...],
-    base: str | None,
-    leg_scale: float | None,
-    torso_mass_scale: float | None,
+    which: RobotOptions,
+    words: tuple[str, ...],
     state: str,
     language: str,
     host: str,
@@ -68,7 +59,8 @@ def live_command(
 ) -> None:
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
-    NAME is a variant (v3 by default). Each browser that opens the page has its own session.
+    ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. Each browser that
+    opens the page has its own session.
     Only this machine can reach the page, unless --host is given: then anyone can who reaches
     the port and has the printed address with its token. The page is served until Ctrl-C.
 
@@ -78,7 +70,7 @@ def live_command(
       pupper-analysis live long-leg --port 8080 --no-browser
       pupper-analysis live v3 --language zh
       pupper-analysis live v3 --state 'height:120;roll:5;lift:FL,20'
-      pupper-analysis live --urdf go1.urdf --mjcf go1.xml
+      pupper-analysis live go1.urdf
 
     \b
     Exit status: 130 ended by Ctrl-C, 2 bad input.
@@ -90,23 +82,19 @@ def live_command(
 
     import_viser()  # before anything is loaded
     begin = parse_state(state)
-    derived = derived_variant(base, leg_scale, torso_mass_scale)
+    meant = which.one(words) or "v3"
     source: LiveSource
-    if urdf or mjcf or feet or pairs or keyframe or packages:
-        if name is not None or derived is not None:
-            raise ConfigurationError("NAME", diagnose("one-robot-of-three-ways"))
-        from pupper_analysis.live.source import UploadedPair
+    if isinstance(meant, FilesGiven):
+        from pupper_analysis.live.source import LoadedFiles
 
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            source = UploadedPair.of(files_given(urdf, mjcf, feet, pairs, keyframe, packages))
+            source = LoadedFiles.of(*meant.models, **meant.said)
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.live import LiveVariants
         from pupper_analysis.pupper.variants import variant_spec
 
-        if name is not None and derived is not None:
-            raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
-        source = LiveVariants(derived if derived is not None else variant_spec(name or "v3"))
+        source = LiveVariants(variant_spec(meant))
     with shared.show_progress("making the page"):
         page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
+from pupper_analysis.cli.robots import robot_argument, robots_argument
+from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -15,7 +16,7 @@ from pupper_analysis.errors import ConfigurationError
 @click.command(
     context_settings=shared.CONTEXT, short_help="Move to a stance, in balance all the way."
 )
-@name_argument
+@robot_argument
 @click.option("--seconds", type=float, metavar="S", help="Duration of the path (s); e.g. 4.")
 @click.option(
     "--fastest",
@@ -32,7 +33,7 @@ from pupper_analysis.errors import ConfigurationError
 @shared.report_option
 def path(
     asked: RobotAndTask,
-    name: str | None,
+    words: tuple[str, ...],
     seconds: float | None,
     fastest: bool,
     csv: Path | None,
@@ -64,7 +65,7 @@ def path(
         raise ConfigurationError("--seconds, --fastest", diagnose("seconds-or-fastest"))
     task = asked.task()
     shared.check_outputs(csv, npz, json_path, report_path)
-    robot = asked.robot(name)
+    robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
         result = study_path(robot, task, seconds, kp=kp, kd=kd)
@@ -80,7 +81,7 @@ def path(
 
 
 @click.command(context_settings=shared.CONTEXT, short_help="Push robots over: how hard, which way?")
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@robots_argument
 @click.option(
     "--directions",
     default=12,
@@ -100,7 +101,7 @@ def path(
 @shared.report_option
 def push(
     asked: RobotAndTask,
-    names: tuple[str, ...],
+    words: tuple[str, ...],
     directions: int,
     resolution: float,
     figure: Path | None,
@@ -109,7 +110,8 @@ def push(
 ) -> None:
     """Find the largest horizontal push, in each direction, that standing robots survive.
 
-    Each NAME is a variant. By default all six are pushed (about three seconds each). Robot and
+    Each ROBOT is a variant, a URDF, an MJCF, or both as a.urdf+a.xml. By default the six variants
+    are pushed (about three seconds each). Robot and
     stance are given as for `stand`. A push lasts 20 ms and acts at the CoM of the base. A robot
     survives it if it is upright and at rest after 6 s and only its feet ever touched the
     ground. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
@@ -130,7 +132,7 @@ def push(
 
     task = asked.task()
     shared.check_outputs(figure, json_path, report_path)
-    robots = asked.robots(names, default=tuple(VARIANTS))
+    robots = asked.robots(words, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
     with shared.show_progress(
         f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"

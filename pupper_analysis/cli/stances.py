@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import RobotAndTask, name_argument, robot_and_task
+from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.stance import Stance
@@ -25,7 +26,7 @@ at_option = click.option(
 @click.command(
     context_settings=shared.CONTEXT, short_help="Solve a stance: its cost, and if it holds."
 )
-@name_argument
+@robot_argument
 @click.option(
     "--minimum-stiffness", is_flag=True, help="Also find the lowest kp that carries the robot."
 )
@@ -35,7 +36,7 @@ at_option = click.option(
 @shared.report_option
 def stand(
     asked: RobotAndTask,
-    name: str | None,
+    words: tuple[str, ...],
     minimum_stiffness: bool,
     figure: Path | None,
     json_path: Path | None,
@@ -43,9 +44,10 @@ def stand(
 ) -> None:
     """Solve a stance: joint angles, motor torques, and whether the robot stays upright in it.
 
-    NAME is a variant (v3 by default); --base, --leg-scale and --torso-mass-scale define others. A
-    robot of your own is a URDF and an MJCF. Its feet are detected; a floor, servos and a start pose
-    are added where the files lack them, and a note says so.
+    ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF; --base, --leg-scale
+    and --torso-mass-scale define other variants. Of one file the other model is made in memory.
+    Feet are detected; a floor, servos and a start pose are added where the files lack them, and
+    notes say so.
 
     Lengths are in m and angles in rad, unless they have a unit: 20mm, 2cm, 5deg.
 
@@ -64,8 +66,8 @@ def stand(
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
       pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --figure stance.png
       pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
-      pupper-analysis stand --urdf g1.urdf --mjcf g1.xml --height 0.7
-      pupper-analysis stand --urdf go1.urdf --mjcf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
+      pupper-analysis stand g1.xml --height 0.7
+      pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 100 --kd 3 --kp '*calf*=150'
 
     \b
@@ -75,7 +77,7 @@ def stand(
 
     task = asked.task()
     shared.check_outputs(figure, json_path, report_path)
-    robot = asked.robot(name)
+    robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("solving the stance, and simulating it"):
         result = study_stance(robot, task, kp=kp, kd=kd, stiffness=minimum_stiffness)
@@ -88,12 +90,12 @@ def stand(
 @click.command(
     context_settings=shared.CONTEXT, short_help="How far can the base go, with feet planted?"
 )
-@name_argument
+@robot_argument
 @robot_and_task
 @shared.figure_option
 @shared.json_option
 def workspace(
-    asked: RobotAndTask, name: str | None, figure: Path | None, json_path: Path | None
+    asked: RobotAndTask, words: tuple[str, ...], figure: Path | None, json_path: Path | None
 ) -> None:
     """Find how far the base can rise, shift, roll, pitch and yaw from a stance.
 
@@ -113,7 +115,7 @@ def workspace(
 
     task = asked.task()
     shared.check_outputs(figure, json_path)
-    robot = asked.robot(name)
+    robot = asked.robot(words)
     with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
     asked.show(result, robot)
@@ -128,11 +130,11 @@ def workspace(
 @click.command(
     context_settings=shared.CONTEXT, short_help="How much can a stance carry, and what fails?"
 )
-@name_argument
+@robot_argument
 @at_option
 @robot_and_task
 @shared.json_option
-def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | None) -> None:
+def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Path | None) -> None:
     """Find the largest payload of a stance, and what fails beyond it.
 
     Motor torques, servo stiffness and contacts each set a limit; the lowest one is the payload. The
@@ -153,7 +155,7 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
 
     task, place = asked.task(), _at(at)
     shared.check_outputs(json_path)
-    robot = asked.robot(name)
+    robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
         result = study_payload(robot, task, place, kp=kp, kd=kd)
@@ -163,7 +165,7 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
 
 @click.command(context_settings=shared.CONTEXT, short_help="Search for the best stance.")
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
-@name_argument
+@robot_argument
 @at_option
 @robot_and_task
 @shared.figure_option
@@ -171,7 +173,7 @@ def payload(asked: RobotAndTask, name: str | None, at: str, json_path: Path | No
 def best(
     asked: RobotAndTask,
     objective: str,
-    name: str | None,
+    words: tuple[str, ...],
     at: str,
     figure: Path | None,
     json_path: Path | None,
@@ -198,7 +200,7 @@ def best(
 
     task, place = asked.task(), _at(at)
     shared.check_outputs(figure, json_path)
-    robot = asked.robot(name)
+    robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):
         result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)

@@ -1,4 +1,4 @@
-"""``pupper-analysis analyze``: variants, from two model files to a verified stand."""
+"""``pupper-analysis analyze``: robots, from their model files to a verified stand."""
 
 from __future__ import annotations
 
@@ -8,8 +8,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import (
+    FILES,
+    VARIANT,
+    FilesGiven,
+    RobotOptions,
+    add_options,
+    robot_from,
+    robots_argument,
+    with_robot,
+)
 from pupper_analysis.cli.stance_fields import options_of, task_of
-from pupper_analysis.cli.stance_options import VARIANT, derived_variant, stance_options
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -23,11 +32,11 @@ if TYPE_CHECKING:
 
 @click.command(
     context_settings=shared.CONTEXT,
-    short_help="Take variants from two model files to a verified stand.",
+    short_help="Take robots from their model files to a verified stand.",
 )
-@click.argument("names", nargs=-1, metavar="[NAME]...")
+@robots_argument
 @click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
-@stance_options(VARIANT, options_of("Base"))
+@add_options(FILES, VARIANT, options_of("Base"))
 @click.option(
     "-o",
     "--output",
@@ -48,12 +57,11 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, file_okay=False),
     help="Write the variants' URDFs, MJCFs and meshes into this folder.",
 )
+@with_robot
 def analyze(
-    names: tuple[str, ...],
+    which: RobotOptions,
+    words: tuple[str, ...],
     list_only: bool,
-    base: str | None,
-    leg_scale: float | None,
-    torso_mass_scale: float | None,
     output: Path,
     json_path: Path | None,
     report_path: Path | None,
@@ -64,13 +72,14 @@ def analyze(
     write_folder: Path | None,
     **stance: Any,
 ) -> None:
-    """Take variants of Pupper from their two model files to a verified stand.
+    """Take robots from their model files to a verified stand.
 
-    Each NAME is a variant (see --list). By default all six are analysed. Define a variant of your
-    own with --base, --leg-scale and --torso-mass-scale.
+    Each ROBOT is a variant of Pupper (see --list), a URDF, an MJCF, or both as a.urdf+a.xml. By
+    default the six variants are analysed. Define a variant of your own with --base, --leg-scale and
+    --torso-mass-scale.
 
     \b
-    The output is a verdict and two lines per variant, and a table that compares them. With -v,
+    The output is a verdict and two lines per robot, and a table that compares them. With -v,
     everything is printed: the joints and the directions in which they turn, masses and CoM, the
     stand (PlaCo), foot Jacobians, motor torques and contact forces (Pinocchio), the simulated stand
     and the gain sweep (MuJoCo), and the cross-check of URDF and MJCF.
@@ -81,6 +90,7 @@ def analyze(
       pupper-analysis analyze original long-leg --no-figures -v
       pupper-analysis analyze --base v3 --leg-scale 1.2 --json v3-1.2.json
       pupper-analysis analyze v3 --height 0.12 --pitch 0.1
+      pupper-analysis analyze go2.urdf a1.xml v3
 
     \b
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
@@ -91,22 +101,24 @@ def analyze(
 
     if everything and quiet:
         raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
-    specs = [variant_spec(name) for name in dict.fromkeys(names)]
-    derived = derived_variant(base, leg_scale, torso_mass_scale)
-    if derived is not None:
-        specs.append(derived)
+    meant = [
+        robot if isinstance(robot, FilesGiven) else variant_spec(robot)
+        for robot in which.all(words) or VARIANTS.values()
+    ]
+    specs = [robot for robot in meant if not isinstance(robot, FilesGiven)]
     if list_only:
-        _print_list(specs or list(VARIANTS.values()))
+        _print_list(specs)
         return
-    specs = specs or list(VARIANTS.values())
+    if write_folder is not None and len(specs) < len(meant):
+        raise ConfigurationError("--write", diagnose("written-are-variants"))
     shared.check_outputs(
         json_path, report_path, folders=(None if no_figures else output, write_folder)
     )
     task = task_of(stance)
     shown = style == "text" and not quiet
-    analyses, robots = _analyze_all(specs, task, everything=everything, shown=shown)
+    analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)
     folder = None if no_figures else output
-    rows = _compared(specs, analyses)
+    rows = _compared(meant, analyses)
     if shown:
         _print_comparison(rows)
     if style == "markdown":
@@ -128,16 +140,15 @@ def analyze(
 
 
 def _analyze_all(
-    specs: list[VariantSpec], task: StandTask, *, everything: bool, shown: bool
+    meant: list[VariantSpec | FilesGiven], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
-    """Analyses the variants and prints each as it is done."""
+    """Analyses robots and prints each as it is done."""
     from pupper_analysis.analysis.robot import analyze_variant
-    from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.report.documents.analysis import analysis_document
     from pupper_analysis.report.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
 
-    robots = [load_variant(spec) for spec in specs]
+    robots = [robot_from(robot) for robot in meant]
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
     out = make_console()
@@ -155,22 +166,25 @@ def _named(analyses: list[Analysis]) -> list[tuple[str, Analysis]]:
     return [(analysis.name, analysis) for analysis in analyses]
 
 
-def _compared(specs: list[VariantSpec], analyses: list[Analysis]) -> list[ComparisonRow]:
-    """Puts each variant beside the base model that it is made of."""
+def _compared(
+    meant: list[VariantSpec | FilesGiven], analyses: list[Analysis]
+) -> list[ComparisonRow]:
+    """Puts each variant beside the base model that it is made of; files have none."""
     from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
     from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
 
     references = {}
-    for name in {spec.base for spec in specs}:
+    for name in {one.base for one in meant if isinstance(one, VariantSpec)}:
         robot = load_variant(VariantSpec(base=name))
         references[name] = comparison.RatioReference(
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
+    bases = [str(one) if isinstance(one, FilesGiven) else one.base for one in meant]
     return [
-        comparison.compare_with_base(analysis, spec.base, references[spec.base])
-        for spec, analysis in zip(specs, analyses, strict=True)
+        comparison.compare_with_base(analysis, base, references.get(base))
+        for base, analysis in zip(bases, analyses, strict=True)
     ]
 
 

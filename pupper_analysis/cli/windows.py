@@ -8,55 +8,62 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import (
+from pupper_analysis.cli.robots import (
+    FILES,
     VARIANT,
-    derived_variant,
-    name_argument,
-    stance_options,
+    FilesGiven,
+    RobotOptions,
+    add_options,
+    print_notes,
+    robot_argument,
+    robot_from,
+    with_robot,
 )
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.robot.robot import Robot
 
 
-@click.command(context_settings=shared.CONTEXT, short_help="Show a variant in MuJoCo's viewer.")
-@name_argument
-@stance_options(VARIANT)
+@click.command(context_settings=shared.CONTEXT, short_help="Show a robot in MuJoCo's viewer.")
+@robot_argument
+@add_options(FILES, VARIANT)
 @click.option(
     "--fixed-base",
     is_flag=True,
     help="Fix the base in the air. By default the robot falls and lands.",
 )
 @click.option("--headless", is_flag=True, help="Open no window; print the model and its IMU.")
+@with_robot
 def view(
-    name: str | None,
-    base: str | None,
-    leg_scale: float | None,
-    torso_mass_scale: float | None,
+    which: RobotOptions,
+    words: tuple[str, ...],
     fixed_base: bool,
     headless: bool,
 ) -> None:
-    """Show a variant (v3 by default) in MuJoCo's viewer; on macOS, run it with mjpython.
+    """Show a robot in MuJoCo's viewer; on macOS, run it with mjpython.
+
+    ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF.
 
     \b
     Examples:
       pupper-analysis view
       pupper-analysis view long-leg --fixed-base
+      pupper-analysis view go2.urdf
       pupper-analysis view --base v3 --leg-scale 1.2 --headless
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.pupper import viewer
 
-    variant = _variant(name, base, leg_scale, torso_mass_scale)
-    viewer.view_variant(variant, fixed=fixed_base, headless=headless)
+    meant = which.one(words) or "v3"
+    robot = _robot(meant, fixed_base=True) if fixed_base else _robot(meant)
+    viewer.view_robot(robot, fixed=fixed_base, headless=headless)
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="Drop a variant, and see that it stands."
-)
-@name_argument
-@stance_options(VARIANT)
+@click.command(context_settings=shared.CONTEXT, short_help="Drop a robot, and see that it stands.")
+@robot_argument
+@add_options(FILES, VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window; simulate and print the result.")
 @click.option("--seconds", type=float, help="Simulated time of the drop (s). [default: 6]")
 @click.option(
@@ -66,17 +73,18 @@ def view(
     "--csv",
     help="Write the path of the demo as CSV to this file, or to standard output (-).",
 )
+@with_robot
 def drop(
-    name: str | None,
-    base: str | None,
-    leg_scale: float | None,
-    torso_mass_scale: float | None,
+    which: RobotOptions,
+    words: tuple[str, ...],
     headless: bool,
     seconds: float | None,
     demo: str | None,
     csv: Path | None,
 ) -> None:
-    """Drop a variant (v3 by default) from its home pose; on macOS, run it with mjpython.
+    """Drop a robot from its home pose; on macOS, run it with mjpython.
+
+    ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF.
 
     With --demo it moves instead: it squats, sways from side to side, or shifts its weight and lifts
     a foot. Every sample of the path is a whole-body stand in balance.
@@ -84,7 +92,7 @@ def drop(
     \b
     Exit status: 0 the robot stands or follows the path, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    variant = _variant(name, base, leg_scale, torso_mass_scale)
+    robot = _robot(which.one(words) or "v3")
     if demo is None:
         if csv is not None:
             raise ConfigurationError("--csv", diagnose("csv-without-demo"))
@@ -92,23 +100,22 @@ def drop(
         from pupper_analysis.pupper.drop import DEFAULT_SECONDS
 
         seconds = DEFAULT_SECONDS if seconds is None else seconds
-        good = viewer.drop_and_report(variant, headless=headless, seconds=seconds)
+        good = viewer.drop_and_report(robot, headless=headless, seconds=seconds)
     else:
         if seconds is not None:
             raise ConfigurationError("--seconds", diagnose("demo-has-its-duration"))
         from pupper_analysis.pupper import demo as demos
 
         shared.check_outputs(csv)
-        good = demos.demo(demo, variant, headless=headless, csv=csv)
+        good = demos.demo(demo, robot, headless=headless, csv=csv)
     if not good:
         click.get_current_context().exit(shared.FAILED)
 
 
-def _variant(
-    name: str | None, base: str | None, leg_scale: float | None, torso_mass_scale: float | None
-) -> str | VariantSpec:
-    """Returns the variant that is named, or given by a base and its scales; v3 by default."""
-    derived = derived_variant(base, leg_scale, torso_mass_scale)
-    if derived is not None and name is not None:
-        raise ConfigurationError("NAME", diagnose("one-variant-of-two-ways"))
-    return derived if derived is not None else name or "v3"
+def _robot(meant: str | VariantSpec | FilesGiven, **more: bool) -> str | VariantSpec | Robot:
+    """Returns a variant as it is, and the robot of files, of which it is told what was assumed."""
+    if not isinstance(meant, FilesGiven):
+        return meant
+    robot = robot_from(meant, self_check=False, **more)
+    print_notes(robot)
+    return robot

@@ -21,8 +21,6 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.robot import Robot
 
-FORMATS = ("urdf", "mjcf")
-
 
 @dataclass(frozen=True, eq=False)
 class ModelPair:
@@ -55,14 +53,10 @@ class ModelPair:
         if not self.converted:
             return robot
         description = replace(robot.description, converted=self.converted)
-        told = diagnose("one-model-converted", **names_of_files(self))
+        source = self.urdf if self.converted == "mjcf" else self.mjcf
+        made = self.converted.upper()
+        told = diagnose("one-model-converted", made=made, file=source.path.name)
         return replace(robot, description=description, notes=(told, *robot.notes))
-
-
-def names_of_files(pair: ModelPair) -> dict[str, str]:
-    """Returns what is told of a pair of which one model was made."""
-    source = pair.urdf if pair.converted == "mjcf" else pair.mjcf
-    return {"made": pair.converted.upper(), "file": source.path.name}
 
 
 def read_pair(

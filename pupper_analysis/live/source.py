@@ -5,12 +5,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
+from pupper_analysis.convert.load import load_robot
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.convert.load import load_robot
+from pupper_analysis.models.published import find_file
 from pupper_analysis.robot.robot import Robot
 
 
@@ -40,34 +40,36 @@ class LiveSource(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class UploadedPair:
-    """The robot of a URDF and an MJCF.
+class LoadedFiles:
+    """The robot of a URDF, an MJCF or both.
 
     Attributes:
-        options: What ``load_robot`` was given; the paths are absolute.
+        models: Paths of its files, absolute.
+        options: What else ``load_robot`` was given.
         loaded: The robot.
     """
 
+    models: tuple[str, ...]
     options: Mapping[str, Any]
     loaded: Robot
 
     @staticmethod
-    def of(options: Mapping[str, Any]) -> UploadedPair:
+    def of(*models: str, **options: Any) -> LoadedFiles:
         """Loads it.
 
         Args:
-            options: What ``load_robot`` is given.
+            *models: Its files.
+            **options: What else ``load_robot`` is given.
 
         Raises:
             ConfigurationError: If it cannot stand.
             ModelError: As ``load_robot``.
         """
-        paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
-        given = {name: value for name, value in {**options, **paths}.items() if value}
-        robot = load_robot(**given)
+        robot = load_robot(*models, **options)
         if not robot.floating or not robot.contact_points:
             raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
-        return UploadedPair(given, robot)
+        paths = tuple(str(find_file(model).absolute()) for model in models)
+        return LoadedFiles(paths, options, robot)
 
     @property
     def scales(self) -> Mapping[str, float]:
@@ -87,20 +89,22 @@ class UploadedPair:
 
     def python(self, scales: Mapping[str, float]) -> str:  # noqa: ARG002 - it has none
         """Returns the call of ``load_robot``."""
-        given = ", ".join(f"{name}={value!r}" for name, value in self.options.items())
-        return f"pa.load_robot({given})"
+        given = [*map(repr, self.models)]
+        given += [f"{name}={value!r}" for name, value in self.options.items()]
+        return f"pa.load_robot({', '.join(given)})"
 
     def arguments(self, scales: Mapping[str, float]) -> list[str]:  # noqa: ARG002 - it has none
-        """Returns the options that the command line takes."""
-        words = ["--urdf", self.options["urdf"], "--mjcf", self.options["mjcf"]]
+        """Returns the words and options that the command line takes."""
+        words = [*self.models]
         for foot, frame in self.options.get("feet", {}).items():
             words += ["--foot", f"{foot}={frame if isinstance(frame, str) else ':'.join(frame)}"]
         for one, other in self.options.get("joints", {}).items():
             words += ["--map", f"{one}={other}"]
         for package, folder in self.options.get("packages", {}).items():
             words += ["--package", f"{package}={folder}"]
-        if "keyframe" in self.options:
-            words += ["--keyframe", self.options["keyframe"]]
+        for name in ("keyframe", "take"):
+            if name in self.options:
+                words += [f"--{name}", self.options[name]]
         return words
 
 

@@ -10,26 +10,35 @@ from lxml import etree
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
-from pupper_analysis.models.places import refusal_at
+from pupper_analysis.models.places import NO_LINE, refusal_at
+from pupper_analysis.models.published import XACRO, expand_xacro, find_file
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
-from pupper_analysis.models.xml import parse_xml
+from pupper_analysis.models.xml import parse_file_text, parse_xml
 
 
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
     """Reads a URDF or an MJCF; the root element tells which it is.
 
+    A xacro file is expanded, if that package is installed: its elements have no lines then.
+
     An MJCF that MuJoCo parses but does not compile is returned, too, with its ``refusal``.
 
     Args:
-        path: The file.
+        path: The file, or ``robot_descriptions:NAME``.
         packages: Folders of packages, for a URDF's ``package://``.
 
     Raises:
         ModelError: If it cannot be loaded; one line that tells where and why.
     """
     check_type("path", path, str | Path)
-    path = Path(path)
-    text, root = parse_xml(path)
+    path = find_file(path)
+    if path.suffix == XACRO:
+        text = expand_xacro(path)
+        root = parse_file_text(path, text)
+        for element in root.iter():
+            element.sourceline = NO_LINE
+    else:
+        text, root = parse_xml(path)
     if root.tag in ("mujoco", "mujocoinclude"):
         return mjcf_from(path, root)
     if root.tag != "robot":

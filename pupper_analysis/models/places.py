@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 from lxml import etree
 
@@ -71,10 +71,14 @@ def quote_short(value: str) -> str:
     return repr(value if len(value) <= 40 else value[:37] + "...")
 
 
+NO_LINE: Final = 65535
+"""lxml is not sure of this line, and those after it; so it stands for no line at all."""
+
+
 def line_of(element: etree._Element) -> int | None:
-    """Returns an element's line; lxml is not sure of lines after 65534."""
+    """Returns an element's line, where it is known."""
     line = element.sourceline
-    return line if line is not None and line < 65535 else None
+    return line if line is not None and line < NO_LINE else None
 
 
 def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> ModelError:

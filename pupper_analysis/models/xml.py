@@ -39,6 +39,11 @@ MAX_NUMBER: Final = 1e50
 def parse_xml(path: Path) -> tuple[str, etree._Element]:
     """Returns a file's text, and its root element without comments and default namespace."""
     text = _text(path)
+    return text, parse_file_text(path, text)
+
+
+def parse_file_text(path: Path, text: str) -> etree._Element:
+    """Returns the root element of a file's text, without comments and default namespace."""
     _refuse_doctype(path, text)
     parser = _parser(recover=False)
     try:
@@ -70,7 +75,7 @@ def parse_xml(path: Path) -> tuple[str, etree._Element]:
         raise refuse_file(
             Place(path), diagnose("too-many-elements", count=count, most=MAX_ELEMENTS)
         )
-    return text, root
+    return root
 
 
 def parse_numbers(text: str | None, default: str) -> NDArray[np.float64]:

@@ -46,13 +46,13 @@ def variants_table(variants: Iterable[tuple[VariantSpec, Robot]]) -> Table:
 
 @dataclass(frozen=True, eq=False)
 class ComparisonRow(Result):
-    """One robot beside the others. Ratios are to its base model, unscaled.
+    """One robot beside the others. Ratios are to its base model, unscaled; files have none.
 
     Attributes:
         name: The robot.
-        base: Its base model.
+        base: Its base model, or its files.
         total_mass: kg.
-        mass_ratio: Of the total masses.
+        mass_ratio: Of the total masses; None for a robot of files.
         thigh_ratio: Of the hip-to-knee distances; None for legs of one joint.
         thigh_shape_ratio: Of the lengths of the shapes that span the thighs; None without any.
         height: Of the base, in the task (m).
@@ -65,12 +65,13 @@ class ComparisonRow(Result):
         force_error: Likewise.
         cross_check: Worst relative deviation.
         verified: The verdict.
+        one_file: Whether both engines' models are from one file.
     """
 
     name: str
     base: str
     total_mass: float
-    mass_ratio: float
+    mass_ratio: float | None
     thigh_ratio: float | None
     thigh_shape_ratio: float | None
     height: float
@@ -83,6 +84,7 @@ class ComparisonRow(Result):
     force_error: float
     cross_check: float
     verified: bool
+    one_file: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,32 +92,35 @@ class RatioReference:
     """What ratios are taken to.
 
     Attributes:
-        total_mass: kg.
+        total_mass: kg, or None.
         thigh_length: m, or None.
         thigh_shape_length: m, or None.
     """
 
-    total_mass: float
+    total_mass: float | None
     thigh_length: float | None
     thigh_shape_length: float | None
 
 
-def compare_with_base(analysis: Analysis, base: str, reference: RatioReference) -> ComparisonRow:
+def compare_with_base(
+    analysis: Analysis, base: str, reference: RatioReference | None
+) -> ComparisonRow:
     """Puts an analysis beside its base model.
 
     Args:
         analysis: The analysis.
-        base: The base model's name.
-        reference: The base model's values.
+        base: The base model's name, or the robot's files.
+        reference: The base model's values; None of files.
     """
+    nothing = reference or RatioReference(None, None, None)
     assert analysis.stand.task.height is not None
     return ComparisonRow(
         name=analysis.name,
         base=base,
         total_mass=analysis.total_mass,
-        mass_ratio=analysis.total_mass / reference.total_mass,
-        thigh_ratio=_ratio(analysis.thigh_length, reference.thigh_length),
-        thigh_shape_ratio=_ratio(analysis.thigh_shape_length, reference.thigh_shape_length),
+        mass_ratio=_ratio(analysis.total_mass, nothing.total_mass),
+        thigh_ratio=_ratio(analysis.thigh_length, nothing.thigh_length),
+        thigh_shape_ratio=_ratio(analysis.thigh_shape_length, nothing.thigh_shape_length),
         height=analysis.stand.task.height,
         peak_torque=float(np.abs(analysis.statics.joint_torques).max()),
         peak_utilisation=float(analysis.statics.motor_utilisation.max()),
@@ -126,6 +131,7 @@ def compare_with_base(analysis: Analysis, base: str, reference: RatioReference) 
         force_error=analysis.verification.force_error,
         cross_check=max(quantity.relative for quantity in analysis.check.quantities),
         verified=analysis.verified,
+        one_file=bool(analysis.verdict.converted),
     )
 
 
@@ -133,7 +139,8 @@ def _verdict(row: ComparisonRow) -> str:
     """Returns a row's verdict: one that rests on feed-forward says so."""
     if not row.verified:
         return "FAILED"
-    return "VERIFIED" if row.stands_without else "VERIFIED with feed-forward"
+    word = "VERIFIED" if row.stands_without else "VERIFIED with feed-forward"
+    return f"{word} (from one file)" if row.one_file else word
 
 
 def _ratio(length: float | None, reference: float | None) -> float | None:
@@ -168,7 +175,7 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
     return Table(
         text("comparison-ratios-to-the-unscaled"),
         (
-            Column(text("variant"), left=True),
+            Column(text("robot"), left=True),
             Column(text("verdict"), left=True),
             Column(text("without-feed-forward"), left=True),
             *(Column(text(name), unit) for name, unit, *_ in columns),

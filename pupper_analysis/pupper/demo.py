@@ -58,20 +58,25 @@ def demo_stances(robot: Robot, name: str, *, depth: float = 0.2) -> list[StandTa
     if name == "sway":
         return [stand, *(StandTask(offset=(0.0, y)) for y in (0.02, -0.02)), stand]
     feet = Configuration(robot, robot.neutral()).foot_positions()
-    x, y = np.mean([feet[foot][:2] for foot in robot.contact_points if foot != "FL"], axis=0)
+    front_left = max(feet, key=lambda foot: float(feet[foot][0] + feet[foot][1]))
+    x, y = np.mean([place[:2] for foot, place in feet.items() if foot != front_left], axis=0)
     over = StandTask(com=(float(x), float(y)))
-    up = StandTask(com=(float(x), float(y)), swing={"FL": 0.02})
+    up = StandTask(com=(float(x), float(y)), swing={front_left: 0.02})
     return [stand, over, up, up, over, stand]
 
 
 def demo(
-    name: str, variant: str | VariantSpec = "v3", *, headless: bool, csv: Path | None = None
+    name: str,
+    robot: str | VariantSpec | Robot = "v3",
+    *,
+    headless: bool,
+    csv: Path | None = None,
 ) -> bool:
-    """Moves a variant in MuJoCo, and prints how well it follows.
+    """Moves a robot in MuJoCo, and prints how well it follows.
 
     Args:
         name: One of ``DEMOS``.
-        variant: Its name, or a ``VariantSpec``.
+        robot: A variant's name, a ``VariantSpec``, or a robot.
         headless: Open no window.
         csv: Where to write the path: time, joint positions and torques.
 
@@ -84,7 +89,8 @@ def demo(
     """
     if not headless:
         check_display()
-    robot = load_variant(variant)
+    if not isinstance(robot, Robot):
+        robot = load_variant(robot)
     path = demo_path(robot, name)
     if not headless:
         _show(robot, path)

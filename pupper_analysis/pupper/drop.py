@@ -1,4 +1,4 @@
-"""A variant dropped on the ground: what it does, and what its IMU reads."""
+"""A robot dropped on the ground: what it does, and what its IMU reads."""
 
 from __future__ import annotations
 
@@ -73,17 +73,17 @@ class Drop(Result):
 def drop(
     seconds: float = DEFAULT_SECONDS,
     *,
-    variant: str | VariantSpec = "v3",
+    robot: str | VariantSpec | Robot = "v3",
     window: bool = False,
 ) -> Drop:
-    """Drops a variant, its servos at the joint positions of its keyframe ``home``.
+    """Drops a robot, its servos at the joint positions of its keyframe ``home``.
 
     It falls from where the keyframe has it (v3: 0.28 m up); if that is on the ground, its feet are
     ``FALL`` above it.
 
     Args:
         seconds: How long (s), from 2 to 600.
-        variant: Its name, or a ``VariantSpec``.
+        robot: A variant's name, a ``VariantSpec``, or a robot.
         window: Show it in real time.
 
     Raises:
@@ -93,15 +93,15 @@ def drop(
         VariantError: If the name is unknown.
     """
     check_seconds(seconds)
-    robot, data = at_home(variant)
-    model = robot.mj_model
+    dropped, data = at_home(robot)
+    model, imu = dropped.mj_model, imu_sensors(dropped.mj_model)
     servos_at_home = data.ctrl.copy()
-    samples = [_sample(data)]
+    samples = [_sample(data, imu)]
 
     def step() -> None:
         data.ctrl[:] = servos_at_home
         mujoco.mj_step(model, data)
-        samples.append(_sample(data))
+        samples.append(_sample(data, imu))
 
     timestep = float(model.opt.timestep)
     count = round(seconds / timestep)
@@ -118,7 +118,7 @@ def drop(
     moments = {
         "release": 0,
         "touchdown": int(np.argmax(record[:, 1] > 0)),
-        "impact": int(np.argmax(accelerations)),
+        "impact": int(np.argmax(np.nan_to_num(accelerations))),
         "rest": count,
     }
     return Drop(
@@ -133,10 +133,18 @@ def drop(
     )
 
 
-def _sample(data: mujoco.MjData) -> Array:
-    """Returns height, number of contacts, accelerometer and gyro (8,)."""
-    acceleration, rate = data.sensor("body_acc").data, data.sensor("body_gyro").data
-    return np.array([data.qpos[2], data.ncon, *acceleration, *rate])
+def imu_sensors(model: mujoco.MjModel) -> tuple[str | None, str | None]:
+    """Returns the names of a model's first accelerometer and gyro; None where it has none."""
+    kinds = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
+    found = (np.flatnonzero(model.sensor_type == kind) for kind in kinds)
+    one, other = (str(model.sensor(int(at[0])).name) if len(at) else None for at in found)
+    return one, other
+
+
+def _sample(data: mujoco.MjData, imu: tuple[str | None, str | None]) -> Array:
+    """Returns height, number of contacts, accelerometer and gyro (8,); NaN of what there is not."""
+    read = [np.full(3, np.nan) if name is None else data.sensor(name).data for name in imu]
+    return np.array([data.qpos[2], data.ncon, *read[0], *read[1]])
 
 
 def check_seconds(seconds: float) -> None:
@@ -151,15 +159,22 @@ def check_seconds(seconds: float) -> None:
         raise ConfigurationError("seconds", problem)
 
 
-def at_home(variant: str | VariantSpec, *, fixed: bool = False) -> tuple[Robot, mujoco.MjData]:
-    """Returns a variant, and MuJoCo's data with its joints, and its servos' commands, at home.
+def at_home(
+    robot: str | VariantSpec | Robot, *, fixed: bool = False
+) -> tuple[Robot, mujoco.MjData]:
+    """Returns a robot, and MuJoCo's data with its joints, and its servos' commands, at home.
 
     A free base is above the ground.
+
+    Args:
+        robot: A robot, or a variant.
+        fixed: Whether a variant is loaded with its base fixed.
     """
-    robot = load_variant(variant, fixed_base=fixed)
+    if not isinstance(robot, Robot):
+        robot = load_variant(robot, fixed_base=fixed)
     data = mujoco.MjData(robot.mj_model)
     qpos = robot.home.copy()
-    if not fixed:
+    if robot.floating and robot.contact_points:
         feet = Configuration(robot, qpos).foot_positions()
         clearance = min(
             float(place[2]) - robot.contact_radius[foot] for foot, place in feet.items()

@@ -8,6 +8,7 @@ from typing import Any
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.pupper.named import split_word
 from pupper_analysis.pupper.scaled import Scaled
 from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
@@ -15,7 +16,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study import study
 from pupper_analysis.study.parameters import without_visuals
-from pupper_analysis.study.source import RobotSource
+from pupper_analysis.study.source import ModelFiles, RobotSource
 
 
 class Variants(Scaled):
@@ -39,13 +40,19 @@ class Variants(Scaled):
 class Study(study.DesignStudy):
     """Designs of a robot that are measured alike.
 
-    Its ``robot`` may also be a variant's name, a ``VariantSpec``, or {``base``, ``leg_scale``,
-    ``torso_mass_scale``}; ``leg_scale`` and ``torso_mass_scale`` can be varied then.
+    Its ``robot`` may also be a file, two files with a plus between them, a variant's name, a
+    ``VariantSpec``, or {``base``, ``leg_scale``, ``torso_mass_scale``}; of variants ``leg_scale``
+    and ``torso_mass_scale`` can be varied, too.
     """
 
     def _source(self, robot: Any) -> RobotSource:
-        if isinstance(robot, str | VariantSpec):
-            return Variants(variant_spec(robot))
+        if isinstance(robot, str):
+            meant = split_word(robot)
+            if isinstance(meant, tuple):
+                return ModelFiles.of_files(meant)
+            return Variants(variant_spec(meant))
+        if isinstance(robot, VariantSpec):
+            return Variants(robot)
         if isinstance(robot, Mapping) and "base" in robot:
             known = [field.name for field in fields(VariantSpec)]
             unknown = [name for name in robot if name not in known]

@@ -1,4 +1,4 @@
-"""A variant on the screen, or in words: its joints, its IMU, and the stand it drops into."""
+"""A robot on the screen, or in words: its joints, its IMU, and the stand it drops into."""
 
 from __future__ import annotations
 
@@ -11,18 +11,21 @@ from pupper_analysis.pupper.drop import DEFAULT_SECONDS, at_home, check_seconds,
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.pupper.window import check_display, open_window, play_steps
 from pupper_analysis.pupper.words import print_imu, print_joints, print_readings
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
 
 
-def view_variant(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bool) -> None:
-    """Shows a variant with its joints as in its keyframe ``home``, until the window is closed.
+def view_robot(
+    robot: str | VariantSpec | Robot = "v3", *, fixed: bool = False, headless: bool
+) -> None:
+    """Shows a robot with its joints as in its keyframe ``home``, until the window is closed.
 
     With a fixed base nothing moves by itself; the viewer's sliders under "Control" set the joints.
     With a free base gravity and contact run in real time, and the sliders command the servos.
 
     Args:
-        variant: Its name, or a ``VariantSpec``.
-        fixed: Fix the base in the world.
+        robot: A variant's name, a ``VariantSpec``, or a robot.
+        fixed: Fix a variant's base in the world.
         headless: Open no window; print what the joints do and how the IMU is read.
 
     Raises:
@@ -31,20 +34,21 @@ def view_variant(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bo
     """
     if not headless:
         check_display()
-    robot, data = at_home(variant, fixed=fixed)
-    model = robot.mj_model
+    shown, data = at_home(robot, fixed=fixed)
+    model, held = shown.mj_model, not shown.floating
     print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}")
     if headless:
-        print_joints(robot, data)
-        print_imu(data, at_rest=fixed)
+        print_joints(shown, data)
+        print_imu(data, at_rest=held)
         return
 
-    joints = model.actuator_trnid[:, 0]
+    at_joints = shown.mj_convention.actuator_index
+    joints = model.actuator_trnid[at_joints, 0]
     lower, upper = model.jnt_range[joints].T
 
     def step() -> None:
-        if fixed:
-            data.qpos[model.jnt_qposadr[joints]] = np.clip(data.ctrl, lower, upper)
+        if held:
+            data.qpos[model.jnt_qposadr[joints]] = np.clip(data.ctrl[at_joints], lower, upper)
             mujoco.mj_forward(model, data)
         else:
             mujoco.mj_step(model, data)
@@ -54,14 +58,14 @@ def view_variant(variant: str | VariantSpec = "v3", *, fixed: bool, headless: bo
 
 
 def drop_and_report(
-    variant: str | VariantSpec = "v3", *, headless: bool, seconds: float = DEFAULT_SECONDS
+    robot: str | VariantSpec | Robot = "v3", *, headless: bool, seconds: float = DEFAULT_SECONDS
 ) -> bool:
-    """Drops a variant and prints how steadily it stands at the end.
+    """Drops a robot and prints how steadily it stands at the end.
 
     With a window it runs in real time; a window that is closed early does not change the result.
 
     Args:
-        variant: Its name, or a ``VariantSpec``.
+        robot: A variant's name, a ``VariantSpec``, or a robot.
         headless: Open no window; print what the IMU reads on the way.
         seconds: How long (s), from 2 to 600.
 
@@ -76,7 +80,7 @@ def drop_and_report(
     check_seconds(seconds)
     if not headless:
         check_display()
-    result = drop(seconds, variant=variant, window=not headless)
+    result = drop(seconds, robot=robot, window=not headless)
     if headless:
         print_readings(result.readings)
     deviation = 1e3 * result.height_deviation

@@ -1,4 +1,4 @@
-"""A variant in words: what its joints do, and how its IMU is read."""
+"""A robot in words: what its joints do, and how its IMU is read."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.pupper.drop import Reading
+from pupper_analysis.pupper.drop import Reading, imu_sensors
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -39,7 +39,8 @@ class JointAction(Result):
         name: The joint.
         motion: ``roll``, ``pitch``, ``yaw`` or ``oblique``.
         axis: (3,) its axis in the base frame.
-        foot_motion: (3,) how its leg's foot moves in the base frame as the angle grows (m/rad).
+        foot_motion: (3,) how its leg's foot moves in the base frame as the angle grows (m/rad);
+            None of a joint that carries no foot.
         lower: rad.
         upper: rad.
     """
@@ -47,25 +48,27 @@ class JointAction(Result):
     name: str
     motion: str
     axis: Array
-    foot_motion: Array
+    foot_motion: Array | None
     lower: float
     upper: float
 
 
 def joint_actions(robot: Robot, data: mujoco.MjData) -> tuple[JointAction, ...]:
-    """Returns what each hinge of a variant does at the state of ``data``, in actuator order."""
+    """Returns what each commanded joint does at the state of ``data``, in actuator order."""
     model, base = robot.mj_model, robot.mj_model.body(robot.mj_base).id
     to_base = data.xmat[base].reshape(3, 3).T
     feet: dict[int, Array] = {}  # of each leg's bodies
     for end, centre in robot.contact_places.values():
         body = end
         place = data.xpos[end] + data.xmat[end].reshape(3, 3) @ centre
-        while body != base:
+        while body not in (base, 0):
             feet[body] = place
             body = int(model.body_parentid[body])
     actions = []
-    for joint in (int(joint) for joint in model.actuator_trnid[:, 0]):
-        lever = feet[int(model.jnt_bodyid[joint])] - data.xanchor[joint]
+    for name in robot.joint_names:
+        joint = model.joint(name).id
+        foot = feet.get(int(model.jnt_bodyid[joint]))
+        moves = None if foot is None else np.cross(data.xaxis[joint], foot - data.xanchor[joint])
         axis: Array = to_base @ data.xaxis[joint]
         lower, upper = (float(limit) for limit in model.jnt_range[joint])
         actions.append(
@@ -73,7 +76,7 @@ def joint_actions(robot: Robot, data: mujoco.MjData) -> tuple[JointAction, ...]:
                 name=model.joint(joint).name,
                 motion=_motion(axis),
                 axis=axis,
-                foot_motion=to_base @ np.cross(data.xaxis[joint], lever),
+                foot_motion=None if moves is None else to_base @ moves,
                 lower=lower,
                 upper=upper,
             )
@@ -98,7 +101,7 @@ def print_joints(robot: Robot, data: mujoco.MjData) -> None:
             action.name,
             action.motion,
             _numbers(action.axis, 0),
-            _numbers(1e3 * action.foot_motion, 0),
+            "-" if action.foot_motion is None else _numbers(1e3 * action.foot_motion, 0),
             f"{action.lower:+.2f} to {action.upper:+.2f}",
         )
         for action in joint_actions(robot, data)
@@ -107,13 +110,22 @@ def print_joints(robot: Robot, data: mujoco.MjData) -> None:
 
 
 def print_imu(data: mujoco.MjData, *, at_rest: bool) -> None:
-    """Prints how the IMU is read, and what it reads now."""
+    """Prints how the IMU is read, and what it reads now, of a robot that has one."""
+    model = data.model
+    there = {model.sensor(number).name for number in range(model.nsensor)}
+    known = {name: told for name, told in IMU_SENSORS.items() if name in there}
+    own = zip(imu_sensors(model), ("body_acc", "body_gyro"), strict=True)
+    known |= {name: IMU_SENSORS[kind] for name, kind in own if name is not None}
+    if not known:
+        print("\nIMU: the MJCF has no accelerometer and no gyro")
+        return
     print("\nIMU: how to read it")
-    print(f"  {IMU_SNIPPET}")
+    if set(IMU_SENSORS) <= there:
+        print(f"  {IMU_SNIPPET}")
     rows = [("Python", "value", "unit", "meaning")]
     rows += [
         (f'data.sensor("{name}").data', _numbers(data.sensor(name).data, 3), unit, meaning)
-        for name, (unit, meaning) in IMU_SENSORS.items()
+        for name, (unit, meaning) in known.items()
     ]
     _print_table(rows)
     if at_rest:
@@ -123,7 +135,9 @@ def print_imu(data: mujoco.MjData, *, at_rest: bool) -> None:
 
 
 def print_readings(readings: Sequence[Reading]) -> None:
-    """Prints what the IMU read during a drop."""
+    """Prints what the IMU read during a drop, if there is one."""
+    if not np.isfinite(readings[0].acceleration).all():
+        return
     print('IMU during the drop: data.sensor("body_acc").data, data.sensor("body_gyro").data')
     rows = [("moment", "t (s)", "base z (m)", "body_acc (m/s^2)", "body_gyro (rad/s)")]
     rows += [

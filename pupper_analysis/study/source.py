@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from pupper_analysis.convert.load import load_robot
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.loading import read_model
+from pupper_analysis.models.published import find_file
 from pupper_analysis.models.spec_state import state_of
-from pupper_analysis.convert.load import load_robot
+from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.parameters import without_visuals
@@ -43,8 +45,8 @@ class RobotSource(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class FilePair:
-    """The robot of a URDF and an MJCF.
+class ModelFiles:
+    """The robot of a URDF, an MJCF or both.
 
     Attributes:
         options: What ``load_robot`` was given.
@@ -55,27 +57,44 @@ class FilePair:
     loaded: Robot
 
     @staticmethod
-    def of(options: Mapping[str, Any]) -> FilePair:
+    def of(options: Mapping[str, Any]) -> ModelFiles:
         """Loads it.
 
         Args:
-            options: What ``load_robot`` is given: ``urdf``, ``mjcf``, ``feet`` ...
+            options: What ``load_robot`` is given: ``urdf``, ``mjcf`` or both, ``feet`` ...
 
         Raises:
             ConfigurationError: If an option is not ``load_robot``'s, or the robot cannot stand.
             ModelError: As ``load_robot``.
         """
-        known = ("urdf", "mjcf", "feet", "name", "joints", "keyframe", "packages")
+        known = ("urdf", "mjcf", "take", "feet", "name", "joints", "keyframe", "packages")
         unknown = [name for name in options if name not in known]
-        if unknown or not {"urdf", "mjcf"} <= set(options):
-            problem = diagnose("no-pair-of-files", given=repr(dict(options)), known=known[2:])
+        paths = {
+            name: str(find_file(options[name]).absolute())
+            for name in ("urdf", "mjcf")
+            if name in options
+        }
+        if unknown or not paths:
+            problem = diagnose("no-files-of-a-robot", given=repr(dict(options)), known=known[2:])
             raise ConfigurationError("robot", problem)
         robot = load_robot(**options)
         if not robot.floating or not robot.contact_points:
             raise ConfigurationError("robot", diagnose("no-feet-to-stand-on", robot=robot.name))
-        paths = {name: str(Path(options[name]).absolute()) for name in ("urdf", "mjcf")}
         bare = rebuild_robot(robot, mjcf=without_visuals(robot.description).mjcf)
-        return FilePair({**options, **paths}, bare)
+        return ModelFiles({**options, **paths}, bare)
+
+    @staticmethod
+    def of_files(models: Sequence[str]) -> ModelFiles:
+        """Loads the robot of a file, or of a URDF and an MJCF.
+
+        Raises:
+            ConfigurationError: If the robot cannot stand, or the files are no one robot's.
+            ModelError: As ``load_robot``.
+        """
+        kinds = ["urdf" if isinstance(read_model(one), UrdfFile) else "mjcf" for one in models]
+        if len(set(kinds)) < len(kinds):
+            raise ConfigurationError("robot", diagnose("not-one-robots-files", files=list(models)))
+        return ModelFiles.of(dict(zip(kinds, models, strict=True)))
 
     @property
     def scales(self) -> Mapping[str, float]:

@@ -36,7 +36,7 @@ from pupper_analysis.study.metrics import (
 from pupper_analysis.study.named import SERVOS, Named, groups_of, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
-from pupper_analysis.study.source import FilePair, RobotSource, digest_of
+from pupper_analysis.study.source import ModelFiles, RobotSource, digest_of
 from pupper_analysis.study.store import Store, require_library
 from pupper_analysis.study.table import names_of, order_rows
 from pupper_analysis.study.variables import Variable, make_variable
@@ -133,7 +133,7 @@ class DesignStudy:
     def _source(self, robot: Any) -> RobotSource:
         """Returns the source of a robot that is given in one of several ways."""
         if isinstance(robot, Mapping):
-            return FilePair.of(robot)
+            return ModelFiles.of(robot)
         if hasattr(robot, "robot") and hasattr(robot, "scales"):
             source: RobotSource = robot
             return source
@@ -285,6 +285,9 @@ class DesignStudy:
             for name in ("urdf", "mjcf"):
                 if isinstance(robot.get(name), str):
                     robot[name] = str(path.parent / robot[name])
+        if isinstance(robot, str):  # files beside this one; what is none is a name
+            there = [(path.parent / part, part) for part in robot.split("+")]
+            given["robot"] = "+".join(str(file) if file.is_file() else part for file, part in there)
         metrics = given.get("measure")
         folder = str(path.parent.absolute())
         own = modules_in(metrics)

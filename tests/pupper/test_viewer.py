@@ -97,7 +97,7 @@ def test_bad_seconds_are_refused(seconds: float) -> None:
 
 @pytest.mark.parametrize("name", ["original", "v3-heavy"])
 def test_other_variants_fall_and_stand(name: str) -> None:
-    result = drop.drop(4.0, variant=name)
+    result = drop.drop(4.0, robot=name)
     assert result.stable
     assert result.readings[1].time > 0.1  # it has fallen
     expected = math.sqrt(2 * drop.FALL / GRAVITY) if name == "original" else result.readings[1].time
@@ -115,7 +115,7 @@ def test_other_variants_fall_and_stand(name: str) -> None:
 def test_view_tells_sizes_joints_and_imu(
     capsys: pytest.CaptureFixture[str], fixed: bool, sizes: str, acceleration: float
 ) -> None:
-    viewer.view_variant(fixed=fixed, headless=True)
+    viewer.view_robot(fixed=fixed, headless=True)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == sizes
     joints = [line.split() for line in lines if re.match(r"  leg_", line)]
@@ -183,7 +183,7 @@ def no_screen(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("no_screen")
 def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for show in (
-        lambda: viewer.view_variant(fixed=True, headless=False),
+        lambda: viewer.view_robot(fixed=True, headless=False),
         lambda: viewer.drop_and_report(headless=False),
         lambda: drop.drop(window=True),
     ):

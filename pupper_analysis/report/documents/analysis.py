@@ -50,11 +50,17 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
         doc.Name(analysis.name),
         tuple(blocks),
         passed=analysis.verified,
-        verdict=text("VERIFIED") if analysis.verified else text("FAILED"),
+        verdict=_verdict_word(analysis),
         failures=tuple(map(doc.tell, analysis.failures)),
         told=(*_key_figures(analysis), *verdict_lines(analysis.verdict), *_surprises(analysis)),
         notes=tuple(map(doc.tell, analysis.notes)),
     )
+
+
+def _verdict_word(analysis: Analysis) -> doc.Text:
+    if not analysis.verified:
+        return text("FAILED")
+    return text("VERIFIED (from one file)" if analysis.verdict.converted else "VERIFIED")
 
 
 def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:

@@ -1,0 +1,251 @@
+"""Which robot: the words and options by which all commands are told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.robot.robot import Robot
+
+Command = Callable[..., None]
+
+VARIANT = (
+    click.option(
+        "--base", metavar="BASE", help="Base model of a variant of your own: skeleton or v3."
+    ),
+    click.option(
+        "--leg-scale",
+        type=float,
+        metavar="S",
+        help="Scale the legs' length and mass by S; e.g. 1.2.",
+    ),
+    click.option(
+        "--torso-mass-scale", type=float, metavar="T", help="Scale the torso's mass by T; e.g. 1.5."
+    ),
+)
+FOUND = (
+    click.option(
+        "--foot",
+        "feet",
+        multiple=True,
+        metavar="[NAME=]FRAME",
+        help="A foot: a link, geom, site or body, or LINK:FRAME; e.g. FL=FL_foot. Repeatable. By "
+        "default the feet are detected.",
+    ),
+    click.option(
+        "--map",
+        "pairs",
+        multiple=True,
+        metavar="URDF=MJCF",
+        help="A joint's name in the URDF and in the MJCF; e.g. lf_haa=FL_hip. Repeatable.",
+    ),
+    click.option(
+        "--keyframe", metavar="NAME", help="Keyframe of the MJCF to start from; e.g. home."
+    ),
+    click.option(
+        "--take",
+        type=click.Choice(["urdf", "mjcf"]),
+        help="Of a URDF and an MJCF that disagree, go on with this one alone.",
+    ),
+    shared.package_option,
+)
+"""What is found in a robot's files, unless it is said."""
+
+FILES = (
+    shared.file_option("--urdf", help="URDF of your own robot, if not given as ROBOT."),
+    shared.file_option("--mjcf", help="MJCF of your own robot, if not given as ROBOT."),
+    *FOUND,
+)
+
+
+class _Word(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
+    """A variant's name, or a file; ``-`` is standard input."""
+
+    name = "robot"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Returns the word, or the name under which standard input is read."""
+        return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
+
+
+robot_argument = click.argument("words", nargs=-1, type=_Word(), metavar="[ROBOT]")
+robots_argument = click.argument("words", nargs=-1, type=_Word(), metavar="[ROBOT]...")
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """What these options say of the robot, as it was given; each field is an option's."""
+
+    urdf: Path | None
+    mjcf: Path | None
+    take: str | None
+    feet: tuple[str, ...]
+    pairs: tuple[str, ...]
+    keyframe: str | None
+    packages: tuple[str, ...]
+    base: str | None
+    leg_scale: float | None
+    torso_mass_scale: float | None
+
+    @staticmethod
+    def taken_from(values: dict[str, Any]) -> RobotOptions:
+        """Takes the options of the robot out of a command's; those that it has not are None."""
+        return RobotOptions(
+            **{one.name: values.pop(one.name, None) for one in fields(RobotOptions)}
+        )
+
+    def one(self, words: tuple[str, ...]) -> str | VariantSpec | FilesGiven | None:
+        """Returns the robot that is meant; None if none is.
+
+        Raises:
+            ConfigurationError: If it is given in several ways.
+            VariantError: If a word names no robot.
+        """
+        from pupper_analysis.pupper.named import one_of_words
+
+        found = one_of_words(words)
+        ways = [way for way in (found, self._derived, self._named) if way is not None]
+        if len(ways) > 1:
+            raise ConfigurationError("ROBOT", diagnose("one-robot-of-three-ways"))
+        given = self._given(ways)
+        return given[0] if given else None
+
+    def all(self, words: tuple[str, ...]) -> list[str | VariantSpec | FilesGiven]:
+        """Returns the robots that are meant, each word another.
+
+        Raises:
+            ConfigurationError: If options are for files, and there are none.
+            VariantError: If a word names no robot.
+        """
+        from pupper_analysis.pupper.named import split_words
+
+        ways = [*split_words(words), self._derived, self._named]
+        return self._given([way for way in ways if way is not None])
+
+    def _given(
+        self, ways: list[str | tuple[str, ...] | VariantSpec]
+    ) -> list[str | VariantSpec | FilesGiven]:
+        """Returns robots with what is said of their files."""
+        if self._said and not any(isinstance(way, tuple) for way in ways):
+            raise ConfigurationError("ROBOT", diagnose("options-of-files-alone"))
+        return [FilesGiven(way, self._said) if isinstance(way, tuple) else way for way in ways]
+
+    @property
+    def _derived(self) -> VariantSpec | None:
+        """The variant of a base that the options give, if they give one."""
+        if (self.base, self.leg_scale, self.torso_mass_scale) == (None, None, None):
+            return None
+        from pupper_analysis.pupper.variants import VariantSpec
+
+        return VariantSpec(
+            base="skeleton" if self.base is None else self.base,
+            leg_scale=1.0 if self.leg_scale is None else self.leg_scale,
+            torso_mass_scale=1.0 if self.torso_mass_scale is None else self.torso_mass_scale,
+        )
+
+    @property
+    def _named(self) -> tuple[str, ...] | None:
+        """The files that --urdf and --mjcf name, if they do."""
+        return tuple(str(path) for path in (self.urdf, self.mjcf) if path is not None) or None
+
+    @property
+    def _said(self) -> dict[str, Any]:
+        """What is said of the files, as ``load_robot`` takes it."""
+        named = [foot if "=" in foot else f"{foot}={foot}" for foot in self.feet or ()]
+        frames: dict[str, str | tuple[str, str]] = {}
+        for foot, frame in (shared.parse_assignment("foot", text) for text in named):
+            link, colon, place = frame.partition(":")
+            frames[foot] = (link, place) if colon else frame
+        folders = shared.package_folders(self.packages or ())
+        said = {
+            "take": self.take,
+            "feet": frames,
+            "joints": dict(shared.parse_assignment("map", text) for text in self.pairs or ()),
+            "keyframe": self.keyframe,
+            "packages": {name: str(path) for name, path in folders.items()},
+        }
+        return {name: value for name, value in said.items() if value}
+
+
+@dataclass(frozen=True)
+class FilesGiven:
+    """A robot that is given by files.
+
+    Attributes:
+        models: Their names: one, or a URDF's and an MJCF's.
+        said: What else ``load_robot`` is given.
+    """
+
+    models: tuple[str, ...]
+    said: dict[str, Any]
+
+    def __str__(self) -> str:
+        return "+".join(Path(model).name for model in self.models)
+
+    def load(self, **more: Any) -> Robot:
+        """Loads the robot; notes are left to the caller.
+
+        Raises:
+            ModelError: If a file cannot be read, or no robot can be made of it.
+        """
+        from pupper_analysis.convert.load import load_robot
+
+        with shared.show_progress("preparing the robot: feet, start pose, servos"):
+            return load_robot(*self.models, **self.said, **more)
+
+
+def robot_from(meant: str | VariantSpec | FilesGiven, **more: Any) -> Robot:
+    """Loads a robot that is meant.
+
+    Args:
+        meant: A variant, or files.
+        **more: What ``load_robot`` is given of files.
+    """
+    if isinstance(meant, FilesGiven):
+        return meant.load(**more)
+    from pupper_analysis.pupper.load import load_variant
+
+    return load_variant(meant)
+
+
+def print_notes(robot: Robot, *, everything: bool = False) -> None:
+    """Prints what was assumed of a robot of files, and what its MJCF does by itself."""
+    from pupper_analysis.report.documents.standing import assumption_texts
+    from pupper_analysis.report.terminal import make_console
+    from pupper_analysis.report.terminal import print_notes as print_lines
+
+    print_lines(make_console(), assumption_texts(robot), everything=everything)
+
+
+def with_robot(command: Command) -> Command:
+    """Gives a command the options of a robot as one ``RobotOptions``, its first argument."""
+
+    @wraps(command)
+    def gathered(**values: Any) -> None:
+        command(RobotOptions.taken_from(values), **values)
+
+    return gathered
+
+
+def add_options(
+    *groups: tuple[Callable[[Command], Command], ...],
+) -> Callable[[Command], Command]:
+    """Returns what gives a command the options of these groups, in this order."""
+
+    def add(command: Command) -> Command:
+        for option in reversed([option for group in groups for option in group]):
+            command = option(command)
+        return command
+
+    return add

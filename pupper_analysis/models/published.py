@@ -1,0 +1,96 @@
+"""Models as they are published: by a description's name in robot_descriptions, or as xacro.
+
+Both packages are optional, and nothing is downloaded here.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Final
+
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ModelError
+from pupper_analysis.models.places import Place, one_line, refuse_file
+
+SCHEME: Final = "robot_descriptions:"
+"""How the name of a description begins: ``robot_descriptions:go2_mj_description``."""
+
+_NAME: Final = re.compile(r"[a-z0-9_]+")
+
+XACRO: Final = ".xacro"
+"""How the name of a file ends that is to be expanded."""
+
+
+class _NotCachedError(Exception):
+    """A repository is not in the cache."""
+
+
+def find_file(model: str | Path) -> Path:
+    """Returns the file that a model is given by: a path, or the name of a description.
+
+    Raises:
+        ModelError: If the package of descriptions is not installed, has none of that name, or its
+            cache has not got the files.
+    """
+    word = str(model)
+    if not word.startswith(SCHEME):
+        return Path(model)
+    name = word.removeprefix(SCHEME)
+    try:
+        cache = importlib.import_module("robot_descriptions._cache")
+    except ImportError as error:
+        raise ModelError(word, diagnose("descriptions-not-installed")) from error
+    if not _NAME.fullmatch(name):
+        raise ModelError(word, diagnose("no-such-description", name=name))
+    description = _from_cache(word, name, cache)
+    for attribute in ("MJCF_PATH", "URDF_PATH", "XACRO_PATH"):
+        if hasattr(description, attribute):
+            return Path(getattr(description, attribute))
+    raise ModelError(word, diagnose("description-without-file", name=name))
+
+
+def _from_cache(word: str, name: str, cache: ModuleType) -> ModuleType:
+    """Imports a description, which clones its repository if it is let."""
+
+    def cached(repository: str, commit: str | None = None) -> str:
+        del commit
+        known = importlib.import_module("robot_descriptions._repositories").REPOSITORIES
+        default = Path.home() / ".cache" / "robot_descriptions"
+        root = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", default)).expanduser()
+        folder = root / known[repository].cache_path
+        if not folder.is_dir():
+            raise _NotCachedError
+        return str(folder)
+
+    clone, cache.clone_to_cache = cache.clone_to_cache, cached  # type: ignore[attr-defined]
+    try:
+        return importlib.import_module(f"robot_descriptions.{name}")
+    except ModuleNotFoundError as error:
+        raise ModelError(word, diagnose("no-such-description", name=name)) from error
+    except _NotCachedError as error:
+        raise ModelError(word, diagnose("description-not-cached", name=name)) from error
+    finally:
+        cache.clone_to_cache = clone  # type: ignore[attr-defined]
+
+
+def expand_xacro(path: Path) -> str:
+    """Returns the URDF that a xacro file expands to, with its arguments' defaults.
+
+    Raises:
+        ModelError: If xacro is not installed, or refuses the file.
+    """
+    try:
+        xacro = importlib.import_module("xacro")
+    except ImportError as error:
+        raise refuse_file(Place(path), diagnose("file-is-xacro")) from error
+    if not path.is_file():
+        raise refuse_file(Place(path), diagnose("file-not-read", message="no such file"))
+    try:
+        return str(xacro.process_file(str(path)).toxml())
+    except Exception as error:  # whatever a macro's Python raises
+        problem = diagnose("xacro-not-expanded", message=one_line(error))
+        raise refuse_file(Place(path), problem) from error
