@@ -21,6 +21,7 @@ from pupper_analysis.cli.robots import (
     robot_from,
 )
 from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of, to_task_value
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
 if TYPE_CHECKING:
@@ -107,6 +108,10 @@ class RobotAndTask:
         """Shows a result of that robot as it was asked for."""
         named = [(robot.name, result)]
         shared.show_results(named, self.style, robots=[robot], everything=self.everything)
+        verdict = getattr(result, "verdict", None)
+        failures = () if verdict is None else verdict.failures
+        if any(failure.code == "files-of-two-robots" for failure in failures):
+            _print_first_difference(robot)
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
         """Returns the servos' stiffness and damping at a robot's joints; None: the model's own."""
@@ -115,6 +120,24 @@ class RobotAndTask:
     def task(self) -> StandTask:
         """Returns the task of the stance."""
         return task_of(self.stance)
+
+
+def _print_first_difference(robot: Robot) -> None:
+    """Prints what makes a robot's files those of two robots, as far as one thing does."""
+    from pupper_analysis.checks.compare import compare_models
+    from pupper_analysis.errors import ModelError
+    from pupper_analysis.report.comparison import by_cause, first_to_mend
+    from pupper_analysis.report.document import tell
+    from pupper_analysis.report.terminal import make_console
+    from pupper_analysis.report.terminal import print_notes as print_lines
+
+    files = robot.description
+    try:
+        comparison = compare_models(files.urdf_source, files.mjcf_source)
+    except ModelError:
+        return  # they are not comparable as they are; the verdict has said enough
+    cause = first_to_mend(comparison, *by_cause(comparison))
+    print_lines(make_console(), [tell(diagnose("first-difference-of-files", cause=cause))])
 
 
 def robot_and_task(command: Command) -> Command:

@@ -11,13 +11,14 @@ from pathlib import Path
 
 from pupper_analysis.arguments import check_arguments, check_type
 from pupper_analysis.convert.to_mjcf import bare_mjcf
-from pupper_analysis.convert.to_urdf import bare_urdf
+from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.robot import Robot
 
@@ -46,7 +47,7 @@ class ModelPair:
         """
         if isinstance(file, UrdfFile):
             return ModelPair(*bare_mjcf(file), "mjcf")
-        return ModelPair(bare_urdf(file), file, "urdf")
+        return ModelPair(_bare_urdf(file), file, "urdf")
 
     def mark(self, robot: Robot) -> Robot:
         """Returns the robot of these models, which knows which of them was made."""
@@ -57,6 +58,16 @@ class ModelPair:
         made = self.converted.upper()
         told = diagnose("one-model-converted", made=made, file=source.path.name)
         return replace(robot, description=description, notes=(told, *robot.notes))
+
+
+def _bare_urdf(file: MjcfFile) -> UrdfFile:
+    """Makes the URDF of an MJCF in memory.
+
+    Raises:
+        ModelError: If a URDF cannot have the robot.
+    """
+    text = urdf_draft(file, file.path).text
+    return urdf_from(file.path, text, parse_text(text), None)
 
 
 def read_pair(

@@ -26,9 +26,7 @@ from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
-from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
-from pupper_analysis.models.xml import parse_text
 from pupper_analysis.models.xml_layout import to_text
 from pupper_analysis.models.xml_text import DIGITS, add_element, free_name, write_numbers
 from pupper_analysis.prepare.notes import describe_span
@@ -242,16 +240,6 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
         notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
     return ConversionDraft(to_text(tree.root, header), {}, tuple(notes), tuple(left))
-
-
-def bare_urdf(file: MjcfFile) -> UrdfFile:
-    """Makes the URDF of an MJCF in memory.
-
-    Raises:
-        ModelError: If a URDF cannot have the robot.
-    """
-    text = urdf_draft(file, file.path).text
-    return urdf_from(file.path, text, parse_text(text), None)
 
 
 def _base(file: MjcfFile, model: mujoco.MjModel) -> int:

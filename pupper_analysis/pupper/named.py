@@ -26,10 +26,8 @@ def split_word(word: str) -> str | tuple[str, ...]:
     """
     if word in VARIANTS:
         return word
-    if _is_file(word):
-        return (word,)
-    files = tuple(word.split(_BOTH))
-    if len(files) > 1 and all(map(_is_file, files)):
+    files = (word,) if Path(word).is_file() else tuple(word.split(_BOTH))
+    if all(map(_is_file, files)):
         return files
     raise VariantError("name", word, diagnose("known-robots", variants=VARIANTS))
 

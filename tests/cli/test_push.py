@@ -106,7 +106,7 @@ def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path
 
 
 BAD = {
-    "name and files": (["v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
+    "name and files": (["v3", "--urdf", "a.urdf"], "a.urdf: there is no such file"),
     "no such robot": (["spot"], "'spot'"),
     "too high": (["v3", "--height", "0.3"], "height 0.1919 m"),
     "too few directions": (["v3", "--directions", "2"], "not between 3 and 360"),

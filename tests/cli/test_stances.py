@@ -13,8 +13,10 @@ from matplotlib.image import imread
 
 from pupper_analysis import Ground, StandTask, best_stance, cli, payload_limit, solve_stand
 from pupper_analysis.analysis.path import way_to
+from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.cli.stance_fields import TYPED
-from pupper_analysis.cli.stance_options import RobotAndTask, derived_variant
+from pupper_analysis.cli.stance_options import RobotAndTask
+from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.report.figures.pose import pose_figure
 from pupper_analysis.report.figures.workspace import workspace_figure
 from pupper_analysis.stance import (
@@ -166,7 +168,8 @@ def test_the_way_keeps_moved_feet_and_ground() -> None:
 
 def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     """Of the same name, kind, default and help: one list."""
-    names = {*RobotAndTask.__dataclass_fields__, *TYPED} - {"stance"}
+    own = {*RobotAndTask.__dataclass_fields__, *RobotOptions.__dataclass_fields__}
+    names = {*own, *TYPED} - {"stance", "which"}
     shared = []
     for command in OURS:
         options = {option.name: option for option in cli.group.commands[command].params}
@@ -177,7 +180,7 @@ def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.group.commands["stand"].params}
     base = [one for one in TYPED.values() if one.slider and one.slider.folder == "Base"]
-    assert len(common) == 5 + len(base)
+    assert len(common) == 12 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
 
@@ -215,7 +218,7 @@ BAD = {
     "no objective": (["best", "speed"], "'speed' is not one of"),
     "out of reach": (["workspace", "v3", "--height", "0.3"], "height 0.1919 m"),
     "heavy legs": (["payload", "v3", "--slope", "0.8", "--pitch", "-0.8"], "1.030 is needed"),
-    "two robots": (["workspace", "v3", "--base", "v3"], "give a variant's name, or --base"),
+    "two robots": (["workspace", "v3", "--base", "v3"], "give the robot once"),
     "figure in a folder": (["workspace", "v3", "--figure", "."], "it is a folder"),
 }
 
@@ -229,16 +232,21 @@ def test_bad_input_is_one_line_and_exit_status_2(
     check_refusal(capfd, tmp_path, [*arguments, "--json", "all.json"], message)
 
 
+def derived(*given: object) -> object:
+    names = ("base", "leg_scale", "torso_mass_scale")
+    return RobotOptions.taken_from(dict(zip(names, given, strict=True))).one(())
+
+
 def test_a_derived_variant_keeps_what_is_not_given() -> None:
     for given, legs, torso in (
         (("v3", None, None), 1.0, 1.0),
         (("v3", 1.2, None), 1.2, 1.0),
         (("v3", None, 1.5), 1.0, 1.5),
     ):
-        found = derived_variant(*given)
-        assert found is not None
+        found = derived(*given)
+        assert isinstance(found, VariantSpec)
         assert (found.base, found.leg_scale, found.torso_mass_scale) == ("v3", legs, torso)
-    skeleton = derived_variant(None, 1.5, None)
-    assert skeleton is not None
+    skeleton = derived(None, 1.5, None)
+    assert isinstance(skeleton, VariantSpec)
     assert (skeleton.base, skeleton.torso_mass_scale) == ("skeleton", 1.0)
-    assert derived_variant(None, None, None) is None
+    assert derived(None, None, None) is None

@@ -151,13 +151,13 @@ def test_motors_too_weak_are_said_so() -> None:
 
 
 BAD = {
-    "name and files": (["v3", "--urdf", "a.urdf"], "give a variant's name, or"),
-    "name and base": (["v3", "--base", "v3"], "give a variant's name, or --base and its scales"),
+    "name and files": (["v3", "--urdf", "a.urdf"], "give the robot once: a variant's name"),
+    "name and base": (["v3", "--base", "v3"], "give the robot once: a variant's name"),
     "base and files": (["--base", "v3", "--urdf", "a.urdf"], "or --urdf and --mjcf"),
     "no such base": (["--base", "v4"], "valid: skeleton, v3"),
     "no scale": (["--leg-scale", "0"], "greater than 0"),
-    "no MJCF": (["--urdf", "a.urdf"], "needs both"),
-    "a map alone": (["--map", "a=b"], "needs both"),
+    "no such URDF": (["--urdf", "a.urdf"], "a.urdf: there is no such file"),
+    "a map alone": (["--map", "a=b"], "are for a robot of your own"),
     "no such file": (["--urdf", "a.urdf", "--mjcf", "a.xml", "--foot", "a=b"], "a.urdf"),
     "no damping": (["v3", "--kp", "-3"], "kp"),
     "too near": (["v3", "--self-clearance", "0.05"], "Possible with all else as asked: self_"),

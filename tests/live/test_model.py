@@ -41,7 +41,7 @@ from pupper_analysis.live.model import (
 from pupper_analysis.live.render import render_brief, render_panel
 from pupper_analysis.live.shapes import mesh_of_primitive, parts_of
 from pupper_analysis.live.sliders import fine_step, ranges_of, round_up
-from pupper_analysis.live.source import UploadedPair
+from pupper_analysis.live.source import LoadedFiles
 from pupper_analysis.live.state import State, parse_length, parse_state
 from pupper_analysis.pupper.live import LiveVariants
 from pupper_analysis.simulation.verdict import VerdictCode
@@ -267,16 +267,14 @@ def run_python(script: str, folder: Path) -> str:
     return done.stdout
 
 
-def own_pair(folder: Path) -> UploadedPair:
+def own_pair(folder: Path) -> LoadedFiles:
     urdf, mjcf = pa.pupper.write_variant("v3-heavy", folder)
     feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
             {"FR": "front_r", "FL": "front_l", "RR": "back_r", "RL": "back_l"}.items()}  # fmt: skip
-    return UploadedPair.of(
-        {"urdf": urdf, "mjcf": mjcf, "feet": feet, "joints": {}, "keyframe": None}
-    )
+    return LoadedFiles.of(str(urdf), str(mjcf), feet=feet)
 
 
-SOURCES: dict[str, Callable[[Path], LiveVariants | UploadedPair]] = {
+SOURCES: dict[str, Callable[[Path], LiveVariants | LoadedFiles]] = {
     "variant": lambda _: LiveVariants(pa.VARIANTS["v3"]),
     "own": own_pair,
 }
