@@ -127,6 +127,10 @@ def hold_posture(
         sagged=sagged,
         unsettled=unsettled,
         verdict=judge_stance(
-            fed, alone, servos_used(robot, kp, kd), overloaded=beyond_limits(statics)
+            fed,
+            alone,
+            servos_used(robot, kp, kd),
+            overloaded=beyond_limits(statics),
+            converted=robot.description.converted,
         ),
     )

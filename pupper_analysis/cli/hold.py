@@ -7,16 +7,8 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.stance_options import (
-    AS_IS,
-    LOOK,
-    OWN,
-    SERVOS,
-    VARIANT,
-    RobotAndTask,
-    name_argument,
-    stance_options,
-)
+from pupper_analysis.cli.robots import FILES, VARIANT, add_options, robot_argument
+from pupper_analysis.cli.stance_options import AS_IS, LOOK, SERVOS, RobotAndTask
 from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -24,7 +16,7 @@ from pupper_analysis.errors import ConfigurationError
 @click.command(
     context_settings=shared.CONTEXT, short_help="What an arm's motors hold, with its base fixed."
 )
-@name_argument
+@robot_argument
 @click.option(
     "--joints",
     "positions",
@@ -39,11 +31,11 @@ from pupper_analysis.errors import ConfigurationError
     help="Where it carries: a link, site, body or geom; e.g. tool0. By default the end of the "
     "longest chain of joints.",
 )
-@stance_options(OWN, (AS_IS,), VARIANT, SERVOS, LOOK)
+@add_options(FILES, (AS_IS,), VARIANT, SERVOS, LOOK)
 @shared.json_option
 @shared.report_option
 def hold(
-    name: str | None,
+    words: tuple[str, ...],
     positions: tuple[str, ...],
     tool: str | None,
     json_path: Path | None,
@@ -62,8 +54,8 @@ def hold(
 
     \b
     Examples:
-      pupper-analysis hold --urdf panda.urdf --mjcf panda.xml
-      pupper-analysis hold --urdf ur5.urdf --mjcf ur5.xml --joints '*lift*=-90deg' --tool tool0
+      pupper-analysis hold panda.urdf
+      pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' --tool tool0
       pupper-analysis hold v3 --joints '*_3=0.5' --kp 20 --kd 0.5 --json held.json
 
     \b
@@ -74,10 +66,10 @@ def hold(
     joints = dict(_position(text) for text in positions)
     shared.check_outputs(json_path, report_path)
     asked = RobotAndTask.of_held(**robot_options)
-    robot = asked.robot(name)
+    robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
-        result = hold_posture(robot, joints, keyframe=asked.keyframe, tool=tool, kp=kp, kd=kd)
+        result = hold_posture(robot, joints, keyframe=asked.which.keyframe, tool=tool, kp=kp, kd=kd)
     asked.show(result, robot)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)

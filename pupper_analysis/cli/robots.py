@@ -205,18 +205,21 @@ class FilesGiven:
             return load_robot(*self.models, **self.said, **more)
 
 
-def robot_from(meant: str | VariantSpec | FilesGiven, **more: Any) -> Robot:
+def robot_from(
+    meant: str | VariantSpec | FilesGiven, *, fixed_base: bool = False, **more: bool
+) -> Robot:
     """Loads a robot that is meant.
 
     Args:
         meant: A variant, or files.
-        **more: What ``load_robot`` is given of files.
+        fixed_base: Fix its base.
+        **more: What else ``load_robot`` is given of files, and matters to no variant.
     """
     if isinstance(meant, FilesGiven):
-        return meant.load(**more)
+        return meant.load(fixed_base=fixed_base, **more)
     from pupper_analysis.pupper.load import load_variant
 
-    return load_variant(meant)
+    return load_variant(meant, fixed_base=fixed_base)
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:

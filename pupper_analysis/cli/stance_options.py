@@ -80,6 +80,21 @@ class RobotAndTask:
     integrator: str | None
     style: str
     everything: bool
+    fixed_base: bool = False
+
+    @classmethod
+    def of_held(cls, **given: Any) -> RobotAndTask:
+        """Returns what the options of a robot alone say of one whose base is fixed."""
+        which = RobotOptions.taken_from(given)
+        return cls(
+            which=which,
+            payload=0.0,
+            payload_at=None,
+            stance={},
+            self_check=False,  # which is of feet
+            fixed_base=True,
+            **given,
+        )
 
     def robot(self, words: tuple[str, ...]) -> Robot:
         """Returns the robot that is meant; v3 by default."""
@@ -91,7 +106,8 @@ class RobotAndTask:
 
     def _loaded(self, meant: str | VariantSpec | FilesGiven) -> Robot:
         """Returns a robot as it was asked for; of one of files it is told what was assumed."""
-        robot = robot_from(meant, as_is=self.as_is, self_check=self.self_check)
+        checks = {"as_is": self.as_is, "self_check": self.self_check}
+        robot = robot_from(meant, fixed_base=self.fixed_base, **checks)
         if isinstance(meant, FilesGiven) and self.style == "text":  # Markdown has them in its page
             print_notes(robot, everything=self.everything)
         return self._as_asked(robot)
@@ -142,7 +158,8 @@ def _print_first_difference(robot: Robot) -> None:
 
 def robot_and_task(command: Command) -> Command:
     """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
-    names = [one.name for one in fields(RobotAndTask) if one.name not in ("stance", "which")]
+    own = ("stance", "which", "fixed_base")
+    names = [one.name for one in fields(RobotAndTask) if one.name not in own]
 
     @wraps(command)
     def gathered(**values: Any) -> None:
