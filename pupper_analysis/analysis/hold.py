@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -12,18 +13,26 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.posture.force import ToolForce, tool_force
+from pupper_analysis.posture.payload import ToolPayload, tool_payload
 from pupper_analysis.posture.posture import Posture, find_posture, joint_units
+from pupper_analysis.posture.reach import ReachLoad, reach_load
 from pupper_analysis.posture.sag import SaggedPosture, sag_posture
-from pupper_analysis.posture.tool import Tool, find_tool
 from pupper_analysis.posture.verify import PostureVerification, verify_posture
+from pupper_analysis.posture.worst import WorstPostures, worst_postures
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.tool import Tool, find_tool
 from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge_stance
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
 
 Array = NDArray[np.float64]
+
+TRIED = 0.95
+"""Part of the payload that is simulated: at the limit rounding decides whether it holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +54,12 @@ class Hold(Tabular):
         sagged: Where servos let it come to rest without; None where that is not predicted.
         unsettled: Why ``sagged`` is None; None where it is not.
         verdict: Whether it holds, and what that rests on.
+        worst: The worst posture of each motor.
+        payload: What the motors hold at the tool.
+        payload_trial: The simulation, with feed-forward, of ``TRIED`` of it in the posture; None
+            where nothing is carried, or nothing limits it.
+        force: How hard the tool can be pushed.
+        reach: What the motors hold over the tool's reach.
     """
 
     name: str
@@ -60,6 +75,11 @@ class Hold(Tabular):
     sagged: SaggedPosture | None
     unsettled: Diagnostic | None
     verdict: Verdict
+    worst: WorstPostures
+    payload: ToolPayload
+    payload_trial: PostureVerification | None
+    force: ToolForce
+    reach: ReachLoad
 
     @property
     def passed(self) -> bool:
@@ -113,6 +133,12 @@ def hold_posture(
         unsettled = error.diagnostic
     fed = verify_posture(robot, posture, point, kp=kp, kd=kd)
     alone = verify_posture(robot, posture, point, sagged=sagged, feedforward=False, kp=kp, kd=kd)
+    worst = worst_postures(robot, posture, point)
+    payload = tool_payload(robot, posture, point, worst)
+    trial = None
+    if 0 < payload.mass < math.inf:
+        loaded = with_payload(robot, TRIED * payload.mass, frame=point.name)
+        trial = verify_posture(loaded, posture, find_tool(loaded, point.name), kp=kp, kd=kd)
     return Hold(
         name=robot.name,
         posture=posture,
@@ -133,4 +159,9 @@ def hold_posture(
             overloaded=beyond_limits(statics),
             converted=robot.description.converted,
         ),
+        worst=worst,
+        payload=payload,
+        payload_trial=trial,
+        force=tool_force(robot, posture, point),
+        reach=reach_load(robot, posture, point),
     )

@@ -13,12 +13,12 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.posture.posture import Posture, check_held
 from pupper_analysis.posture.sag import SaggedPosture
-from pupper_analysis.posture.tool import Tool
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.stability import LASTING, Stability
+from pupper_analysis.robot.tool import Tool
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.balance import load_by_mujoco
 from pupper_analysis.simulation.causes import find_instability

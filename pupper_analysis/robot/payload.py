@@ -1,4 +1,4 @@
-"""A robot with a payload welded to its base, in both of its models."""
+"""A robot with a payload welded to it, in both of its models."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import find_tool
 
 Array = NDArray[np.float64]
 
@@ -25,23 +26,32 @@ _NAME = "payload"
 
 
 @check_arguments
-def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
-    """Welds a point mass to a robot's base, in the URDF's model and in the MJCF's.
+def with_payload(
+    robot: Robot,
+    mass: float,
+    point: Sequence[float] = (0.0, 0.0, 0.0),
+    *,
+    frame: str | None = None,
+) -> Robot:
+    """Welds a point mass to a robot, in the URDF's model and in the MJCF's.
 
     All else stays: joints, limits, gains, feet, and the height of the nominal stand. MuJoCo derives
     the softness of a contact from the mass behind it (``body_invweight0``): that is the loaded
     robot's, so that every prediction and simulation of the robot returned is of the loaded one.
 
     Args:
-        robot: A robot with a floating base.
+        robot: The robot.
         mass: Of the payload (kg), finite and >= 0.
-        point: (3,) where it is, in the base's frame (m).
+        point: (3,) where it is, in the frame's axes (m).
+        frame: What carries it: a link of the URDF, or a site, body or geom of the MJCF, with the
+            link's axes; the base by default.
 
     Returns:
         The loaded robot; the robot itself for no mass.
 
     Raises:
-        ConfigurationError: If the mass or the point is none, or the base is fixed.
+        ConfigurationError: If the mass or the point is none, or it is for a base that is fixed.
+        UnknownNameError: If there is no such frame.
         ModelError: If the MJCF's base is not where the URDF's is.
     """
     place = point_on_base(point)
@@ -54,20 +64,26 @@ def with_payload(robot: Robot, mass: float, point: Sequence[float] = (0.0, 0.0, 
     mass = weighed
     if mass == 0.0:
         return robot
-    robot.check_floating()
+    link, body, there = robot.base, robot.mj_base, place
+    if frame is None:
+        robot.check_floating()
+    else:
+        tool = find_tool(robot, frame).moved(place)
+        link, place = tool.link, tool.offset
+        body, there = tool.in_mjcf(robot)
     (urdf, mjcf), name = robot.description.trees(), _NAME
-    sides: tuple[tuple[ModelTree, str], ...] = ((urdf, robot.base), (mjcf, robot.mj_base))
-    while any(name in tree.names for tree, _ in sides):
+    sides: tuple[tuple[ModelTree, str, Array], ...] = ((urdf, link, place), (mjcf, body, there))
+    while any(name in tree.names for tree, _, _ in sides):
         name += "_"
     weight = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
-    for tree, base in sides:
-        tree.add_link(name, base, f"{name}_weld", place, weight)
+    for tree, carrier, at in sides:
+        tree.add_link(name, carrier, f"{name}_weld", at, weight)
     built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec)
     # What was changed in Pinocchio's model since it was read, such as a limit, stays.
     model = robot.pin_model.copy()
-    frame = model.frames[model.getFrameId(robot.base, pin.FrameType.BODY)]
-    welded = frame.placement.act(pin.Inertia(mass, place, np.zeros((3, 3))))
-    model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + welded
+    on = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    welded = on.placement.act(pin.Inertia(mass, place, np.zeros((3, 3))))
+    model.inertias[on.parentJoint] = model.inertias[on.parentJoint] + welded
     # The unloaded robot's stands are its own.
     return replace(built, pin_model=model, fingerprint=robot.fingerprint)
 

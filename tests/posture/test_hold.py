@@ -10,9 +10,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.posture.posture import find_posture
 from pupper_analysis.posture.sag import sag_posture
-from pupper_analysis.posture.tool import find_tool
 from pupper_analysis.posture.verify import verify_posture
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.balance import load_by_mujoco
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.support import arm as by_hand

@@ -8,14 +8,27 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.hold import Hold
+from pupper_analysis.analysis.hold import TRIED, Hold
+from pupper_analysis.posture.worst import Everywhere, WorstPostures
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import origins_text, torque_plot, torque_table
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.loads import (
+    origins_text,
+    torque_plot,
+    torque_table,
+    utilisation_cell,
+)
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import text
+from pupper_analysis.report.words import join_words, text
 from pupper_analysis.robot.robot import Robot
+
+_EVERYWHERE = {
+    Everywhere.HOLDS: "holds-everywhere",
+    Everywhere.FAILS: "does-not-hold-everywhere",
+    Everywhere.OPEN: "not-decided",
+}
 
 
 @build_document.register(Hold)
@@ -30,6 +43,11 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             _torques(hold, limits),
             torque_plot(hold.statics, run.joint_torques.tolist(), limits),
             _tool(hold),
+            _worst(hold.worst),
+            _reach(hold),
+            _payload(hold),
+            _force(hold),
+            _sections(hold),
         ),
         passed=hold.passed,
         verdict=verdict_word(hold.verdict),
@@ -86,6 +104,120 @@ def _tool(hold: Hold) -> doc.Table:
     return doc.Table(text("tool-of-link", tool=doc.Name(hold.tool.name)), columns, rows)
 
 
+def _worst(worst: WorstPostures) -> doc.Table:
+    """Returns the worst posture of each motor, and whether it holds in every one."""
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.Name(name),
+            doc.number_cell(worst.joint_torques[index], "+.4g"),
+            doc.number_cell(worst.bounds[index], ".4g"),
+            doc.number_cell(worst.limits[index], "g"),
+            utilisation_cell(float(worst.utilisation[index]), float(worst.limits[index])),
+            text(_EVERYWHERE[worst.everywhere[index]]),
+            doc.vector_cell(worst.postures[index], ".3g"),
+        )
+        for index, name in enumerate(worst.joint_names)
+    ]
+    columns = (
+        doc.Column(text("joint"), left=True),
+        doc.Column(text("worst-torque"), "N m"),
+        doc.Column(text("no-posture-exceeds"), "N m"),
+        doc.Column(text("limit"), "N m"),
+        doc.Column(text("utilisation"), "%"),
+        doc.Column(text("in-every-posture"), left=True),
+        doc.Column(text("worst-posture"), "rad", left=True, detail=True),
+    )
+    notes = (text("worst-found-and-bounded"),)
+    if worst.unproven is not None:
+        notes = (text("worst-not-bounded", why=doc.tell(worst.unproven)),)
+    return doc.Table(text("worst-postures"), columns, tuple(rows), notes=notes)
+
+
+def _payload(hold: Hold) -> doc.Table:
+    """Returns what the motors hold at the tool."""
+    payload = hold.payload
+    known = (
+        ("payload-here", payload.mass, payload.joint),
+        ("payload-everywhere", payload.everywhere, ""),
+        ("payload-somewhere", payload.somewhere, payload.weakest),
+    )
+    rows = tuple(
+        (text(name), doc.number_cell(mass, ".4g"), doc.Name(joint or "-"))
+        for name, mass, joint in known
+    )
+    columns = (
+        doc.Column(text("quantity"), left=True),
+        doc.Column(text("mass"), "kg"),
+        doc.Column(text("motor-at-its-limit"), left=True),
+    )
+    notes: tuple[doc.Words, ...] = ()
+    trial = hold.payload_trial
+    if trial is not None:
+        share = f"{TRIED:.0%}"
+        if trial.passed:
+            notes = (text("payload-trial-holds", share=share),)
+        else:
+            why = join_words(map(doc.tell, trial.failures), "semicolon")
+            notes = (text("payload-trial-fails", share=share, why=why),)
+    return doc.Table(text("payload-at-the-tool"), columns, rows, notes=notes)
+
+
+def _force(hold: Hold) -> doc.Table:
+    """Returns how hard the tool can be pushed, each way."""
+    force = hold.force
+    rows: list[tuple[doc.Cell, ...]] = [
+        (
+            doc.vector_cell(way, "+.2f"),
+            doc.number_cell(most, ".4g"),
+            doc.Name(joint or "-"),
+        )
+        for way, most, joint in (
+            *zip(force.directions, force.forces.tolist(), force.joints, strict=True),
+            (force.weakest_direction, force.weakest, force.weakest_joint),
+        )
+    ]
+    columns = (
+        doc.Column(text("direction-x-y-z"), left=True),
+        doc.Column(text("force"), "N"),
+        doc.Column(text("motor-at-its-limit"), left=True),
+    )
+    notes = (text("last-row-is-the-weakest"),)
+    return doc.Table(text("force-on-the-tool"), columns, tuple(rows), notes=notes)
+
+
+def _sections(hold: Hold) -> plots.LinePlot:
+    """Draws sections of the polytope of forces."""
+    force = hold.force
+    sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
+    series = []
+    for name, radii in (*sections, ("section-y-z", force.frontal)):
+        around = np.append(np.arange(len(radii)), 0)
+        lengths = np.where(np.isfinite(radii), radii, np.nan)[around]
+        turned = force.angles[around]
+        across, up = lengths * np.cos(turned), lengths * np.sin(turned)
+        series.append(plots.Series(text(name), across, up))
+    axis = plots.Axis(text("force-along-first-axis"), "N", ".0f")
+    other = plots.Axis(text("force-along-second-axis"), "N", ".0f")
+    return plots.LinePlot(text("forces-withstood"), axis, other, series)
+
+
+def _reach(hold: Hold) -> plots.LinePlot:
+    """Draws a section of the tool's reach, by what the motors hold there."""
+    reach, series = hold.reach, []
+    for name, low, high in (
+        ("utilisation-to-half", -1.0, 0.5),
+        ("utilisation-to-limit", 0.5, 1.0),
+        ("utilisation-beyond", 1.0, np.inf),
+    ):
+        here = (reach.utilisation > low) & (reach.utilisation <= high)
+        if here.any():
+            places = reach.distances[here], reach.heights[here]
+            series.append(plots.Series(text(name), *places, points=True, fails=low == 1.0))
+    axis = plots.Axis(text("distance-from-the-first-joint"), "m", ".2f")
+    other = plots.Axis(text("height-of-the-tool"), "m", ".2f")
+    return plots.LinePlot(text("utilisation-over-the-reach"), axis, other, series)
+
+
 def _millimetres(place: NDArray[np.float64] | None, form: str) -> Iterable[doc.Cell]:
     """Returns the cells of a vector (3,) and its length; dashes where there is none."""
     if place is None:
@@ -122,6 +254,20 @@ def _told(hold: Hold) -> Iterable[doc.Words]:
         )
     elif hold.unsettled is not None:
         yield text("no-sag-predicted", why=doc.tell(hold.unsettled))
+    weak = [
+        name
+        for name, everywhere in zip(hold.worst.joint_names, hold.worst.everywhere, strict=True)
+        if everywhere is Everywhere.FAILS
+    ]
+    if weak:
+        yield text("motors-weak-somewhere", joints=", ".join(weak)).marked("warn")
+    yield text(
+        "carries-and-withstands",
+        tool=doc.Name(hold.tool.name),
+        here=f"{hold.payload.mass:.3g}",
+        everywhere=f"{hold.payload.everywhere:.3g}",
+        force=f"{hold.force.weakest:.3g}",
+    )
 
 
 def _agreement(hold: Hold) -> doc.Words:

@@ -1,8 +1,8 @@
-"""The tool of a robot whose base is held: where it carries, and is pushed."""
+"""A point of a robot where it carries, or is pushed: its tool."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -39,11 +39,25 @@ class Tool(Result):
     offset: Array
     chain: tuple[str, ...]
 
+    def moved(self, way: Array) -> Tool:
+        """Returns the point that is so far (3,) from it, in its link's axes (m)."""
+        return replace(self, offset=self.offset + way)
+
     def position(self, config: Configuration) -> Array:
         """Returns where the point is (3,), in the world (m)."""
         turned = config.frame_rotation(self.link) @ self.offset
         place: Array = config.frame_position(self.link) + turned
         return place
+
+    def in_mjcf(self, robot: Robot) -> tuple[str, Array]:
+        """Returns the body of the MJCF that carries the point, and its place (3,) in it (m)."""
+        model, data = robot.mj_model, _at_zero(robot)
+        body = model.body(robot.mj_base).id
+        if self.chain:
+            body = int(model.jnt_bodyid[model.joint(self.chain[-1]).id])
+        world = self.position(Configuration(robot, robot.neutral()))
+        place: Array = data.xmat[body].reshape(3, 3).T @ (world - data.xpos[body])
+        return str(model.body(body).name), place
 
     def jacobian(self, config: Configuration) -> Array:
         """Returns the Jacobian (3, nv) of the point, in world axes."""
@@ -66,10 +80,7 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     link = _end(robot) if name is None else name
     if link in robot.structure.links:
         return Tool(link, link, np.zeros(3), _chain(robot, link))
-    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
-    qpos = robot.neutral()
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.mj_model, _at_zero(robot)
     for kind, places, bodies in (
         (mujoco.mjtObj.mjOBJ_SITE, data.site_xpos, model.site_bodyid),
         (mujoco.mjtObj.mjOBJ_BODY, data.xpos, range(model.nbody)),
@@ -77,14 +88,40 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     ):
         found = mujoco.mj_name2id(model, kind, link)
         if found >= 0:
-            carrier = _carrier(robot, int(bodies[found]))
-            config = Configuration(robot, qpos)
-            way = np.array(places[found]) - config.frame_position(carrier)
-            offset = config.frame_rotation(carrier).T @ way
+            carrier, offset = _carried(robot, int(bodies[found]), np.array(places[found]))
             return Tool(link, carrier, offset, _chain(robot, carrier))
     sites = [model.site(index).name for index in range(model.nsite)]
     known = dict.fromkeys([*robot.structure.links, *filter(None, sites)])
     raise UnknownNameError(robot.name, "frame", link, tuple(known))
+
+
+def carrying_link(robot: Robot, body: int, place: Array) -> tuple[str, Array]:
+    """Returns the link of the URDF that moves with a body of the MJCF, and a point's place in it.
+
+    Args:
+        robot: The robot.
+        body: The body's number.
+        place: (3,) the point, in the body's frame (m).
+
+    Returns:
+        The link's name, and the place (3,) in the link's frame (m).
+    """
+    data = _at_zero(robot)
+    world = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+    return _carried(robot, body, world)
+
+
+def _at_zero(robot: Robot) -> mujoco.MjData:
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(robot.mj_model, data)
+    return data
+
+
+def _carried(robot: Robot, body: int, world: Array) -> tuple[str, Array]:
+    """Returns the link that moves with a body, and where a point (3,) of the world is in it."""
+    link, config = _carrier(robot, body), Configuration(robot, robot.neutral())
+    return link, config.frame_rotation(link).T @ (world - config.frame_position(link))
 
 
 def _carrier(robot: Robot, body: int) -> str:
@@ -109,7 +146,8 @@ def _chain(robot: Robot, link: str) -> tuple[str, ...]:
     """Returns the joints that move a link, from the base outwards."""
     model = robot.structure.model
     joint = model.frames[robot.structure.links[link]].parentJoint
-    return tuple(model.names[one] for one in list(model.supports[joint])[1:])
+    names = (model.names[one] for one in model.supports[joint])
+    return tuple(name for name in names if name in robot.structure.joints)
 
 
 def _end(robot: Robot) -> str:

@@ -1,0 +1,136 @@
+"""The forces at the tool that the motors of a posture withstand: a polytope."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.posture.posture import Posture, check_held
+from pupper_analysis.results import Tabular
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Tool
+
+Array = NDArray[np.float64]
+
+_AROUND = 72
+"""Directions in a section: every 5 degrees."""
+
+_IDLE = 1e-9
+"""m: a force on a shorter lever turns no joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToolForce(Tabular):
+    """How hard a tool can be pushed, each way, before a motor gives in.
+
+    With l what the motors hold in the posture, and J the tool's Jacobian, a force f from outside
+    leaves l - J^T f to the motors: the forces that they withstand, |l - J^T f| <= limits, are a
+    polytope. Along a unit vector d its edge is where the first motor is at its limit.
+
+    Attributes:
+        directions: (6, 3) of the force: along +x, -x, +y, -y, +z, -z of the world.
+        forces: (6,) the greatest (N); infinite where no motor with a limit feels it.
+        joints: (6,) whose motor then is at its limit; "" if none is.
+        weakest: The least force of all directions that is not withstood (N).
+        weakest_direction: (3,) a unit vector; zero if every force is withstood.
+        weakest_joint: Whose motor gives in.
+        angles: (n,) about the sections' normals, from their first axis to their second (rad).
+        horizontal: (n,) the greatest forces in the section of x and y (N).
+        sagittal: (n,) in that of x and z.
+        frontal: (n,) in that of y and z.
+    """
+
+    directions: Array
+    forces: Array
+    joints: tuple[str, ...]
+    weakest: float
+    weakest_direction: Array
+    weakest_joint: str
+    angles: Array
+    horizontal: Array
+    sagittal: Array
+    frontal: Array
+
+    def _columns(self) -> dict[str, object]:  # type: ignore[override]  # one is a list of tuples
+        return {
+            "direction": [tuple(one) for one in self.directions.tolist()],
+            "force": self.forces,
+            "joint": self.joints,
+        }
+
+
+@check_arguments
+def tool_force(robot: Robot, posture: Posture, tool: Tool) -> ToolForce:
+    """Finds how hard a tool can be pushed in a posture, each way, before a motor gives in.
+
+    Args:
+        robot: A robot whose base is held.
+        posture: The posture.
+        tool: Where it is pushed.
+
+    Raises:
+        ConfigurationError: If the base is free.
+    """
+    check_held(robot)
+    directions = np.concatenate([np.stack([axis, -axis]) for axis in np.eye(3)])
+    forces, numbers = withstood(robot, posture, tool, directions)
+    angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
+    round_about = np.column_stack([np.cos(angles), np.sin(angles)])
+    sections = [
+        withstood(robot, posture, tool, round_about @ np.eye(3)[list(axes)])[0]
+        for axes in ((0, 1), (0, 2), (1, 2))
+    ]
+    weakest, way, joint = _weakest(*_constraints(robot, posture, tool))
+    return ToolForce(
+        directions=directions,
+        forces=forces,
+        joints=tuple(robot.joint_names[number] if number >= 0 else "" for number in numbers),
+        weakest=weakest,
+        weakest_direction=way,
+        weakest_joint=robot.joint_names[joint] if joint >= 0 else "",
+        angles=angles,
+        horizontal=sections[0],
+        sagittal=sections[1],
+        frontal=sections[2],
+    )
+
+
+def withstood(
+    robot: Robot, posture: Posture, tool: Tool, directions: Array
+) -> tuple[Array, NDArray[np.int64]]:
+    """Returns the greatest forces (n,) on a tool along directions (n, 3), unit vectors.
+
+    Returns:
+        The forces (N), and whose motor is at its limit then (its number; -1: none).
+    """
+    rows, room = _constraints(robot, posture, tool)
+    along = directions @ rows.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edges = np.where(along > _IDLE, room / along, np.inf)
+    nearest = edges.argmin(axis=1)
+    forces = edges[np.arange(len(edges)), nearest]
+    return forces, np.where(np.isfinite(forces), nearest % robot.nu, -1)
+
+
+def _constraints(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Array]:
+    """Returns rows (2 nu, 3) and room (2 nu,) of the polytope: rows f <= room."""
+    config, limits = Configuration(robot, posture.qpos), robot.effort_limits
+    load = config.by_motors(config.load())
+    rows = config.by_motors(tool.jacobian(config).T)
+    room = np.concatenate([limits + load, limits - load])
+    return np.concatenate([rows, -rows]), np.maximum(room, 0.0)
+
+
+def _weakest(rows: Array, room: Array) -> tuple[float, Array, int]:
+    """Returns the distance of the nearest face of a polytope, the way to it, and which it is."""
+    lengths = np.linalg.norm(rows, axis=1)
+    distances = np.where(lengths > _IDLE, room / np.maximum(lengths, _IDLE), np.inf)
+    nearest = int(distances.argmin())
+    if not np.isfinite(distances[nearest]):
+        return float("inf"), np.zeros(3), -1
+    way = rows[nearest] / lengths[nearest]
+    return float(distances[nearest]), way, nearest % (len(rows) // 2)

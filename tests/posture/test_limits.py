@@ -1,0 +1,152 @@
+"""Worst postures, payloads and forces at the tool, against samples, vertices and the simulator."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import optimize, spatial
+
+import pupper_analysis as pa
+from pupper_analysis.posture.force import tool_force, withstood
+from pupper_analysis.posture.gravity_tree import GravityTree, tree_torques
+from pupper_analysis.posture.payload import posture_payload, tool_payload
+from pupper_analysis.posture.posture import find_posture, joint_ranges
+from pupper_analysis.posture.support import Grid, Support
+from pupper_analysis.posture.verify import verify_posture
+from pupper_analysis.posture.worst import Everywhere, worst_postures
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.tool import find_tool
+from tests.support import arm as by_hand
+from tests.support.arm import MASSES, ORDER, RANGES, G, arm
+
+POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
+
+
+def test_bounds_of_a_support_function_hold_between_the_directions_of_the_grid() -> None:
+    """Of an ellipsoid's, and of it turned about the axis; and they are close."""
+    random = np.random.default_rng(1)
+    axis = np.array([0.48, -0.6, 0.64])
+    half = np.eye(3) + 0.2 * random.normal(size=(3, 3))
+    grid = Grid.about(axis)
+    size = np.array([np.linalg.norm(half, 2)])
+    support = Support(grid, np.linalg.norm(grid.directions @ half, axis=-1)[None], size)
+    directions = random.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    exact = np.linalg.norm(directions @ half, axis=1)
+    off = support.at(directions)[0] - exact
+    assert off.min() >= 0.0
+    assert off.max() < 2e-4 * size[0]
+    for low, high in ((-0.4, 0.9), (0.2, 0.2), (-1.003, -1.0), (-4.0, 4.0)):
+        found = support.turned(low, high).at(directions)[0]
+        turned = []
+        for angle in np.linspace(low, min(high, low + 2 * math.pi), 200):
+            skew = np.cross(np.eye(3), axis)
+            back = np.eye(3) + math.sin(angle) * skew + (1 - math.cos(angle)) * skew @ skew
+            turned.append(np.linalg.norm(directions @ back @ half, axis=1))
+        assert (found - np.max(turned, axis=0)).min() > -1e-9
+        assert (found - np.max(turned, axis=0)).max() < 2e-3 * size[0]
+
+
+def test_the_worst_postures_are_those_of_the_closed_form() -> None:
+    """At the ends of ranges, where the links point ahead, and where the slide is up or down."""
+    robot = arm()
+    worst = worst_postures(robot, find_posture(robot), find_tool(robot))
+    found = dict(zip(ORDER, np.abs(worst.joint_torques), strict=True))
+    out, slide = RANGES["b_slide"][1], MASSES["hand"]
+    straight = by_hand.torques(0.0, 0.0, 0.0, out)
+    assert found["elbow"] == pytest.approx(-straight["elbow"], rel=1e-9)  # it may point ahead
+    # The elbow's range keeps the fore arm 0.2 rad below the upper arm.
+    angles = np.linspace(-0.3, 0.1, 400_001)
+    both = [-by_hand.torques(0.0, angle, 0.2, out)["shoulder"] for angle in angles[::100]]
+    assert found["shoulder"] == pytest.approx(max(both), rel=1e-7)
+    assert found["b_slide"] == pytest.approx(G * slide, rel=1e-9)
+    assert found["a_turn"] == 0.0
+    assert (worst.bounds >= np.abs(worst.joint_torques)).all()
+    assert worst.bounds == pytest.approx(np.abs(worst.joint_torques), rel=1e-3, abs=1e-9)
+    assert set(worst.everywhere) == {Everywhere.HOLDS}
+    for row, torque in zip(range(4), worst.joint_torques, strict=True):
+        there = Configuration(robot, worst.postures[row]).load()
+        assert there[row] == pytest.approx(torque, abs=1e-12)
+
+
+def test_no_sample_exceeds_the_bounds_and_the_tree_is_the_robots() -> None:
+    """Of legs of a held Pupper, too."""
+    random = np.random.default_rng(2)
+    for robot in (arm(), pa.load_variant("v3", fixed_base=True)):
+        ranges = joint_ranges(robot)
+        tree = GravityTree.of(robot, ranges)
+        samples = random.uniform(*ranges.T, size=(300, robot.nu))
+        torques = np.array([Configuration(robot, qpos).load() for qpos in samples])
+        for qpos, load in zip(samples[:5], torques, strict=False):
+            assert tree_torques(tree, qpos) == pytest.approx(load, abs=1e-12)
+        most = tree.greatest()
+        assert (torques <= most[:, 0] + 1e-12).all()
+        assert (-torques <= most[:, 1] + 1e-12).all()
+
+
+def test_a_payload_is_at_its_limit_in_both_engines() -> None:
+    """And what is held in every posture is between what is proven and what is found to fail."""
+    robot = arm()
+    posture, tool = find_posture(robot, POSTURE), find_tool(robot)
+    worst = worst_postures(robot, posture, tool)
+    payload = tool_payload(robot, posture, tool, worst)
+    for share, holds in ((0.98, True), (1.02, False)):
+        loaded = with_payload(robot, share * payload.mass, frame="tip")
+        torques = Configuration(loaded, posture.qpos).load()
+        assert (np.abs(torques) <= robot.effort_limits).all() == holds
+        assert verify_posture(loaded, posture, tool, duration=4.0).passed == holds
+    assert payload.everywhere <= payload.somewhere <= payload.everywhere * 1.005
+    # The slide stands upright, and carries itself and the payload.
+    assert payload.weakest == "b_slide"
+    mass = by_hand.EFFORTS["b_slide"] / G - MASSES["hand"]
+    assert payload.somewhere == pytest.approx(mass, rel=1e-6)
+    assert posture_payload(robot, payload.posture, tool)[0] == pytest.approx(mass, rel=1e-6)
+    weak = replace(robot)
+    vars(weak)["effort_limits"] = np.full(4, 1e-3)
+    held = worst_postures(weak, posture, tool)
+    assert set(held.everywhere) == {Everywhere.FAILS, Everywhere.HOLDS}
+    assert tool_payload(weak, posture, tool, held).everywhere == 0.0
+    assert tool_payload(weak, posture, tool, held).mass == 0.0
+
+
+def test_forces_at_the_tool_are_the_polytopes() -> None:
+    """Its edge along directions by a linear programme, its nearest face by its vertices' hull."""
+    robot = arm()
+    posture, tool = find_posture(robot, POSTURE), find_tool(robot)
+    config = Configuration(robot, posture.qpos)
+    load, limits = config.load(), robot.effort_limits
+    # By finite differences of the tip's closed form: no Jacobian of either engine.
+    angles, step = np.array(list(POSTURE.values())), 1e-6
+    ends = [
+        (by_hand.tip(*(angles + way)) - by_hand.tip(*(angles - way))) / (2 * step)
+        for way in step * np.eye(4)
+    ]
+    columns = dict(zip(POSTURE, ends, strict=True))
+    rows = np.array([columns[name] for name in ORDER])
+    faces = np.concatenate([rows, -rows])
+    room = np.concatenate([limits + load, limits - load])
+    random = np.random.default_rng(3)
+    directions = random.normal(size=(40, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found, _ = withstood(robot, posture, tool, directions)
+    for way, most in zip(directions, found, strict=True):
+        programme = optimize.linprog([-1.0], A_ub=faces @ way[:, None], b_ub=room)
+        assert most == pytest.approx(programme.x[0], rel=1e-6)
+    corners = []
+    for three in itertools.combinations(range(8), 3):
+        if abs(np.linalg.det(faces[list(three)])) > 1e-9:
+            corner = np.linalg.solve(faces[list(three)], room[list(three)])
+            if (faces @ corner <= room + 1e-9).all():
+                corners.append(corner)
+    force = tool_force(robot, posture, tool)
+    # The polytope is its corners' hull: its nearest face is the weakest force.
+    nearest = -spatial.ConvexHull(corners).equations[:, 3].max()
+    assert force.weakest == pytest.approx(nearest, rel=1e-6)
+    pushed = load - rows @ (force.weakest * force.weakest_direction)
+    assert (np.abs(pushed) / limits).max() == pytest.approx(1.0, rel=1e-6)
+    assert force.weakest_joint == ORDER[int((np.abs(pushed) / limits).argmax())]
