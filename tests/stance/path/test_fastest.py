@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,10 @@ from pupper_analysis.pupper.demo import DEMOS, demo_stances
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.stance.path import fastest
 from pupper_analysis.stance.path.fastest import RESERVE, RISE, fastest_path, ground_lag
-from pupper_analysis.stance.path.path_limits import PathLimit
+from pupper_analysis.stance.path.geometry import path_geometry
+from pupper_analysis.stance.path.path_limits import PathLimit, PathLimits
 from pupper_analysis.stance.path.stance_path import stance_path
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.dynamics import joint_resistance
@@ -243,3 +246,38 @@ def test_the_ground_lags_under_a_foots_share_of_the_weight() -> None:
         law = GroundLaw.of(robot, foot)
         lags.append(law.damping / (law.stiffness * law.impedance(law.depth(share))))
     assert ground_lag(robot) == pytest.approx(max(lags))
+
+
+def test_feet_keep_their_loads_in_a_squat_with_reserve_and_lose_them_without() -> None:
+    """It keeps 0.95 of its least loads as feet sink and rise; without reserve it lets go."""
+    robot, count = load("v3"), 6
+    geometry, limits = path_geometry(robot, down("v3"), count), PathLimits(robot, RESERVE)
+    for reserve, keeps in ((RESERVE, True), (0.0, False)):
+        given = PathLimits(robot, reserve), geometry, 1.0, lambda _: geometry
+        path = fastest._find_at(1e-3, *given)[0].path
+        assert fastest._keeps_loads(limits, geometry, path) is keeps
+
+
+@pytest.mark.parametrize(
+    ("kept_from", "slowest", "expected"),
+    [
+        pytest.param(0.0, 2.0, 1.0, id="feet keep their loads at once"),
+        pytest.param(2.0, 2.0, 4.0, id="they do with a longer rise"),
+        pytest.param(99.0, 2.5, 16.0, id="they never do, and longer takes no more"),
+    ],
+)
+def test_the_acceleration_rises_longer_until_feet_keep_their_loads(
+    monkeypatch: pytest.MonkeyPatch, kept_from: float, slowest: float, expected: float
+) -> None:
+    """Rises are in usual ones: a path takes as long as half its rise more, up to some."""
+    robot = load("v3")
+    usual = RISE * ground_lag(robot)
+
+    def find(rise: float, *_: object) -> tuple[SimpleNamespace, bool]:
+        seconds = min(slowest, 1 + rise / usual / 2)
+        return SimpleNamespace(rise=rise, seconds=seconds), rise >= kept_from * usual
+
+    monkeypatch.setattr(fastest, "_find_at", find)
+    monkeypatch.setattr(fastest, "path_geometry", lambda *_, **__: None)
+    found = fastest_path(robot, down("v3"))
+    assert found.rise == pytest.approx(expected * usual)
