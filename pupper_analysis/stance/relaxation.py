@@ -81,6 +81,8 @@ def explain_refusal(
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
     blocked = () if missed else nearest.blocked
+    if not missed and not blocked:  # the feet are in place with loops or couplings open
+        blocked = (diagnose("loops-stay-open", most=nearest.foot_error),)
     if not at_limit and _is_dead_point(robot, nearest):
         blocked = (diagnose("motors-at-dead-point"),)
         missed = {foot: gap for foot, gap in missed.items() if gap >= _LEAST_MISS}

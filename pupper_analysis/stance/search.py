@@ -289,7 +289,7 @@ def find_nearest(context: Context, goal: Goal, qpos: Array) -> Stand:
     Parts may be in each other's way, or in the ground. PlaCo's Gauss-Newton steps, made for errors
     that vanish, stop short of that.
     """
-    feet = Programme(context.shapes, goal, without=(*CLEARANCES, "footholds", "loops"))
+    feet = Programme(context.shapes, goal, without=(*CLEARANCES, "footholds"))
     return evaluate_stand(context.shapes, goal, feet.nearest(qpos), 0)
 
 

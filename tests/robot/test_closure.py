@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,6 +15,10 @@ import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground, simulate
+from pupper_analysis.stance.context import Context
+from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.relaxation import explain_refusal
+from pupper_analysis.stance.search import find_nearest
 from tests.support.bound import LEGS, belts, four_bars
 from tests.support.commands import run_command
 from tests.support.legged import Pair, quadruped
@@ -189,6 +194,26 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     with pytest.raises(pa.StanceUnreachableError) as refused:
         pa.solve_stand(robot, pa.StandTask(height=0.42), explain=False)
     assert refused.value.blocked == ()
+
+
+@pytest.mark.slow
+def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> None:
+    """Without them all feet are in place, and a refusal had nothing to name."""
+    robot = load(four_bars(tmp_path))
+    task = pa.StandTask(
+        height=0.273, yaw=-0.44, swing={"FL_calf": 0.203}, joint_margin=0.1, com="inside"
+    )
+    context, goal = Context(robot), make_goal(robot, task, {})
+    nearest = find_nearest(context, goal, robot.home)
+    assert robot.closure is not None
+    assert robot.closure.open(nearest.qpos) < 1e-6
+    refusal = explain_refusal(context, goal, nearest, explain=False)
+    assert max(refusal.shortfall.values()) == pytest.approx(nearest.foot_error, abs=1e-6)
+    # A stand whose feet are in place may have loops that are not.
+    stand = pa.solve_stand(robot)
+    there = replace(stand, foot_error=0.03)
+    told = explain_refusal(context, make_goal(robot, None, {}), there, explain=False)
+    assert [one.code for one in told.blocked] == ["loops-stay-open"]
 
 
 @pytest.mark.slow
