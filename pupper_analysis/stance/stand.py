@@ -14,10 +14,11 @@ from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest, search_stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
     GravityCompensation,
-    gravity_compensation,
+    balance_load,
 )
 
 __all__ = ["Stand", "solve_stand", "stand_statics"]
@@ -100,14 +101,17 @@ def stand_statics(
     stand.check(robot)
 
     def find() -> GravityCompensation:
-        # Of contacts on level, rigid ground all is known that depends on the robot alone.
-        level = all(normal.tolist() == _UP for normal in stand.normals.values())
-        return gravity_compensation(
-            Configuration(robot, stand.qpos),
-            stand.stance_feet,
-            normals=None if level else stand.normals,
-            depths=stand.depths if any(stand.depths.values()) else None,
-            distribution=distribution,
-        )
+        config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
+        com = config.center_of_mass()
+        return balance_load(config, config.load(), com, carrying, distribution=distribution)
 
     return stand.statics(robot, distribution, find)
+
+
+def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
+    """Returns the contacts that carry in a stand, on its ground, as deep as they are in it."""
+    # Of contacts on level, rigid ground all is known that depends on the robot alone.
+    level = all(normal.tolist() == _UP for normal in stand.normals.values())
+    normals, depths = None if level else stand.normals, stand.depths
+    sunk = depths if any(depths.values()) else None
+    return make_contacts(robot, stand.stance_feet, None, normals, sunk)

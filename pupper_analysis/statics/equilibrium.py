@@ -199,9 +199,7 @@ def balance_load(
     elif wanted is ForceDistribution.MIN_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
-        forces = problem.minimum_tangential(limits, np.ones(len(carrying.feet)), bounds)
-        if forces is not None and robot.contacts and limits is not None:
-            forces = _creeping(robot, problem, forces, carrying, bounds)
+        forces = _lasting(robot, problem, carrying, limits, bounds)
     if forces is None and bounds is not None:
         _explain_bounds(robot, problem, carrying, bounds)
     if forces is None:
@@ -209,6 +207,34 @@ def balance_load(
         raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
     check_loops(config, given - contacts @ forces)
     return _result(config, load - transposed @ forces, load, point, carrying, forces.reshape(-1, 3))
+
+
+def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple[Array, Array]:
+    """Balances several generalised forces, as ``balance_load`` does, and tells no more than how.
+
+    Args:
+        config: Where the robot, a tree, is.
+        loads: (k, nv) what motors and contacts must add up to (N, N m).
+        carrying: The contacts that carry.
+
+    Returns:
+        The contact forces that last (k, n, 3) (N), in the world, and torques (k, nu) (N m).
+
+    Raises:
+        StaticsInfeasibleError: If no forces do; it says why.
+    """
+    transposed = config.by_motors(carrying.jacobian(config))
+    forces, torques = [], []
+    for load in map(config.by_motors, loads):
+        problem = carrying.balance(transposed, load)
+        found = _lasting(config.robot, problem, carrying, carrying.friction, None)
+        if found is None:
+            points = dict(zip(carrying.feet, carrying.points(config), strict=True))
+            least, com = float(carrying.friction.min()), config.center_of_mass()
+            raise _explain(com, problem, points, least, Infeasibility.COM_OUTSIDE)
+        forces.append(found.reshape(-1, 3))
+        torques.append(problem.torques - problem.joints @ found)
+    return np.array(forces), np.array(torques)
 
 
 def check_loops(config: Configuration, left: Array) -> None:
@@ -238,6 +264,20 @@ def to_distribution(value: str) -> ForceDistribution:
         known = [kind.value for kind in ForceDistribution]
         problem = diagnose("not-one-of", given=str(value), known=known)
         raise ConfigurationError("distribution", problem) from error
+
+
+def _lasting(
+    robot: Robot,
+    problem: Balance,
+    carrying: Contacts,
+    friction: Array | None,
+    bounds: ForceBounds | None,
+) -> Array | None:
+    """Finds the minimum-tangential forces (3 n,): those that last; see ``_creeping``."""
+    forces = problem.minimum_tangential(friction, np.ones(len(carrying.feet)), bounds)
+    if forces is None or friction is None or not robot.contacts:
+        return forces
+    return _creeping(robot, problem, forces, carrying, bounds)
 
 
 def _creeping(

@@ -13,6 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.statics.equilibrium import balance_load
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import NAMES, load, stand_of
 
@@ -135,9 +136,9 @@ def test_what_the_motors_hold_is_found_once_for_a_stand(monkeypatch: pytest.Monk
 
     def counted(*given: object, **named: object) -> pa.statics.GravityCompensation:
         found.append(named["distribution"])
-        return pa.gravity_compensation(*given, **named)  # type: ignore[arg-type]
+        return balance_load(*given, **named)  # type: ignore[arg-type]
 
-    monkeypatch.setattr("pupper_analysis.stance.stand.gravity_compensation", counted)
+    monkeypatch.setattr("pupper_analysis.stance.stand.balance_load", counted)
     stand = pa.solve_stand(robot, pa.StandTask(height=0.11))
     held = pa.stance.stand_statics(robot, stand)
     assert pa.stance.stand_statics(robot, stand) is held

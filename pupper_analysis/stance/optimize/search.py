@@ -16,11 +16,11 @@ from pupper_analysis.errors import (
     NoEquilibriumError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.robot.payload import point_on_base, with_payload
+from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
-from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution
@@ -103,9 +103,8 @@ class StanceSearch:
         self.space = StanceSpace(robot, task or StandTask())
         self.mass = robot.total_mass
         if objective is Objective.PAYLOAD:
-            # Small: with one that tips the robot there is no line to follow.
-            self.loaded = with_payload(robot, robot.total_mass / 10, self.point.tolist())
-            self.kp = model_with_servos(robot, kp, None if kp is None else 0.0).kp
+            stiffness = model_with_servos(robot, kp, None if kp is None else 0.0).kp
+            self.payload = SmallPayload(robot, self.point, stiffness)
         self.scale = 1.0
         first = self.stance(self.space.start, self.space.nominal)
         self.scale = abs(first.level) or robot.stand_height
@@ -178,7 +177,7 @@ class StanceSearch:
 
     def _payload_level(self, stand: Stand) -> tuple[float, Array]:
         """Returns the same for a payload, of mass -scale * level."""
-        first = FirstOrder.of(self.robot, self.loaded, stand, self.kp)
+        first = self.payload.borne(stand)
         if first is None:
             raise NoEquilibriumError(None, diagnose("servos-too-soft-unloaded"))
         loads, limits = first.loads, self.limits[self.bears]

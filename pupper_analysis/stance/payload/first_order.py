@@ -9,51 +9,63 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.payload.buckling import find_buckling_modes
-from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
+from pupper_analysis.stance.payload.sharing import load_per_mass
+from pupper_analysis.stance.stand import Stand, stand_contacts
+from pupper_analysis.statics.equilibrium import hold_loads
 
 Array = NDArray[np.float64]
+
+SMALL = 0.1
+"""A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Loads:
     """Torques and contact forces that last, as linear functions of a payload's mass m.
 
-    tau = torques + m torque_rates, f_n = normals + m normal_rates: exact on level ground, steps or
+    tau = torques + m torque_rates, f = forces + m force_rates: exact on level ground, steps or
     not, for as long as every f_n > 0. There the forces are vertical, and their least sum of squares
     under three equations of balance, in which m stands on the right, is linear in m.
 
     Attributes:
         torques: (nu,) without payload (N m).
         torque_rates: (nu,) (N m/kg).
-        normals: (n,) of the feet that carry, without payload (N).
+        forces: (n, 3) on the feet that carry, in the world, without payload (N).
+        force_rates: (n, 3) (N/kg).
+        normals: (n,) of the forces (N).
         normal_rates: (n,) (N/kg).
     """
 
     torques: Array
     torque_rates: Array
+    forces: Array
+    force_rates: Array
     normals: Array
     normal_rates: Array
 
     @staticmethod
-    def of(
-        empty: GravityCompensation, laden: GravityCompensation, mass: float, stand: Stand
-    ) -> Loads:
-        """Returns the line through two equilibria, without and with a mass (kg)."""
-        one, two = (
-            np.array(
-                [held.contact_forces[foot] @ stand.normals[foot] for foot in stand.stance_feet]
-            )
-            for held in (empty, laden)
-        )
-        return Loads(
-            torques=empty.joint_torques,
-            torque_rates=(laden.joint_torques - empty.joint_torques) / mass,
-            normals=one,
-            normal_rates=(two - one) / mass,
-        )
+    def of(config: Configuration, stand: Stand, point: Array, mass: float) -> Loads:
+        """Returns the line through two equilibria, without and with a mass.
+
+        Args:
+            config: Where the robot, a tree, is: in the stand.
+            stand: The stand.
+            point: (3,) where the payload is, in the base's frame (m).
+            mass: kg.
+
+        Raises:
+            StaticsInfeasibleError: If no contact forces balance one of them.
+        """
+        own, carrying = config.load(), stand_contacts(config.robot, stand)
+        both = np.array([own, own + mass * load_per_mass(config, point)])
+        (forces, laden), (torques, held) = hold_loads(config, both, carrying)
+        rates = (laden - forces) / mass
+        outwards = [np.einsum("ni,ni->n", one, carrying.normals) for one in (forces, rates)]
+        return Loads(torques, (held - torques) / mass, forces, rates, *outwards)
 
     def motor_limit(self, limits: Array) -> float:
         """Returns the greatest mass (kg) with |tau| <= limits (nu,) (N m); 0 if none has."""
@@ -83,35 +95,6 @@ class FirstOrder:
     strongest: Array
     modes: Array
 
-    @staticmethod
-    def of(robot: Robot, loaded: Robot, stand: Stand, kp: Array) -> FirstOrder | None:
-        """Returns what bears; None if the stand is not stable without payload.
-
-        Args:
-            robot: The robot.
-            loaded: The same with some payload where it shall be.
-            stand: How it stands, without payload.
-            kp: (nu,) servo stiffness at the joints (N m/rad).
-
-        Raises:
-            StaticsInfeasibleError: If no contact forces balance the stand, with or without.
-        """
-        empty, laden = (
-            stand_statics(one, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
-            for one in (robot, loaded)
-        )
-        modes = find_buckling_modes(robot, loaded, stand, kp, empty, laden)
-        if modes is None:
-            return None
-        mass = loaded.total_mass - robot.total_mass
-        strongest = np.full(len(stand.stance_feet), math.inf)
-        near = stand.ground_clearance
-        if near is not None:
-            laws = [GroundLaw.of(loaded, foot) for foot in stand.stance_feet]
-            depths = [max(0.0, near.distance) + stand.depths[foot] for foot in stand.stance_feet]
-            strongest = np.array([law.force(d) for law, d in zip(laws, depths, strict=True)])
-        return FirstOrder(Loads.of(empty, laden, mass, stand), strongest, modes)
-
     def limit(self, limits: Array) -> float:
         """Returns the greatest mass (kg) that all bear, with efforts limits (nu,) (N m)."""
         loads = self.loads
@@ -120,3 +103,47 @@ class FirstOrder:
         sinking = np.where(loads.normal_rates > 0, np.maximum(sinking, 0.0), math.inf)
         buckling = 1 / self.modes[0] if self.modes[0] > 0 else math.inf
         return min(loads.motor_limit(limits), loads.contact_limit(), float(sinking.min()), buckling)
+
+
+class SmallPayload:
+    """A payload of ``SMALL`` that tells what bears larger ones.
+
+    Args:
+        robot: The robot.
+        point: (3,) where it is, in the base's frame (m).
+        kp: (nu,) servo stiffness at the joints (N m/rad).
+
+    Attributes:
+        mass: kg.
+    """
+
+    def __init__(self, robot: Robot, point: Array, kp: Array) -> None:
+        self._robot, self._point, self._kp = robot, point, kp
+        self.mass = SMALL * robot.total_mass
+        loaded = with_payload(robot, self.mass, point.tolist())
+        self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
+        share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(self._laws)
+        self._usual = {foot: law.depth(share) for foot, law in self._laws.items()}
+
+    def borne(self, stand: Stand) -> FirstOrder | None:
+        """Returns what bears larger ones in a stand; None if that is not stable without payload.
+
+        Raises:
+            StaticsInfeasibleError: If no contact forces balance the stand, with or without.
+        """
+        config = Configuration(self._robot, stand.qpos)
+        laws = [self._laws[foot] for foot in stand.stance_feet]
+        loads = Loads.of(config, stand, self._point, self.mass)
+        pressed = np.maximum(loads.normals + self.mass * loads.normal_rates, 0.0)
+        near = [self._usual[foot] for foot in stand.stance_feet]
+        deep = np.array([law.depth(*at) for law, *at in zip(laws, pressed, near, strict=True)])
+        modes = find_buckling_modes(
+            config, stand, self._kp, (loads.forces, loads.force_rates), self._point, laws, deep
+        )
+        if modes is None:
+            return None
+        strongest, lowest = np.full(len(laws), math.inf), stand.ground_clearance
+        if lowest is not None:
+            depths = [max(0.0, lowest.distance) + stand.depths[foot] for foot in stand.stance_feet]
+            strongest = np.array([law.force(d) for law, d in zip(laws, depths, strict=True)])
+        return FirstOrder(loads, strongest, modes)

@@ -217,15 +217,7 @@ def motor_limit(
     if (over > 0).any():
         return Bound(0.0, Failure.MOTOR, _names(robot, over > 0))
     ceiling = min(most, UNLIMITED * robot.total_mass)
-    mass = None
-    laden = _even(robot, stand, point, robot.total_mass)
-    if laden is not None and not stand.task.ground.slope:
-        loads = Loads.of(empty, laden, robot.total_mass, stand)
-        mass = loads.motor_limit(limits)
-        # A foot that carries nothing at one end of the line lets go, or begins to carry, on it.
-        least = np.minimum(loads.normals, loads.normals + robot.total_mass * loads.normal_rates)
-        if least.min() < _NOTHING * weight or loads.contact_limit() < mass:
-            mass = None
+    mass = _by_line(robot, stand, np.asarray(point, dtype=float))
     if mass is None:
         mass = find_first_failing(
             lambda tried: (found := at(tried)) is not None and bool((found > 0).any()),
@@ -241,6 +233,22 @@ def motor_limit(
         above = at(mass * (1 + 2 * RESOLUTION))
         near = np.isfinite(limits) & (over == over.max() if above is None else above > 0)
     return Bound(mass, Failure.MOTOR, _names(robot, near))
+
+
+def _by_line(robot: Robot, stand: Stand, point: Array) -> float | None:
+    """Returns what motors hold by the line through two equilibria; None where there is no line."""
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    if stand.task.ground.slope:
+        return None
+    try:
+        loads = Loads.of(Configuration(robot, stand.qpos), stand, point, robot.total_mass)
+    except StaticsInfeasibleError:
+        return None
+    mass = loads.motor_limit(robot.effort_limits)
+    # A foot that carries nothing at one end of the line lets go, or begins to carry, on it.
+    least = np.minimum(loads.normals, loads.normals + robot.total_mass * loads.normal_rates)
+    lets_go = least.min() < _NOTHING * weight or loads.contact_limit() < mass
+    return None if lets_go else mass
 
 
 def _even(

@@ -20,7 +20,7 @@ from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos, own_servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.payload.nudge import find_saturating_motors
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
@@ -169,10 +169,8 @@ def servo_limit(
         return found.failure is not None
 
     ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
-    start = (
-        _guess(robot, stand, point, model_with_servos(robot, kp, None if kp is None else 0.0).kp)
-        / 4
-    )
+    stiffness = model_with_servos(robot, kp, None if kp is None else 0.0).kp
+    start = _guess(robot, stand, np.asarray(point, dtype=float), stiffness) / 4
     mass = 0.0 if fails(0.0) else find_first_failing(fails, min(start, most), ceiling)
     if mass >= ceiling:
         return Bound(math.inf, Failure.NOTHING, ())
@@ -180,16 +178,15 @@ def servo_limit(
     return Bound(mass, failure, where)
 
 
-def _guess(robot: Robot, stand: Stand, point: ArrayLike, kp: Array) -> float:
+def _guess(robot: Robot, stand: Stand, point: Array, kp: Array) -> float:
     """Returns about what a stand bears (kg), to begin the search at."""
-    mass = robot.total_mass / 10  # small: one that tips would tell nothing
-    loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
+    small = SmallPayload(robot, point, kp)
     try:
-        first = FirstOrder.of(robot, loaded, stand, kp)
+        first = small.borne(stand)
     except StaticsInfeasibleError:
-        return mass
-    guess = mass if first is None else first.limit(robot.effort_limits)
-    return guess if 0 < guess < math.inf else mass
+        return small.mass
+    guess = small.mass if first is None else first.limit(robot.effort_limits)
+    return guess if 0 < guess < math.inf else small.mass
 
 
 def find_first_failing(fails: Callable[[float], bool], start: float, ceiling: float) -> float:

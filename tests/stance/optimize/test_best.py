@@ -15,7 +15,7 @@ from pupper_analysis.stance.optimize import search
 from pupper_analysis.stance.optimize.best import best_stance
 from pupper_analysis.stance.optimize.search import Objective, StanceSearch, Subspace
 from pupper_analysis.stance.optimize.space import BASE, LEAST_SINGULAR_VALUE, StanceSpace
-from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.engines import with_efforts
 from tests.support.variants import load
@@ -144,10 +144,10 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     robot, point = load("v3"), (0.05, 0.0, 0.05)
     found = StanceSearch(robot, Objective.PAYLOAD, point=point)
     found.run()
-    loaded, kp = found.loaded, model_with_servos(robot).kp
+    small = SmallPayload(robot, np.array(point), model_with_servos(robot).kp)
 
     def carried(stand: pa.Stand) -> float:
-        first = FirstOrder.of(robot, loaded, stand, kp)
+        first = small.borne(stand)
         return 0.0 if first is None else first.limit(robot.effort_limits)
 
     best = carried(found.best.stand)

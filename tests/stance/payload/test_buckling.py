@@ -8,30 +8,38 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.stance.payload.buckling import find_buckling_modes
+from pupper_analysis.stance.payload import first_order
+from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.variants import NAMES, load, stand_of
 
-EVEN = pa.statics.ForceDistribution.MIN_TANGENTIAL
 
-
-@pytest.mark.parametrize("name", NAMES)
-def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "task", "point"),
+    [
+        *((name, pa.StandTask(), (0.0, 0.0, 0.0)) for name in NAMES),
+        ("v3", pa.StandTask(roll=0.05, pitch=0.1, yaw=0.2), (0.05, 0.02, 0.1)),
+    ],
+)
+def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(
+    name: str,
+    task: pa.StandTask,
+    point: tuple[float, float, float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Substituted twice, as the depths under the load change the configuration."""
-    robot, stand = load(name), stand_of(name)
+    robot = load(name)
+    stand = pa.solve_stand(robot, task)
     kp, mass, sunk = model_with_servos(robot).kp, 0.3, stand
     for _ in range(4):
-        loaded = with_payload(robot, mass)
-        sunk = solve_loaded_stand(loaded, stand)
-        empty, laden = (
-            pa.stance.stand_statics(one, sunk, distribution=EVEN) for one in (robot, loaded)
-        )
-        modes = find_buckling_modes(robot, loaded, sunk, kp, empty, laden)
-        assert modes is not None
-        mass = float(1 / modes[0])
+        sunk = solve_loaded_stand(with_payload(robot, mass, point), stand)
+        monkeypatch.setattr(first_order, "SMALL", mass / robot.total_mass)  # as stiff as under it
+        first = SmallPayload(robot, np.array(point), kp).borne(sunk)
+        assert first is not None
+        mass = float(1 / first.modes[0])
     signs = []
     for share in (0.98, 1.02):
-        heavy = with_payload(robot, share * mass)
+        heavy = with_payload(robot, share * mass, point)
         pose = pa.steady_state(heavy, solve_loaded_stand(heavy, stand), feedforward=True)
         signs.append(np.sign(pose.stiffness))
     assert signs == [1, -1]
@@ -39,8 +47,4 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(name: str) -> 
 
 def test_servos_too_soft_without_any_payload() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    loaded = with_payload(robot, 0.3)
-    empty, laden = (
-        pa.stance.stand_statics(one, stand, distribution=EVEN) for one in (robot, loaded)
-    )
-    assert find_buckling_modes(robot, loaded, stand, np.full(12, 0.5), empty, laden) is None
+    assert SmallPayload(robot, np.zeros(3), np.full(12, 0.5)).borne(stand) is None

@@ -15,7 +15,7 @@ from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import payload
 from pupper_analysis.simulation.payload import simulate_payload
-from pupper_analysis.stance.payload.first_order import FirstOrder
+from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.payload.limit import contact_limit, motor_limit, payload_limit
 from pupper_analysis.stance.payload.servo_limit import (
     Failure,
@@ -265,8 +265,8 @@ def test_a_surprise_is_carried_less_well() -> None:
 @pytest.mark.parametrize("name", ["original", "v3", "v3-long-leg"])
 def test_first_order_is_near_the_limit(name: str) -> None:
     robot, stand = load(name), stand_of(name)
-    loaded = with_payload(robot, 0.3, ON_TOP)
-    first = FirstOrder.of(robot, loaded, stand, model_with_servos(robot).kp)
+    small = SmallPayload(robot, np.array(ON_TOP), model_with_servos(robot).kp)
+    first = small.borne(stand)
     assert first is not None
     limit = payload_limit(robot, stand, ON_TOP).mass
     assert first.limit(robot.effort_limits) == pytest.approx(limit, rel=0.08)
