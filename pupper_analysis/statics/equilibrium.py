@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError, Infeasibility
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
@@ -20,6 +20,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, ForceBounds
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.foot_load import FootLoad, add_up_foot_load, sliding_share
+from pupper_analysis.statics.infeasibility import explain_bounds, explain_infeasibility
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
@@ -29,10 +30,6 @@ _LIGHTEST = 1e-3
 
 
 _MAX_ITERATIONS = 50
-
-
-_NO_SLIDING = 1e4
-"""A friction coefficient that stands for a foot that cannot slide."""
 
 
 class ForceDistribution(StrEnum):
@@ -201,10 +198,9 @@ def balance_load(
     else:
         forces = _lasting(robot, problem, carrying, limits, bounds)
     if forces is None and bounds is not None:
-        _explain_bounds(robot, problem, carrying, bounds)
+        explain_bounds(robot, problem, carrying, bounds)
     if forces is None:
-        points = dict(zip(carrying.feet, carrying.points(config), strict=True))
-        raise _explain(point, problem, points, float(carrying.friction.min()), tipping)
+        raise explain_infeasibility(config, point, problem, carrying, tipping)
     check_loops(config, given - contacts @ forces)
     return _result(config, load - transposed @ forces, load, point, carrying, forces.reshape(-1, 3))
 
@@ -229,9 +225,8 @@ def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple
         problem = carrying.balance(transposed, load)
         found = _lasting(config.robot, problem, carrying, carrying.friction, None)
         if found is None:
-            points = dict(zip(carrying.feet, carrying.points(config), strict=True))
-            least, com = float(carrying.friction.min()), config.center_of_mass()
-            raise _explain(com, problem, points, least, Infeasibility.COM_OUTSIDE)
+            com, tipping = config.center_of_mass(), Infeasibility.COM_OUTSIDE
+            raise explain_infeasibility(config, com, problem, carrying, tipping)
         forces.append(found.reshape(-1, 3))
         torques.append(problem.torques - problem.joints @ found)
     return np.array(forces), np.array(torques)
@@ -301,87 +296,6 @@ def _creeping(
             return found
         forces = found
     return forces
-
-
-def _explain_bounds(
-    robot: Robot, problem: Balance, carrying: Contacts, bounds: ForceBounds
-) -> None:
-    """Raises if forces exist without these bounds: by the motors', or by a foot's load.
-
-    Raises:
-        StaticsInfeasibleError: Then.
-    """
-    even, feet = np.ones(len(carrying.feet)), carrying.feet
-    free = problem.minimum_tangential(carrying.friction, even)
-    if free is None:
-        return
-    strong = replace(bounds, torques=np.full_like(bounds.torques, math.inf))
-    if problem.minimum_tangential(carrying.friction, even, strong) is not None:
-        torques = np.abs(problem.torques - problem.joints @ free)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            worst = int(np.nanargmax(torques / bounds.torques))
-        name = robot.joint_names[worst]
-        detail = diagnose(
-            "motor-too-weak",
-            subject=("joint", name),
-            torque=Quantity(torques[worst], "N m"),
-            limit=Quantity(bounds.torques[worst], "N m"),
-        )
-        raise StaticsInfeasibleError(Infeasibility.MOTOR, detail, margin=math.nan, feet=())
-    loads = problem.normal_forces(free)
-    wrong = [
-        f
-        for f, *row in zip(feet, loads, bounds.least, bounds.most, strict=True)
-        if not row[1] <= row[0] <= row[2]
-    ]
-    detail = diagnose("feet-would-pull", feet=wrong or feet)
-    raise StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=wrong or feet)
-
-
-def _explain(
-    point: Array,
-    problem: Balance,
-    points: Mapping[str, Array],
-    friction: float,
-    tipping: Infeasibility,
-) -> StaticsInfeasibleError:
-    """Finds out why no forces do, with the least ``friction`` that a foot has."""
-    feet = tuple(points)
-    margin = com_margin(point, points)
-    even = np.ones(len(feet))
-    if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
-        low, high = 0.0, _NO_SLIDING
-        while high - low > 1e-6 * high:
-            middle = (low * high) ** 0.5 if low > 0 else high / 2
-            if problem.minimum_tangential(np.full(len(feet), middle), even) is None:
-                low = middle
-            else:
-                high = middle
-            if high < 1e-6:
-                break
-        return StaticsInfeasibleError(
-            Infeasibility.FRICTION,
-            diagnose("friction-too-low", least=friction, needed=high),
-            margin=margin,
-            friction_needed=high,
-            feet=feet,
-        )
-    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0].reshape(-1, 3)
-    pulls = {
-        foot: float(force @ normal)
-        for foot, force, normal in zip(feet, bilateral, problem.normals, strict=True)
-        if force @ normal < 0
-    }
-    pulling = [
-        diagnose("foot-pulls", subject=("foot", foot), force=Quantity(-force, "N"))
-        for foot, force in pulls.items()
-    ]
-    if -math.inf < margin < 0:
-        outside = Quantity(-margin, "m")
-        detail = diagnose("com-outside-polygon", outside=outside, feet=feet, pulls=pulling)
-        return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
-    detail = diagnose("feet-would-pull", feet=pulling or feet)
-    return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)
 
 
 def _result(
