@@ -1,18 +1,24 @@
-"""The elements of an MJCF and of what it includes, found by the names that matching gives them."""
+"""The elements of an MJCF and of what it includes, found by their names, and written in place."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.orientation import AngleUnits, stated_rotation
+from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.packages import existing_file
+from pupper_analysis.models.places import Place
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
+from pupper_analysis.models.xml_text import Digits
+
+Array = NDArray[np.float64]
 
 
 class MjcfInPlace:
@@ -22,10 +28,12 @@ class MjcfInPlace:
         documents: {file: its document}.
         root: The root element.
         units: What its compiler says of angles.
+        digits: Writes the numbers.
     """
 
-    def __init__(self, file: MjcfFile) -> None:
+    def __init__(self, file: MjcfFile, digits: Digits) -> None:
         self.documents: dict[Path, XmlDocument] = {}
+        self.digits, self._file = digits, file
         self._main = file.path
         self.root = self._read(file.path)
         compiler = file.spec.compiler
@@ -64,6 +72,43 @@ class MjcfInPlace:
             for element in section.children
             if joint in (element.get("joint"), element.get("jointinparent"))
         ]
+
+    def write(
+        self, element: Element, attribute: str, value: str | ArrayLike, floor: float = 0.0
+    ) -> bool:
+        """Writes an attribute of an element itself; tells whether it did not state that already.
+
+        Args:
+            element: The element.
+            attribute: The attribute.
+            value: A word, or one or more numbers.
+            floor: The least scale of what counts as the same number.
+        """
+        if isinstance(value, str):
+            text: str | None = value
+        else:
+            stated = (element.get(attribute) or "").split()
+            text = self.digits.words(stated, np.atleast_1d(value), floor)
+        if text is not None:
+            element.set(attribute, text)
+        return text is not None
+
+    def write_all(self, element: Element, changes: Mapping[str, str]) -> None:
+        """Writes an element's attributes; another form of its orientation replaces ``zaxis``."""
+        for attribute, text in changes.items():
+            element.rename_or_set("zaxis", attribute, text)
+
+    def turn(self, element: Element, now: Array, wanted: Array) -> None:
+        """Writes an element's orientation (3, 3), in the form in which it is stated."""
+        self.write_all(element, orientation_change(element, now, wanted, self.units, self.digits))
+
+    def class_stating(self, element: Element, attribute: str) -> Place | None:
+        """Returns where a default class states what an element itself does not in the file."""
+        name = element.get("name") or element.get("joint")
+        if attribute in element.attributes or name is None:
+            return None
+        drives = element.parent is not None and element.parent.tag == "actuator"
+        return self._file.stated("actuator" if drives else element.tag, name, [attribute])
 
     def frame_of(self, element: Element) -> pin.SE3:
         """Returns the pose of the <frame>s around an element, in the body that they are in."""

@@ -54,7 +54,7 @@ def write_effort(side: MjcfSide, key: Key) -> None:
     ]
     if not 0 < wanted < math.inf:  # a URDF's effort of 0 is none
         for owner, one in (*of_joint, *of_motors):
-            owner.set(_LIMITED[one.attribute], "false")
+            side.elements.write(owner, _LIMITED[one.attribute], "false")
         side.notes[key] = diagnose("limit-switched-off")
         return
     now = effort_limit(model, joint)
@@ -90,15 +90,11 @@ def _write(
     pair, old = np.array([-value, value]), np.array((0.0, 0.0) if stated is None else stated.stated)
     if abs(old.sum()) > SAME:
         pair = old * (value / float(np.abs(old).max()))
-    text = side.digits.words((element.get(attribute) or "").split(), pair)
-    if text is not None:
-        kind = "joint" if attribute == "actuatorfrcrange" else "actuator"
-        side.note_class(key, element, kind, attribute)
-        element.set(attribute, text)
+    side.write(key, element, attribute, pair)
 
 
 def _limit(side: MjcfSide, element: Element, attribute: str, limited: int) -> None:
     """Says that a new range is one, where that does not follow from its being there."""
     automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits
     if limited != mujoco.mjtLimited.mjLIMITED_TRUE.value and not automatic:
-        element.set(attribute, "true")
+        side.elements.write(element, attribute, "true")

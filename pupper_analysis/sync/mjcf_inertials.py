@@ -69,8 +69,7 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
     _, element, changes, how = min(plans, key=lambda plan: plan[0])
     if element.start < 0 and element.parent is not None:
         element.parent.children.insert(0, element)
-    for attribute, text in changes.items():
-        element.rename_or_set("zaxis", attribute, text)
+    side.elements.write_all(element, changes)
     if len(heavy) > 1:
         how = diagnose("one-body-changed", how=how, bodies=len(heavy))
     if how is not None:

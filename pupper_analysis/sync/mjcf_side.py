@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Source, diagnose
@@ -17,7 +17,6 @@ from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
-from pupper_analysis.models.orientation import orientation_change
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME
 from pupper_analysis.sync.frames import Key, Side
@@ -68,23 +67,40 @@ class MjcfSide(Side):
                 self._damping(key)
             elif kind == "friction":
                 value = self.wanted.joints[name].friction
-                self._number(key, "frictionloss", [value], 0.0)
+                self._number(key, "frictionloss", [value])
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             write_inertial(self, name, [key for key in taken if key[1] == name])
 
-    def note_class(self, key: Key, element: Element, kind: str, attribute: str) -> None:
-        """Says so where a default class states what an element now states itself."""
-        if attribute in element.attributes:
-            return
-        name = element.get("name") or element.get("joint")
-        place = None if name is None else self.file.stated(kind, name, [attribute])
+    def write(
+        self,
+        key: Key,
+        element: Element,
+        attribute: str,
+        value: ArrayLike,
+        floor: float = 0.0,
+    ) -> bool:
+        """Writes numbers as an attribute of an element itself, unless it states them.
+
+        Where a default class states it, what is told of the difference says so.
+
+        Args:
+            key: The difference.
+            element: The element.
+            attribute: The attribute.
+            value: The numbers.
+            floor: The least scale of what counts as the same.
+
+        Returns:
+            Whether something was written.
+        """
+        written = self.elements.write(element, attribute, value, floor)
+        place = self.elements.class_stating(element, attribute) if written else None
         if place is not None:
+            source = Source(str(place.file), place.line)
             self.notes[key] = diagnose(
-                "class-stays",
-                attribute=attribute,
-                place=str(place),
-                sources=Source(str(place.file), place.line),
+                "class-stays", attribute=attribute, place=str(place), sources=source
             )
+        return written
 
     def _frame(self, key: Key) -> None:
         name = key[1]
@@ -119,12 +135,7 @@ class MjcfSide(Side):
         """Writes an element's place, unless it is there; says whether something was written."""
         if float(np.abs(now - wanted).max()) <= SAME:
             return False
-        stated = (element.get("pos") or "").split()
-        text = self.digits.words(stated, wanted, 1.0)
-        if text is not None:
-            self.note_class(key, element, element.tag, "pos")
-            element.set("pos", text)
-        return text is not None
+        return self.write(key, element, "pos", wanted, 1.0)
 
     def _place(self, key: Key) -> None:
         """Moves the body of a joint, with all that is on it."""
@@ -148,15 +159,7 @@ class MjcfSide(Side):
         around = self.elements.frame_of(element).inverse()
         now, wanted = around * now, around * wanted
         self.set_position(key, element, np.array(now.translation), np.array(wanted.translation))
-        changes = orientation_change(
-            element,
-            np.array(now.rotation),
-            np.array(wanted.rotation),
-            self.elements.units,
-            self.digits,
-        )
-        for attribute, text in changes.items():
-            element.rename_or_set("zaxis", attribute, text)
+        self.elements.turn(element, np.array(now.rotation), np.array(wanted.rotation))
 
     def joint_in_file(self, name: str) -> Element | None:
         """Returns the element of a joint."""
@@ -177,10 +180,7 @@ class MjcfSide(Side):
         now, wanted = into @ np.array(self.model.jnt_axis[index]), into @ turn @ joint.axis
         if float(np.abs(now - wanted).max()) <= SAME:
             return
-        text = self.digits.words((element.get("axis") or "").split(), wanted, 1.0)
-        if text is not None:
-            self.note_class(key, element, "joint", "axis")
-            element.set("axis", text)
+        self.write(key, element, "axis", wanted, 1.0)
         if joint.slides:
             return
         # The files may put a hinge's origin elsewhere on its axis: it must be on the new one.
@@ -197,7 +197,7 @@ class MjcfSide(Side):
             return
         finite = math.isfinite(joint.lower), math.isfinite(joint.upper)
         if not any(finite):
-            element.set("limited", "false")
+            self.elements.write(element, "limited", "false")
             return
         if not all(finite):
             self.left[key] = diagnose("mjcf-one-limit-unwritten")
@@ -209,11 +209,13 @@ class MjcfSide(Side):
         auto = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and self.elements.autolimits
         if not self.model.jnt_limited[index]:
             if not auto:
-                element.set("limited", "true")
-            now = None
-        else:
+                self.elements.write(element, "limited", "true")
+        elif element.get("range") is None:
+            scale = max(1.0, float(np.abs(values).max()))
             now = np.array(self.model.jnt_range[index]) / factor
-        self._write(key, element, "range", values, now, 1.0)
+            if float(np.abs(now - values).max()) <= SAME * scale:
+                return
+        self.write(key, element, "range", values, 1.0)
 
     def _damping(self, key: Key) -> None:
         name = key[1]
@@ -234,7 +236,7 @@ class MjcfSide(Side):
         element = self.joint_in_file(name)
         stated = ([] if element is None else (element.get("damping") or "").split())[1:]
         higher = [float(word) for word in stated]
-        self._number(key, "damping", [wanted, *higher], 0.0)
+        self._number(key, "damping", [wanted, *higher])
 
     def _base_damping(self, key: Key) -> None:
         bodies = [self.model.body(i).name for i in range(self.model.nbody)]
@@ -247,43 +249,14 @@ class MjcfSide(Side):
         if element is None:
             self.left[key] = COPIED
             return
-        self._write(key, element, "damping", [0.0], None, 0.0)
+        self.write(key, element, "damping", 0.0)
 
-    def _number(self, key: Key, attribute: str, values: list[float], floor: float) -> None:
+    def _number(self, key: Key, attribute: str, values: list[float]) -> None:
         element = self.joint_in_file(key[1])
         if element is None:
             self.left[key] = COPIED
             return
-        self._write(key, element, attribute, values, None, floor)
-
-    def _write(
-        self,
-        key: Key,
-        element: Element,
-        attribute: str,
-        values: list[float],
-        now: Array | None,
-        floor: float,
-    ) -> None:
-        """Writes numbers as an attribute of an element itself, unless it states them.
-
-        Args:
-            key: The difference.
-            element: The element.
-            attribute: The attribute.
-            values: The numbers.
-            now: What they are now, if that is known.
-            floor: The least scale of what counts as the same.
-        """
-        stated = (element.get(attribute) or "").split()
-        if not stated and now is not None:
-            scale = max(floor, float(np.abs(values).max()))
-            if float(np.abs(now - np.array(values)).max()) <= SAME * scale:
-                return
-        text = self.digits.words(stated, np.array(values), floor)
-        if text is not None:
-            self.note_class(key, element, element.tag, attribute)
-            element.set(attribute, text)
+        self.write(key, element, attribute, values)
 
 
 _ANCHOR_TOLERANCE = 1e-9

@@ -141,8 +141,8 @@ def make_plan(
     urdf, mjcf = read_urdf(files.urdf, files.packages), read_mjcf(files.mjcf)
     matched = match_models(urdf, mjcf, names=files.names, feet=files.feet, tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
-    elements = MjcfInPlace(mjcf)
     theirs = list(mjcf.files)
+    elements = MjcfInPlace(mjcf, Digits.of([urdf.path], theirs))
     document = read_document(urdf.path)
     plan = Plan(files, {files.urdf: document}, elements.documents)
     into_urdf = UrdfSide(
@@ -156,7 +156,7 @@ def make_plan(
         elements=elements,
         sides=both,
         wanted=both.mjcf,
-        digits=Digits.of([urdf.path], theirs),
+        digits=elements.digits,
     )
     for side, other in ((into_urdf, "mjcf"), (into_mjcf, "urdf")):
         keys = [key for key, whose in taken.items() if whose == other]
