@@ -15,7 +15,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.payload.first_order import Loads
+from pupper_analysis.stance.payload.first_order import borne_by_motors
 from pupper_analysis.stance.payload.limit import UNLIMITED
 
 Array = NDArray[np.float64]
@@ -99,7 +99,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     over = np.abs(empty) > limits
     if over.any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]
-    mass = Loads(empty, rates, np.zeros(0), np.zeros(0)).motor_limit(limits)
+    mass = borne_by_motors(empty, rates, limits)
     if not math.isfinite(mass):
         return math.inf, ""
     left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)

@@ -206,28 +206,19 @@ class SupportMargin(Constraint):
 
     def residual(self, goal: Goal, at: Kinematics) -> Array:
         """See ``Constraint``."""
-        sides, com = _sides(goal), np.array(at.com[:2])
+        sides, com = polygon_sides(goal.contacts), np.array(at.com[:2])
         inside: Array = sides[:, :2] @ com + sides[:, 2]
         return inside - goal.task.com_margin
 
     def rates(self, goal: Goal, at: Configuration) -> Array:
         """See ``Constraint``."""
-        rates: Array = _sides(goal)[:, :2] @ at.com_jacobian()[:2]
+        rates: Array = polygon_sides(goal.contacts)[:, :2] @ at.com_jacobian()[:2]
         return rates
 
     def missed(self, goal: Goal, at: Kinematics) -> float:
         """See ``Constraint``."""
         x, y, _ = at.com
         return max(0.0, goal.task.com_margin - margin_of_place((x, y), goal.corners))
-
-
-def _sides(goal: Goal) -> Array:
-    """Returns as many sides of the support polygon as feet carry, the last one again if need be.
-
-    A foot that moves may come to be inside the polygon of the others, and a side is lost.
-    """
-    sides = polygon_sides(goal.contacts)
-    return np.vstack([sides, np.repeat(sides[-1:], len(goal.contacts) - len(sides), axis=0)])
 
 
 class JointLimits(Constraint):

@@ -112,15 +112,17 @@ def support_polygon(contacts: Array) -> Array:
 
 
 def polygon_sides(contacts: Array) -> Array:
-    """Returns the support polygon as (n, 3): a x + b y + c is the distance inside each side (m).
+    """Returns the support polygon as (k, 3): a x + b y + c is the distance inside each side (m).
+
+    A contact that moves may come to be inside the polygon of the others, and a side is lost: then
+    the last one is there again, so that there are always as many.
 
     Args:
         contacts: (k, 2) or (k, 3) contact points (m).
     """
     ring = _ring(tuple([_corner(point) for point in contacts]))
-    return np.array(
-        [
-            [-along_y / length, along_x / length, (along_y * x - along_x * y) / length]
-            for x, y, along_x, along_y, length in ring
-        ]
-    )
+    sides = [
+        [-along_y / length, along_x / length, (along_y * x - along_x * y) / length]
+        for x, y, along_x, along_y, length in ring
+    ]
+    return np.array(sides + sides[-1:] * (len(contacts) - len(sides)))

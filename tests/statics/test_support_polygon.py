@@ -15,7 +15,8 @@ def test_sides_and_margins_are_those_of_shapelys_hull() -> None:
         hull = shapely.MultiPoint(contacts[:, :2]).convex_hull
         corners = support_polygon(contacts)
         sides = polygon_sides(contacts)
-        assert len(sides) == len(corners)
+        assert len(sides) == count
+        assert len(np.unique(sides, axis=0)) == len(corners)
         inside = np.array(hull.centroid.coords[0])
         for place in (inside, *random.uniform(-0.4, 0.4, (20, 2)), *(corners + inside) / 2):
             point = shapely.Point(place)

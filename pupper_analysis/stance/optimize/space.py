@@ -101,7 +101,7 @@ class StanceSpace:
         self._grounded = on_ground(robot, ground, {})
         self._data = mujoco.MjData(self._grounded.mj_model)
         self._touching = self._touches(nominal)
-        self._nominal_values = self._singular_values(nominal)
+        self._nominal_values = _singular_values(Configuration(robot, nominal.qpos))
         self.centre = np.mean(list(nominal.contact_points.values()), axis=0)[:2]
         self.free = tuple(foot for foot in robot.feet if foot not in task.feet)
         self.names = (*BASE, *(f"{foot} {axis}" for foot in self.free for axis in "xy"))
@@ -113,11 +113,11 @@ class StanceSpace:
 
     def _bounds(self) -> tuple[Array, Array]:
         """Returns the coordinates' least and greatest values; the task's are between."""
-        start = solve_stand(self.robot, self.nominal.task)
         # Turns go no further than that, so that their ends need not be found.
         most = dict.fromkeys(BASE, math.inf) | dict.fromkeys(_TURNS, MOST_TURN)
         within = {
-            name: find_interval(self.robot, start, name, most[name], plainly=True) for name in BASE
+            name: find_interval(self.robot, self.nominal, name, most[name], plainly=True)
+            for name in BASE
         }
         height = within["height"]
         reserve = HEIGHT_RESERVE * (height.high - height.low)
@@ -222,12 +222,12 @@ class StanceSpace:
         scale = np.where(self._nominal_values > 0, self._nominal_values, 1.0)
         joints, margin = stand.joint_positions(self.robot), task.joint_margin + JOINT_RESERVE
         limits = [joints - self.robot.lower_limits, self.robot.upper_limits - joints]
-        below = np.array(list(stand.contact_points.values()))[:, :2]
-        edges = _distances_inside(config.center_of_mass()[:2], below)
+        sides = polygon_sides(np.array(list(stand.contact_points.values())))
+        edges = sides[:, :2] @ config.center_of_mass()[:2] + sides[:, 2]
         new = self._touches(stand)
         added = sum(depth for pair, depth in new.items() if pair not in self._touching)
         return Room(
-            singular_values=(self._singular_values(stand) - least) / scale,
+            singular_values=(_singular_values(config) - least) / scale,
             joints=np.minimum(np.concatenate(limits) - margin, 1.0),
             edges=edges - task.com_margin,
             touching=-added,
@@ -236,15 +236,9 @@ class StanceSpace:
     def stretched(self, stand: Stand) -> tuple[str, ...]:
         """Returns the feet whose legs have hardly more than the least singular_values."""
         least = LEAST_SINGULAR_VALUE * self._nominal_values
-        near = (self._singular_values(stand) < 1.02 * least) & (least > 0)
+        values = _singular_values(Configuration(self.robot, stand.qpos))
+        near = (values < 1.02 * least) & (least > 0)
         return tuple(self.robot.contact_points[index] for index in np.flatnonzero(near))
-
-    def _singular_values(self, stand: Stand) -> Array:
-        """Returns the least foot speed per joint speed of each leg (n,) (m)."""
-        jacobians = Configuration(self.robot, stand.qpos).foot_jacobians().values()
-        columns = np.array([jacobian[:, 6:] for jacobian in jacobians])
-        values: Array = np.linalg.svd(columns, compute_uv=False)[:, -1]
-        return values
 
     def _touches(self, stand: Stand) -> dict[tuple[int, int], float]:
         """Returns how deep parts are in each other or the ground (m), but for feet in it."""
@@ -262,11 +256,8 @@ class StanceSpace:
         return touches
 
 
-def _distances_inside(place: Array, points: Array) -> Array:
-    """Returns how far a place (2,) is inside the edges of the convex hull of points (n, 2) (m).
-
-    There are always n: the least is repeated where a point is inside the hull of the others.
-    """
-    sides = polygon_sides(points)
-    inside = sides[:, :2] @ place + sides[:, 2]
-    return np.concatenate([inside, np.full(len(points) - len(inside), inside.min())])
+def _singular_values(config: Configuration) -> Array:
+    """Returns the least foot speed per joint speed of each leg (n,) (m)."""
+    columns = np.array([jacobian[:, 6:] for jacobian in config.foot_jacobians().values()])
+    values: Array = np.linalg.svd(columns, compute_uv=False)[:, -1]
+    return values

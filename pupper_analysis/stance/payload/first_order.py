@@ -23,6 +23,13 @@ SMALL = 0.1
 """A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
 
 
+def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
+    """Returns the greatest mass m with |torques + m rates| <= limits; 0 if none has (kg, N m)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = (np.copysign(limits, rates) - torques) / rates
+    return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
+
+
 @dataclass(frozen=True, eq=False)
 class Loads:
     """Torques and contact forces that last, as linear functions of a payload's mass m.
@@ -68,10 +75,8 @@ class Loads:
         return Loads(torques, (held - torques) / mass, forces, rates, *outwards)
 
     def motor_limit(self, limits: Array) -> float:
-        """Returns the greatest mass (kg) with |tau| <= limits (nu,) (N m); 0 if none has."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = (np.copysign(limits, self.torque_rates) - self.torques) / self.torque_rates
-        return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
+        """Returns the greatest mass (kg) that motors with limits (nu,) (N m) hold."""
+        return borne_by_motors(self.torques, self.torque_rates, limits)
 
     def contact_limit(self) -> float:
         """Returns the mass (kg) at which the first foot lets go; infinite if none does."""
