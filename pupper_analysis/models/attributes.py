@@ -175,3 +175,6 @@ IN_A_TREE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribut
 
 PASSIVE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.resists)
 """What resists a joint's motion, whatever its motor does."""
+
+COMPILED: Final = tuple(one for one in JOINT_ATTRIBUTES if one.mujoco or one.of_joints)
+"""What MuJoCo has an array for: an MJCF's joint states it by a word of that attribute."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.models.attributes import IN_A_TREE, PASSIVE
+from pupper_analysis.models.attributes import COMPILED, IN_A_TREE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
@@ -202,7 +202,7 @@ def _stated(
     found = {kind: value for kind, value in found.items() if math.isfinite(value)}
     if written is None:
         return found
-    for one in PASSIVE:
+    for one in COMPILED:
         own, *others = one.mjcf
         value = float(np.atleast_1d(getattr(written, own))[0])
         if any(np.any(getattr(written, other)) for other in others):  # it goes before its own
