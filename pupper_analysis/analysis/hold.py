@@ -55,7 +55,8 @@ class Hold(Tabular):
         unsettled: Why ``sagged`` is None; None where it is not.
         verdict: Whether it holds, and what that rests on.
         worst: The worst posture of each motor.
-        payload: What the motors hold at the tool.
+        carried: Mass at the tool, which all is of (kg).
+        payload: What the motors hold at the tool besides.
         payload_trial: The simulation, with feed-forward, of ``TRIED`` of it in the posture; None
             where nothing is carried, or nothing limits it.
         force: How hard the tool can be pushed.
@@ -76,6 +77,7 @@ class Hold(Tabular):
     unsettled: Diagnostic | None
     verdict: Verdict
     worst: WorstPostures
+    carried: float
     payload: ToolPayload
     payload_trial: PostureVerification | None
     force: ToolForce
@@ -102,6 +104,7 @@ def hold_posture(
     *,
     keyframe: str | None = None,
     tool: str | None = None,
+    payload: float = 0.0,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
 ) -> Hold:
@@ -115,6 +118,7 @@ def hold_posture(
             there is one, else they are in the middle of their ranges.
         tool: A link of the URDF, or a site, body or geom of the MJCF; by default the end of the
             longest chain of joints.
+        payload: Mass at the tool (kg), which all that follows is of.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
@@ -124,6 +128,7 @@ def hold_posture(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)
+    robot = with_payload(robot, payload, frame=point.name)
     config = Configuration(robot, posture.qpos)
     statics = gravity_compensation(config, contacts=[])
     sagged, unsettled = None, None
@@ -134,10 +139,10 @@ def hold_posture(
     fed = verify_posture(robot, posture, point, kp=kp, kd=kd)
     alone = verify_posture(robot, posture, point, sagged=sagged, feedforward=False, kp=kp, kd=kd)
     worst = worst_postures(robot, posture, point)
-    payload = tool_payload(robot, posture, point, worst)
+    more = tool_payload(robot, posture, point, worst)
     trial = None
-    if 0 < payload.mass < math.inf:
-        loaded = with_payload(robot, TRIED * payload.mass, frame=point.name)
+    if 0 < more.mass < math.inf:
+        loaded = with_payload(robot, TRIED * more.mass, frame=point.name)
         trial = verify_posture(loaded, posture, find_tool(loaded, point.name), kp=kp, kd=kd)
     return Hold(
         name=robot.name,
@@ -160,7 +165,8 @@ def hold_posture(
             converted=robot.description.converted,
         ),
         worst=worst,
-        payload=payload,
+        payload=more,
+        carried=float(payload),
         payload_trial=trial,
         force=tool_force(robot, posture, point),
         reach=reach_load(robot, posture, point),

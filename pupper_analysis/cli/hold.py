@@ -31,13 +31,19 @@ from pupper_analysis.errors import ConfigurationError
     help="Where it carries: a link, site, body or geom; e.g. tool0. By default the end of the "
     "longest chain of joints.",
 )
+@click.option(
+    "--payload", type=float, default=0.0, metavar="KG", help="Mass at the tool (kg); e.g. 2."
+)
 @add_options(FILES, (AS_IS,), VARIANT, SERVOS, LOOK)
+@shared.figure_option
 @shared.json_option
 @shared.report_option
 def hold(
     words: tuple[str, ...],
     positions: tuple[str, ...],
     tool: str | None,
+    payload: float,
+    figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
     **robot_options: object,
@@ -57,7 +63,7 @@ def hold(
     \b
     Examples:
       pupper-analysis hold panda.urdf
-      pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' --tool tool0
+      pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' --tool tool0 --payload 3
       pupper-analysis hold v3 --joints '*_3=0.5' --kp 20 --kd 0.5 --json held.json
 
     \b
@@ -66,13 +72,26 @@ def hold(
     from pupper_analysis.analysis.hold import hold_posture
 
     joints = dict(_position(text) for text in positions)
-    shared.check_outputs(json_path, report_path)
+    shared.check_outputs(figure, json_path, report_path)
     asked = RobotAndTask.of_held(**robot_options)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("holding the posture, and simulating it"):
-        result = hold_posture(robot, joints, keyframe=asked.which.keyframe, tool=tool, kp=kp, kd=kd)
+        result = hold_posture(
+            robot,
+            joints,
+            keyframe=asked.which.keyframe,
+            tool=tool,
+            payload=payload,
+            kp=kp,
+            kd=kd,
+        )
     asked.show(result, robot)
+    if figure is not None:
+        from pupper_analysis.report.figures.hold import hold_figure
+
+        hold_figure(result, figure)
+        shared.confirm_written(figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
 

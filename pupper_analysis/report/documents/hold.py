@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.analysis.hold import TRIED, Hold
+from pupper_analysis.posture.force import ToolForce
+from pupper_analysis.posture.reach import ReachLoad
 from pupper_analysis.posture.worst import Everywhere, WorstPostures
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
@@ -23,6 +25,9 @@ from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.words import join_words, text
 from pupper_analysis.robot.robot import Robot
+
+_RINGS = 12
+"""Distances of the tool that are told apart: some 50 random postures each."""
 
 _EVERYWHERE = {
     Everywhere.HOLDS: "holds-everywhere",
@@ -44,10 +49,10 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
             torque_plot(hold.statics, run.joint_torques.tolist(), limits),
             _tool(hold),
             _worst(hold.worst),
-            _reach(hold),
+            reach_plot(hold.reach),
             _payload(hold),
             _force(hold),
-            _sections(hold),
+            force_plot(hold.force),
         ),
         passed=hold.passed,
         verdict=verdict_word(hold.verdict),
@@ -185,9 +190,8 @@ def _force(hold: Hold) -> doc.Table:
     return doc.Table(text("force-on-the-tool"), columns, tuple(rows), notes=notes)
 
 
-def _sections(hold: Hold) -> plots.LinePlot:
-    """Draws sections of the polytope of forces."""
-    force = hold.force
+def force_plot(force: ToolForce) -> plots.LinePlot:
+    """Draws sections of the polytope of forces on a tool."""
     sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
     series = []
     for name, radii in (*sections, ("section-y-z", force.frontal)):
@@ -201,21 +205,20 @@ def _sections(hold: Hold) -> plots.LinePlot:
     return plots.LinePlot(text("forces-withstood"), axis, other, series)
 
 
-def _reach(hold: Hold) -> plots.LinePlot:
-    """Draws a section of the tool's reach, by what the motors hold there."""
-    reach, series = hold.reach, []
-    for name, low, high in (
-        ("utilisation-to-half", -1.0, 0.5),
-        ("utilisation-to-limit", 0.5, 1.0),
-        ("utilisation-beyond", 1.0, np.inf),
-    ):
-        here = (reach.utilisation > low) & (reach.utilisation <= high)
-        if here.any():
-            places = reach.distances[here], reach.heights[here]
-            series.append(plots.Series(text(name), *places, points=True, fails=low == 1.0))
+def reach_plot(reach: ReachLoad) -> plots.LinePlot:
+    """Draws what the motors hold over the reach of a tool, by its distance."""
+    edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _RINGS + 1)
+    ring = np.clip(np.digitize(reach.distances, edges) - 1, 0, _RINGS - 1)
+    full = np.unique(ring)
+    middle = (edges[full] + edges[full + 1]) / 2
+    per_ring = [100 * reach.utilisation[ring == one] for one in full]
     axis = plots.Axis(text("distance-from-the-first-joint"), "m", ".2f")
-    other = plots.Axis(text("height-of-the-tool"), "m", ".2f")
-    return plots.LinePlot(text("utilisation-over-the-reach"), axis, other, series)
+    share = plots.Axis(text("utilisation"), "%", ".1f")
+    lines = (
+        plots.Series(text("greatest-found"), middle, np.array([one.max() for one in per_ring])),
+        plots.Series(text("mean-of-postures"), middle, np.array([one.mean() for one in per_ring])),
+    )
+    return plots.LinePlot(text("utilisation-over-the-reach"), axis, share, lines)
 
 
 def _millimetres(place: NDArray[np.float64] | None, form: str) -> Iterable[doc.Cell]:
@@ -229,8 +232,12 @@ def _millimetres(place: NDArray[np.float64] | None, form: str) -> Iterable[doc.C
 def _posture(hold: Hold) -> doc.Words:
     given = ", ".join(hold.posture.given)
     if hold.posture.keyframe:
-        return text("posture-of-keyframe", keyframe=hold.posture.keyframe, given=given)
-    return text("posture-of-middle", given=given)
+        where = text("posture-of-keyframe", keyframe=hold.posture.keyframe, given=given)
+    else:
+        where = text("posture-of-middle", given=given)
+    if not hold.carried:
+        return where
+    return text("posture-with-payload", where=where, mass=f"{hold.carried:g}")
 
 
 def _told(hold: Hold) -> Iterable[doc.Words]:

@@ -1,0 +1,71 @@
+"""``pupper-analysis hold``: what it prints and writes, its exit status, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+import pupper_analysis as pa
+from tests.support.arm import MJCF, RANGES, URDF, arm
+from tests.support.commands import check_refusal, run_command
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[str, str]:
+    urdf, mjcf = tmp_path / "arm.urdf", tmp_path / "arm.xml"
+    urdf.write_text(URDF, encoding="utf-8")
+    mjcf.write_text(MJCF, encoding="utf-8")
+    return str(urdf), str(mjcf)
+
+
+def test_what_is_printed_and_written_is_what_python_finds(
+    files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = ("--joints", "elbow=90deg", "--joints", "b_slide=5cm", "--payload", "0.2")
+    out = tmp_path / "held.json", tmp_path / "held.html", tmp_path / "held.png"
+    written = ("--json", str(out[0]), "--report", str(out[1]), "--figure", str(out[2]))
+    status, told, errors = run_command(capfd, "hold", *files, *given, *written)
+    assert status == 0, errors
+    joints = {"elbow": 1.5707963267948966, "b_slide": 0.05}
+    held = pa.hold_posture(arm(), joints, payload=0.2)
+    assert json.loads(out[0].read_text()) == json.loads(held.to_json())
+    assert held.posture.qpos[0] == pytest.approx(joints["elbow"])
+    assert "HOLDS arm: Posture: the middle of the joints' ranges, but for" in told
+    assert "With 0.2 kg at the tool" in told
+    assert f"{held.payload.mass:.3g} kg at tip" in told
+    rows = {row[0]: row for row in (line.split() for line in told.splitlines()) if row}
+    assert rows["shoulder"][0] == "shoulder"
+    assert f"{held.statics.joint_torques[2]:+.4f}" in told
+    assert f"{held.force.weakest:.4g}" in told
+    assert imread(out[2]).std() > 0.01
+    page = out[1].read_text(encoding="utf-8")
+    assert "Worst posture of each motor" in page
+    assert "每个电机的最不利姿态" in page
+
+
+def test_weak_motors_and_bad_input(
+    files: tuple[str, str],
+    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    status, told, _ = run_command(capfd, "hold", *files, "--payload", "3")
+    assert status == 1
+    assert "FAILS arm" in told
+    assert "OVERLOADED: the motors cannot hold it: elbow" in told
+    high = RANGES["elbow"][1]
+    for wrong, said in (
+        (("--joints", "elbow=3"), f"elbow at 3 rad, outside [0.2, {high}]"),
+        (("--joints", "elbow=3kg"), "3kg"),
+        (("--joints", "knee=3deg"), "there are: elbow"),
+        (("--tool", "thumb"), "thumb"),
+        (("--payload", "-1"), "mass"),
+        (("--kp", "0"), "kp"),
+    ):
+        check_refusal(capfd, here, ("hold", *files, *wrong), said)
