@@ -144,11 +144,13 @@ def main() -> None:
     DEBUG, is_flag=True, expose_value=False, help="Of an unforeseen error, show the traceback."
 )
 def group() -> None:
-    """Know that a legged robot's models are right, what its motors hold and how it can stand.
+    """Know that a robot's models are right, what its motors hold and how it can stand.
 
     \b
-    Exit status: 0 verified, 1 something failed verification or the cross-check, 2 bad input,
-    3 a bug of this program, 130 interrupted.
+    Examples:
+      pupper-analysis stand go2.urdf                 or go2.xml, or both; v3 is our own
+      pupper-analysis crosscheck go2.urdf go2.xml    what makes them disagree
+      pupper-analysis hold panda.urdf                an arm, with its base fixed
     """  # noqa: D301 - click reads the \b
 
 

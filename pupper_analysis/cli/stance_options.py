@@ -21,6 +21,7 @@ from pupper_analysis.cli.robots import (
     robot_from,
 )
 from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of, to_task_value
+from pupper_analysis.cli.stance_file import stance_option
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
@@ -169,7 +170,7 @@ def robot_and_task(command: Command) -> Command:
         asked = RobotAndTask(which=which, stance=stance, **own)
         command(asked, **values)
 
-    groups = (FILES, AS_PUBLISHED, VARIANT, LOAD, options_of(), SERVOS, LOOK)
+    groups = (FILES, AS_PUBLISHED, VARIANT, (stance_option,), LOAD, options_of(), SERVOS, LOOK)
     return add_options(*groups)(gathered)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+from collections.abc import Iterator
 from typing import Any
 from urllib.parse import quote
 
@@ -74,6 +76,17 @@ def write_command(source: LiveSource, state: State) -> str:
     return quote_words([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
 
 
+def write_stance_file(state: State) -> str:
+    """Returns the options of the same stance as TOML, for ``--stance``; without the robot's."""
+    lines, tables = [], []
+    for option, of, value in _typed_options(state):
+        if of:
+            tables.append(f"{option}.{json.dumps(of)} = {json.dumps(value)}")
+        else:
+            lines.append(f"{option} = {json.dumps(value)}")
+    return "".join(f"{line}\n" for line in (*lines, *tables))
+
+
 def live_command(source: LiveSource, state: State, language: str = "en") -> str:
     """Returns the command that opens a page with the same state."""
     words = [PROGRAM, "live", *source.arguments({})]
@@ -83,16 +96,21 @@ def live_command(source: LiveSource, state: State, language: str = "en") -> str:
 
 def _options(state: State) -> list[str]:
     """Returns what the command line's options of stance, payload and servos say."""
-    words = []
+    return [
+        f"--{option}={of}={value}" if of else f"--{option}={value}"
+        for option, of, value in _typed_options(state)
+    ]
+
+
+def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
+    """Yields options of stance, payload and servos, of which foot, and how one types the value."""
     for field, value in state.asked():
         for foot, one in value.items() if field.per_foot else [("", value)]:
-            of = f"{foot}=" if foot else ""
-            words.append(f"--{field.option}={of}{_typed(field, one)}")
+            yield field.option, foot, _typed(field, one)
     for name in ("payload", "payload_at", "kp", "kd"):
         value = getattr(state, name)
         if value is not None and (state.payload or not name.startswith("payload")):
-            words.append(f"--{SHOWN[name].option}={_typed(SHOWN[name], value)}")
-    return words
+            yield SHOWN[name].option, "", _typed(SHOWN[name], value)
 
 
 def _typed(field: Field, value: Any) -> str:

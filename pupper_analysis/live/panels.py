@@ -146,6 +146,7 @@ class Panels:
         self._python = gui.add_text(say("as-python"), "", multiline=True)
         self._state.on_update(self._state_typed)
         for label, name in (
+            (say("save-the-stance"), "stance.toml"),
             (say("save-the-python"), "stance.py"),
             (say("save-all-as-json"), "stance.json"),
             (say("save-the-torques-as-csv"), "torques.csv"),
@@ -161,10 +162,11 @@ class Panels:
         """Sends a file to the browser, of the stance that is shown."""
         answer, sag = self._acts.export()
         source = self._model.source
-        if answer is None or (answer.statics is None and name != "stance.py"):
+        if answer is None or (answer.statics is None and name not in ("stance.py", "stance.toml")):
             self.notify("nothing-to-save", self.say("there-is-no-stance"))
             return
         content = {
+            "stance.toml": lambda: export.write_stance_file(answer.state),
             "stance.py": lambda: export.write_python(source, answer.state),
             "stance.json": lambda: export.write_answer(source, answer, sag),
             "torques.csv": lambda: export.write_table(answer),

@@ -274,7 +274,7 @@ def test_a_page_goes_on_in_another_language(page: Open) -> None:
     wait_for(lambda: "受力平衡" in page.numbers, "it does not stand")
     wait_for(page.settled, "no sag")
     page.session.simulate()
-    wait_for(lambda: "站立稳定" in page.result, "it is not verified")
+    wait_for(lambda: "保持稳定" in page.result, "it is not verified")
     for html in (page.numbers, page.result):
         texts = re.sub(r"<style>.*?</style>|<[^>]*>", "|", html, flags=re.DOTALL)
         for text in filter(None, (part.strip() for part in texts.split("|"))):
