@@ -96,50 +96,21 @@ class GravityTree:
 
         Over all positions of all joints within their ranges, each for itself.
         """
-        count = len(self.parents)
-        grids = [Grid.about(axis) for axis in self.axes]
         order = self.outwards()
-        carried, sizes = self.masses.copy(), np.zeros(count)
-        behind: dict[int, list[int]] = {joint: [] for joint in range(-1, count)}
+        behind: dict[int, list[int]] = {joint: [] for joint in (-1, *order)}
         for joint in order:
             behind[self.parents[joint]].append(joint)
-        # What each joint carries, as it turns: from the ends inwards.
-        moved: dict[int, Support] = {}
-        torques: dict[int, list[tuple[int, int]]] = {}
-        bounds: dict[int, Support] = {}
-        for joint in reversed(order):
-            directions = grids[joint].directions
-            values = (directions @ self.moments[joint])[None]
-            sizes[joint] = np.linalg.norm(self.moments[joint])
-            for other in behind[joint]:
-                place = self.placements[other]
-                values = values + carried[other] * (directions @ place.translation)
-                values = values + moved[other].at(directions @ place.rotation)
-                lever = np.linalg.norm(place.translation)
-                carried[joint] += carried[other]
-                sizes[joint] += abs(carried[other]) * lever + float(moved[other].sizes[0])
-            own = Support(grids[joint], values, sizes[[joint]])
-            moved[joint] = self._positioned(joint, own, carried[joint])
-            names = [(joint, 0), (joint, 1)]
-            tables, scales = [self._torque(joint, own, carried[joint])], [sizes[joint]] * 2
-            if self.slides[joint]:
-                scales = [abs(carried[joint])] * 2
-            for other in behind[joint]:
-                names += torques.pop(other)
-                found = bounds.pop(other)
-                tables.append(found.at(directions @ self.placements[other].rotation))
-                scales += found.sizes.tolist()
-            both = Support(grids[joint], np.concatenate(tables), np.array(scales))
-            torques[joint] = names
-            bounds[joint] = both if self.slides[joint] else both.turned(*self.ranges[joint])
+        made: dict[int, _Carried] = {}
+        for joint in reversed(order):  # from the ends inwards
+            made[joint] = self._carried(joint, {other: made.pop(other) for other in behind[joint]})
         strength = float(np.linalg.norm(self.gravity))
-        found_most = np.zeros((count, 2))
+        most = np.zeros((len(order), 2))
         up = -self.gravity / strength if strength else np.array([0.0, 0.0, 1.0])
         for joint in behind[-1]:
-            there = bounds[joint].at(self.placements[joint].rotation.T @ up)
-            for (which, sign), most in zip(torques[joint], there, strict=True):
-                found_most[which, sign] = strength * most
-        return found_most
+            there = made[joint].support.at(self.placements[joint].rotation.T @ up)
+            for (which, sign), bound in zip(made[joint].torques, there[1:], strict=True):
+                most[which, sign] = strength * bound
+        return most
 
     def outwards(self) -> list[int]:
         """Returns the joints, carriers first."""
@@ -151,29 +122,50 @@ class GravityTree:
             left = [joint for joint in left if joint not in ready]
         return done
 
-    def _positioned(self, joint: int, own: Support, mass: float) -> Support:
-        """Returns the moments that a joint's link attains in the frame that carries the joint."""
-        low, high = self.ranges[joint]
+    def _carried(self, joint: int, others: dict[int, _Carried]) -> _Carried:
+        """Returns what a joint carries, from what the joints that it carries do."""
+        grid, mass = Grid.about(self.axes[joint]), float(self.masses[joint])
+        moments, size = grid.directions @ self.moments[joint], np.linalg.norm(self.moments[joint])
+        torques, tables, sizes = list[tuple[int, int]](), list[Array](), list[float]()
+        for other, carried in others.items():
+            place = self.placements[other]
+            found = carried.support.at(grid.directions @ place.rotation)
+            moments = moments + found[0] + carried.mass * (grid.directions @ place.translation)
+            size += carried.support.sizes[0] + abs(carried.mass) * np.linalg.norm(place.translation)
+            mass += carried.mass
+            torques += carried.torques
+            tables += list(found[1:])
+            sizes += carried.support.sizes[1:].tolist()
+        torques = [(joint, 0), (joint, 1), *torques]
         if not self.slides[joint]:
-            return own.turned(low, high)
-        along = mass * (own.grid.directions @ self.axes[joint])
+            own = grid.across(moments)
+            values = np.stack([moments, *own, *tables])
+            support = Support(grid, values, np.array([size, size, size, *sizes]))
+            return _Carried(mass, torques, support.turned(*self.ranges[joint]))
+        along = mass * (grid.directions @ self.axes[joint])
+        low, high = self.ranges[joint]
         with np.errstate(invalid="ignore"):
-            most = np.where(along == 0, 0.0, np.maximum(low * along, high * along))
-        longest = abs(mass) * max(abs(low), abs(high))
-        return Support(own.grid, own.values + most, own.sizes + longest)
+            moments = moments + np.where(along == 0, 0.0, np.maximum(low * along, high * along))
+        size += abs(mass) * max(abs(low), abs(high))
+        values = np.stack([moments, along, -along, *tables])
+        return _Carried(
+            mass, torques, Support(grid, values, np.array([size, abs(mass), abs(mass), *sizes]))
+        )
 
-    def _torque(self, joint: int, own: Support, mass: float) -> Array:
-        """Returns a joint's torque and its negative (2, rows, steps) by where up is, per |g|."""
-        grid = own.grid
-        if self.slides[joint]:
-            along = mass * (grid.directions @ self.axes[joint])
-            return np.stack([along, -along])
-        across = np.cross(grid.directions, self.axes[joint])
-        lengths = np.linalg.norm(across, axis=-1, keepdims=True)
-        ways = np.divide(across, lengths, out=np.zeros_like(across), where=lengths > 1e-12)
-        ways[lengths[..., 0] <= 1e-12] = grid.basis[:, 0]
-        both: Array = np.concatenate([own.at(ways), own.at(-ways)]) * lengths[..., 0]
-        return both
+
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """What a joint carries, by directions in the frame that the joint stands in.
+
+    Attributes:
+        mass: kg.
+        torques: Which joint's torque, and which way, each table but the first bounds.
+        support: Of the first moments about the joint; then of torques, per |g|, by where up is.
+    """
+
+    mass: float
+    torques: list[tuple[int, int]]
+    support: Support
 
 
 def describes_load(

@@ -14,7 +14,6 @@ from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.statics.equilibrium import gravity_compensation
 
 Array = NDArray[np.float64]
 
@@ -57,13 +56,14 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
         ConfigurationError: If the base is free.
     """
     check_held(robot)
-    found = []
+    found, limits = [], robot.effort_limits
+    limited = np.isfinite(limits) & (limits > 0)
     for qpos in Ways.of(robot, posture).random(_POSTURES):
         config = Configuration(robot, qpos)
         place = tool.position(config)
         middle = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)
-        used = gravity_compensation(config, contacts=[]).motor_utilisation
-        most = float(np.max(used[np.isfinite(used)], initial=0.0))
+        held = np.abs(config.by_motors(config.load()))
+        most = float(np.max(held[limited] / limits[limited], initial=0.0))
         found.append((float(np.hypot(*(place - middle)[:2])), float(place[2]), most))
     distances, heights, utilisation = np.array(found).T
     return ReachLoad(distances, heights, utilisation)

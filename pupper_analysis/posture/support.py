@@ -59,6 +59,15 @@ class Grid:
         )
         return Grid(basis, own @ basis.T)
 
+    def across(self, values: Array) -> Array:
+        """Returns a support function (rows, STEPS) at u x axis, and at axis x u (2, rows, STEPS).
+
+        Both are across the axis, a quarter of a turn off u, where the grid has directions.
+        """
+        level = values[STEPS // 4]
+        tilt = np.sin(np.arange(_ROWS) * _STEP)[:, None]
+        return np.stack([tilt * np.roll(level, quarter) for quarter in (STEPS // 4, -STEPS // 4)])
+
 
 @dataclass(frozen=True, eq=False)
 class Support:
@@ -81,20 +90,19 @@ class Support:
         turn = np.mod(np.arctan2(own[..., 1], own[..., 0]) / _STEP, STEPS)
         row = np.minimum(tilt.astype(np.int64), _ROWS - 2)
         column = np.minimum(turn.astype(np.int64), STEPS - 1)
+        part = _chord(turn - column)
         # Along a meridian a direction is a conic combination of its neighbours.
         below = np.sin((tilt - row) * _STEP) / np.sin(_STEP)
         above = np.sin((row + 1 - tilt) * _STEP) / np.sin(_STEP)
-        share = turn - column
-        on, under = self._on(row, column, share), self._on(row + 1, column, share)
-        bound: Array = above * on + below * under
+        bound: Array = above * self._on(row, column, part) + below * self._on(row + 1, column, part)
         return bound
 
-    def _on(self, row: IntArray, column: IntArray, share: Array) -> Array:
-        """Returns upper bounds on parallels, by a share of the step between two columns.
+    def _on(self, row: IntArray, column: IntArray, part: tuple[Array, Array, Array]) -> Array:
+        """Returns upper bounds on parallels, between two columns; see ``_chord``.
 
         There a direction is beyond the chord of its neighbours, by some part of its length.
         """
-        one, other, beyond = _chord(share)
+        one, other, beyond = part
         first = self.values[:, row, column]
         second = self.values[:, row, (column + 1) % STEPS]
         over = np.sin(row * _STEP) * beyond

@@ -21,6 +21,7 @@ def files(tmp_path: Path) -> tuple[str, str]:
     return str(urdf), str(mjcf)
 
 
+@pytest.mark.longest
 def test_what_is_printed_and_written_is_what_python_finds(
     files: tuple[str, str], capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
