@@ -118,8 +118,19 @@ class RobotAndTask:
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_integrator
 
-        place = to_task_value(ROBOT_FIELDS["payload_at"], self.payload_at) or (0.0, 0.0, 0.0)
-        return with_integrator(with_payload(robot, self.payload, place), self.integrator)
+        frame, at = self._payload_frame
+        place = to_task_value(ROBOT_FIELDS["payload_at"], at) or (0.0, 0.0, 0.0)
+        loaded = with_payload(robot, self.payload, place, frame=frame)
+        return with_integrator(loaded, self.integrator)
+
+    @property
+    def _payload_frame(self) -> tuple[str | None, str | None]:
+        """The frame that carries the payload, None for the base, and where in it: X,Y,Z."""
+        text = self.payload_at
+        if text is None or text.count(",") == 2:
+            return None, text
+        frame, _, place = text.partition(",")
+        return frame, place or None
 
     def show(self, result: Result, robot: Robot) -> None:
         """Shows a result of that robot as it was asked for."""

@@ -1,0 +1,41 @@
+"""Points of a robot that carry: of links, sites and bodies, in both models."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.simulation.balance import load_by_mujoco
+from tests.support.variants import load
+
+
+@pytest.mark.parametrize("frame", ["leg_front_l_2", "leg_back_r_3_foot_site"])
+def test_a_payload_on_a_link_weighs_where_it_is_in_both_models(frame: str) -> None:
+    """By virtual work: it adds m |g| times the rate at which its point rises."""
+    robot, mass, place = load("v3"), 0.3, np.array([0.01, -0.02, 0.03])
+    loaded = with_payload(robot, mass, place.tolist(), frame=frame)
+    random = np.random.default_rng(4)
+    qpos = robot.home + random.uniform(-0.3, 0.3, robot.nq)
+    qpos[3:7] /= np.linalg.norm(qpos[3:7])
+    tool, step = find_tool(robot, frame).moved(place), 1e-6
+    heights = []
+    for way in (step, -step):
+        moved = np.tile(qpos, (robot.nu, 1))
+        moved[:, 7:] += way * np.eye(robot.nu)
+        heights.append([tool.position(Configuration(robot, one))[2] for one in moved])
+    rises = (np.array(heights[0]) - heights[1]) / (2 * step)
+    added = Configuration(loaded, qpos).load() - Configuration(robot, qpos).load()
+    weight = mass * float(np.linalg.norm(robot.gravity))
+    assert added[2] == pytest.approx(weight)
+    assert added[6:] == pytest.approx(weight * rises, abs=1e-8)
+    assert np.abs(added[6:]).max() > 1e-3
+    assert load_by_mujoco(loaded, qpos) == pytest.approx(
+        Configuration(loaded, qpos).load(), abs=1e-9
+    )
+    assert loaded.total_mass == pytest.approx(robot.total_mass + mass)
+    with pytest.raises(pa.UnknownNameError, match="leg_front_l_2"):
+        with_payload(robot, mass, frame="hand")
