@@ -9,8 +9,6 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import FILES, VARIANT, add_options, robot_argument
 from pupper_analysis.cli.stance_options import AS_IS, LOOK, SERVOS, RobotAndTask
-from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.errors import ConfigurationError
 
 
 @click.command(
@@ -71,7 +69,7 @@ def hold(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.hold import hold_posture
 
-    joints = dict(_position(text) for text in positions)
+    joints = dict(shared.parse_position("joints", text) for text in positions)
     shared.check_outputs(figure, json_path, report_path)
     asked = RobotAndTask.of_held(**robot_options)
     robot = asked.robot(words)
@@ -94,18 +92,3 @@ def hold(
         shared.confirm_written(figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
-
-
-def _position(text: str) -> tuple[str, float]:
-    """Returns name and position of NAME=POSITION, an angle or a length."""
-    name, value = shared.parse_assignment("joints", text)
-    for kind in ("angle", "length"):
-        try:
-            return name, shared.parse_quantity(kind, value)
-        except ValueError:
-            continue
-    units = tuple(unit for kind in ("angle", "length") for unit in shared.UNITS[kind])
-    told = diagnose(
-        "part-is-no-quantity", part=value, given=text, kind=Term("position"), units=units
-    )
-    raise ConfigurationError("joints", told)

@@ -193,6 +193,23 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
         raise ConfigurationError(option, _no_quantity(kind, text, given)) from error
 
 
+def parse_position(option: str, text: str) -> tuple[str, float]:
+    """Returns name and position of NAME=POSITION, an angle or a length, in SI units.
+
+    Raises:
+        ConfigurationError: For the option, if it is none.
+    """
+    name, value = parse_assignment(option, text)
+    for kind in ("angle", "length"):
+        try:
+            return name, parse_quantity(kind, value)
+        except ValueError:
+            continue
+    what, units = Term("position"), (*UNITS["angle"], *UNITS["length"])
+    told = diagnose("part-is-no-quantity", part=value, given=text, kind=what, units=units)
+    raise ConfigurationError(option, told)
+
+
 def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
     units = tuple(UNITS[kind])
     return diagnose("part-is-no-quantity", part=text, given=given, kind=Term(kind), units=units)

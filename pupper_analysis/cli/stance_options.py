@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import wraps
 from typing import TYPE_CHECKING, Any
@@ -44,7 +44,16 @@ AS_PUBLISHED = (
         help="Also simulate the MJCF as published, unedited. [default: on]",
     ),
 )
-LOAD = tuple(option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at"))
+LOAD: tuple[Callable[[Command], Command], ...] = (
+    *(option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")),
+    click.option(
+        "--posture",
+        multiple=True,
+        metavar="NAME=POSITION",
+        help="Position of a joint that carries no foot, or of all that match a pattern (rad, m); "
+        "e.g. '*elbow*=60deg'. Repeatable.",
+    ),
+)
 SERVOS = (
     click.option(
         "--kp",
@@ -75,6 +84,7 @@ class RobotAndTask:
     self_check: bool
     payload: float
     payload_at: str | None
+    posture: tuple[str, ...]
     stance: Mapping[str, Any]
     kp: tuple[str, ...]
     kd: tuple[str, ...]
@@ -91,6 +101,7 @@ class RobotAndTask:
             which=which,
             payload=0.0,
             payload_at=None,
+            posture=(),
             stance={},
             self_check=False,  # which is of feet
             fixed_base=True,
@@ -114,13 +125,17 @@ class RobotAndTask:
         return self._as_asked(robot)
 
     def _as_asked(self, robot: Robot) -> Robot:
-        """Returns a robot with the payload and the integrator that were asked for."""
+        """Returns a robot with the posture, the payload and the integrator that were asked for."""
         from pupper_analysis.robot.payload import with_payload
+        from pupper_analysis.robot.posture import with_posture
         from pupper_analysis.robot.servos import with_integrator
 
         frame, at = self._payload_frame
         place = to_task_value(ROBOT_FIELDS["payload_at"], at) or (0.0, 0.0, 0.0)
-        loaded = with_payload(robot, self.payload, place, frame=frame)
+        posed = with_posture(
+            robot, dict(shared.parse_position("posture", text) for text in self.posture)
+        )
+        loaded = with_payload(posed, self.payload, place, frame=frame)
         return with_integrator(loaded, self.integrator)
 
     @property

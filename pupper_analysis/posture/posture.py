@@ -5,25 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments, check_finite
-from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.results import Result
+from pupper_analysis.robot.posture import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_ROUNDED = 1e-6
-"""A position that is further beyond a limit is out of range (rad, m): both are typed."""
-
 _SLACK = 1e-3
-"""The same of keyframes, which files round to fewer digits than limits; they are cut to these."""
+"""What keyframes may be beyond limits (rad, m), as they are rounded; they are cut to these."""
 
 
 class PostureSource(StrEnum):
@@ -80,9 +76,7 @@ def joint_ranges(robot: Robot) -> Array:
 
 def joint_units(robot: Robot) -> tuple[str, ...]:
     """Returns the unit of each joint's position: rad, or m of one that slides."""
-    model = robot.mj_model
-    kinds = [model.jnt_type[model.joint(name).id] for name in robot.joint_names]
-    return tuple("m" if kind == JointKind.SLIDE else "rad" for kind in kinds)
+    return tuple(joint_unit(robot, name) for name in robot.joint_names)
 
 
 @check_arguments
@@ -109,13 +103,9 @@ def find_posture(
     check_held(robot)
     ranges = joint_ranges(robot)
     qpos, source, name = _others(robot, ranges, keyframe)
-    given: dict[str, None] = {}
-    for pattern, value in (joints or {}).items():
-        chosen = [i for i, joint in enumerate(robot.joint_names) if fnmatchcase(joint, pattern)]
-        if not chosen:
-            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at("joints")
-        qpos[chosen] = check_finite(f"joints {pattern!r}", value)
-        given |= dict.fromkeys(robot.joint_names[index] for index in chosen)
+    given = named_positions(robot, joints or {})
+    for joint, position in given.items():
+        qpos[robot.joint_names.index(joint)] = position
     if robot.closure is not None:
         placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
         closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
@@ -123,18 +113,8 @@ def find_posture(
             problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
             raise ConfigurationError("joints", problem)
         qpos = closed
-    for index, joint in enumerate(robot.joint_names):
-        low, high = ranges[index]
-        if not low - _ROUNDED <= qpos[index] <= high + _ROUNDED:
-            unit = joint_units(robot)[index]
-            problem = diagnose(
-                "joint-out-of-range",
-                subject=("joint", joint),
-                position=Quantity(qpos[index], unit),
-                low=Quantity(low, unit),
-                high=Quantity(high, unit),
-            )
-            raise ConfigurationError("joints", problem)
+    for joint, position, ends in zip(robot.joint_names, qpos, ranges, strict=True):
+        check_in_range(robot, joint, float(position), tuple(ends.tolist()), "joints")
     return Posture(robot.joint_names, qpos, source, name, tuple(given))
 
 
