@@ -81,7 +81,12 @@ def load(
             keyframe=said.get("keyframe"),
             as_is=as_is,
         )
-        pair = read_pair(*meant.models, take=said.get("take"), packages=said.get("packages"))
+        pair = read_pair(
+            *meant.models,
+            take=said.get("take"),
+            body=said.get("body"),
+            packages=said.get("packages"),
+        )
         told, robot = explain_loading(pair.urdf, pair.mjcf, request)
         told = replace(told, notes=pair.mark(robot).notes)
     document = preparation_document(told, explained=explain)

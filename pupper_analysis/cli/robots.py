@@ -58,6 +58,9 @@ FOUND = (
         type=click.Choice(["urdf", "mjcf"]),
         help="Of a URDF and an MJCF that disagree, go on with this one alone.",
     ),
+    click.option(
+        "--body", metavar="NAME", help="Root body of the robot, in an MJCF of several; e.g. base."
+    ),
     shared.package_option,
 )
 """What is found in a robot's files, unless it is said."""
@@ -90,6 +93,7 @@ class RobotOptions:
     urdf: Path | None
     mjcf: Path | None
     take: str | None
+    body: str | None
     feet: tuple[str, ...]
     pairs: tuple[str, ...]
     keyframe: str | None
@@ -170,6 +174,7 @@ class RobotOptions:
         folders = shared.package_folders(self.packages or ())
         said = {
             "take": self.take,
+            "body": self.body,
             "feet": frames,
             "joints": dict(shared.parse_assignment("map", text) for text in self.pairs or ()),
             "keyframe": self.keyframe,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pupper_analysis.arguments import check_arguments, check_type
+from pupper_analysis.convert.root import with_one_robot
 from pupper_analysis.convert.to_mjcf import bare_mjcf
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.diagnostics import diagnose
@@ -21,6 +22,9 @@ from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.robot import Robot
+
+_OF_TWO_FILES = ("effort-unstated",)
+"""What is told of a URDF beside an MJCF, and is no news of one that was made of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,8 @@ class ModelPair:
         source = self.urdf if self.converted == "mjcf" else self.mjcf
         made = self.converted.upper()
         told = diagnose("one-model-converted", made=made, file=source.path.name)
-        return replace(robot, description=description, notes=(told, *robot.notes))
+        own = [note for note in robot.notes if note.code not in _OF_TWO_FILES]
+        return replace(robot, description=description, notes=(told, *own))
 
 
 def _bare_urdf(file: MjcfFile) -> UrdfFile:
@@ -75,6 +80,7 @@ def read_pair(
     urdf: str | Path | None = None,
     mjcf: str | Path | None = None,
     take: str | None = None,
+    body: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
 ) -> ModelPair:
     """Reads a robot's files, and makes the model that has none.
@@ -84,6 +90,8 @@ def read_pair(
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.
+        body: The robot's root in an MJCF of several; where there is no URDF, it is found if it can
+            be.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
 
     Raises:
@@ -105,9 +113,13 @@ def read_pair(
     if take is not None:
         found = {take: found[take]}
     one, other = found.get("urdf"), found.get("mjcf")
+    if body is not None and not isinstance(other, MjcfFile):
+        raise ConfigurationError("body", diagnose("body-of-an-mjcf"))
+    if isinstance(other, MjcfFile) and (one is None or body is not None):
+        other = with_one_robot(other, body)
     if isinstance(one, UrdfFile) and isinstance(other, MjcfFile):
         return ModelPair(one, other)
-    return ModelPair.of(next(iter(found.values())))
+    return ModelPair.of(other or next(iter(found.values())))
 
 
 @check_arguments
@@ -117,6 +129,7 @@ def load_robot(
     urdf: str | Path | None = None,
     mjcf: str | Path | None = None,
     take: str | None = None,
+    body: str | None = None,
     feet: Feet | None = None,
     fixed_base: bool = False,
     name: str | None = None,
@@ -138,6 +151,7 @@ def load_robot(
         urdf: Path of the URDF.
         mjcf: Path of the MJCF.
         take: ``"urdf"`` or ``"mjcf"``: of two files, go on with this one alone.
+        body: The robot's root in an MJCF of several robots, or any body of it.
         feet: The feet's frames, or {foot: its frame}; a frame is a link of the URDF, or a geom,
             site or body of the MJCF, or a pair of both. By default the feet are the collision geoms
             at the ends of the limbs that are lowest in the start pose; an empty list: no feet.
@@ -162,7 +176,7 @@ def load_robot(
             found.
         UnknownNameError: If a foot, joint or keyframe is not there; the message lists what is.
     """
-    pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, packages=packages)
+    pair = read_pair(*models, urdf=urdf, mjcf=mjcf, take=take, body=body, packages=packages)
     robot = robot_of(
         pair.urdf,
         pair.mjcf,

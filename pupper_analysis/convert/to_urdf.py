@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, placement_of
 from pupper_analysis.convert.conversion import ConversionDraft
+from pupper_analysis.convert.root import find_root
 from pupper_analysis.convert.urdf_shapes import UrdfShapes
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError
@@ -224,7 +225,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     joined = join_free_base(spec, file.path)
     notes = [*file.notes, *([joined] if joined else [])]
     model = compile_spec(spec, file.path) if joined else file.model
-    base = _base(file, model)
+    base = find_root(file, model)
     tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
     shapes = UrdfShapes(file, model, output.resolve().parent)
     links = UrdfLinks(file, model, tree, shapes)
@@ -240,31 +241,6 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
         notes.append(diagnose("free-base-not-in-urdf"))
     header = f"Converted from {file.path.name} by pupper-analysis."
     return ConversionDraft(to_text(tree.root, header), {}, tuple(notes), tuple(left))
-
-
-def _base(file: MjcfFile, model: mujoco.MjModel) -> int:
-    """Returns the body with the free joint, or else the one that carries all joints."""
-    free = np.flatnonzero(model.jnt_type == JointKind.FREE)
-    tops = {int(model.body_rootid[body]) for body in model.jnt_bodyid}
-    bodies = [int(model.jnt_bodyid[joint]) for joint in free]
-    moved = np.delete(model.body_rootid[model.jnt_bodyid], free)
-    robots = [body for body in bodies if body in moved]  # others are balls and boxes to play with
-    if len(free) > 1 and len(robots) != 1:
-        raise ModelError(file.path, diagnose("several-free-bodies"))
-    if len(free):
-        return (robots or bodies)[0]
-    if not tops:
-        raise ModelError(file.path, diagnose("no-joints"))
-    if len(tops) > 1:
-        roots = [int(model.body_rootid[body]) for body in model.jnt_bodyid]
-        some = [
-            diagnose(
-                "robot-of-several", subject=("body", model.body(top).name), joints=roots.count(top)
-            )
-            for top in sorted(tops)
-        ]
-        raise ModelError(file.path, diagnose("several-robots", robots=some))
-    return tops.pop()
 
 
 def _weigh_nothing(link: UrdfLink) -> None:

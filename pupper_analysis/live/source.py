@@ -102,7 +102,7 @@ class LoadedFiles:
             words += ["--map", f"{one}={other}"]
         for package, folder in self.options.get("packages", {}).items():
             words += ["--package", f"{package}={folder}"]
-        for name in ("keyframe", "take"):
+        for name in ("keyframe", "take", "body"):
             if name in self.options:
                 words += [f"--{name}", self.options[name]]
         return words

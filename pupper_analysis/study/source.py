@@ -67,7 +67,7 @@ class ModelFiles:
             ConfigurationError: If an option is not ``load_robot``'s, or the robot cannot stand.
             ModelError: As ``load_robot``.
         """
-        known = ("urdf", "mjcf", "take", "feet", "name", "joints", "keyframe", "packages")
+        known = ("urdf", "mjcf", "take", "body", "feet", "name", "joints", "keyframe", "packages")
         unknown = [name for name in options if name not in known]
         paths = {
             name: str(find_file(options[name]).absolute())

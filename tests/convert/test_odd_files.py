@@ -422,5 +422,5 @@ def test_a_ball_to_play_with_is_no_second_robot(tmp_path: Path) -> None:
     pair.mjcf.write_text(
         again.replace('eye"', 'eye2"', 1).replace("</body><camera", f"{arm}<camera", 1)
     )
-    with pytest.raises(pa.ModelError, match="several free bodies"):
+    with pytest.raises(pa.ModelError, match="several robots"):
         pa.convert_model(pair.mjcf, tmp_path / "none.urdf")
