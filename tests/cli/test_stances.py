@@ -180,7 +180,7 @@ def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     common = sorted(names & set(analyze))
     stand = {option.name: option for option in cli.group.commands["stand"].params}
     base = [one for one in TYPED.values() if one.slider and one.slider.folder == "Base"]
-    assert len(common) == 12 + len(base)
+    assert len(common) == 13 + len(base)
     for name in common:
         assert analyze[name].to_info_dict() == stand[name].to_info_dict()
 
