@@ -13,6 +13,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.results import Result
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.posture import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot
 
@@ -116,6 +117,22 @@ def find_posture(
     for joint, position, ends in zip(robot.joint_names, qpos, ranges, strict=True):
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), "joints")
     return Posture(robot.joint_names, qpos, source, name, tuple(given))
+
+
+def with_give(robot: Robot, qpos: Array) -> Array:
+    """Returns where joints that follow others are at rest (nu,): MuJoCo's couplings are soft.
+
+    Args:
+        robot: A robot whose base is held.
+        qpos: (nu,) where its loops and couplings are closed.
+    """
+    closure = robot.closure
+    if closure is None or not len(closure.following):
+        return qpos
+    give = closure.give(qpos, Configuration(robot, qpos).load())
+    moving = np.isin(np.arange(robot.nu), closure.following).astype(float)
+    opened = closure.closed(qpos, moving, give)
+    return qpos if opened is None else opened
 
 
 def _others(robot: Robot, ranges: Array, keyframe: str | None) -> tuple[Array, PostureSource, str]:

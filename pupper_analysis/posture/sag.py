@@ -10,7 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.posture.posture import Posture, check_held, joint_ranges, joint_units
+from pupper_analysis.posture.posture import (
+    Posture,
+    check_held,
+    joint_ranges,
+    joint_units,
+    with_give,
+)
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -102,6 +108,8 @@ def sag_posture(
     if softest <= 0:
         raise NoEquilibriumError(None, diagnose("held-posture-buckles"))
     torques = gains * (commanded - qpos)
+    qpos = with_give(robot, qpos)
+    config = Configuration(robot, qpos)
     if problem := _beyond(robot, qpos, torques):
         raise NoEquilibriumError(None, problem)
     start = tool.position(Configuration(robot, commanded))

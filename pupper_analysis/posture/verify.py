@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.posture.posture import Posture, check_held
+from pupper_analysis.posture.posture import Posture, check_held, with_give
 from pupper_analysis.posture.sag import SaggedPosture
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
@@ -146,10 +146,11 @@ def verify_posture(
     config = Configuration(robot, posture.qpos)
     torques = config.by_motors(config.load())
     ctrl = drive.command(robot, posture.qpos, torques if feedforward else None)
-    run = _run(drive, _begin(robot, drive, posture.qpos, ctrl), ctrl, duration)
+    resting = with_give(robot, posture.qpos)
+    run = _run(drive, _begin(robot, drive, resting, ctrl), ctrl, duration)
     look = _Look(robot, drive, ctrl)
     found = _measured(robot, config, tool, drive, run, look)
-    found = replace(found, feedforward=feedforward)
+    found = replace(_against(found, resting, torques), feedforward=feedforward)
     if not feedforward:
         nowhere = np.full(robot.nu, np.nan)
         found = _against(
@@ -207,7 +208,7 @@ def _measured(
     residual = config.by_motors(load_by_mujoco(robot, config.qpos)) - torques
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     left = ~(np.abs(run.states[-1, joints] - config.qpos) < AWAY)
-    found = PostureVerification(
+    return PostureVerification(
         passed=True,
         failures=(),
         collapses=run.diverged or bool(left.any()),
@@ -233,7 +234,6 @@ def _measured(
         time=run.states[::step, 0].copy(),
         motion=np.round(run.states[::step][:, joints], 6),
     )
-    return _against(found, config.qpos, torques)
 
 
 def _against(found: PostureVerification, positions: Array, torques: Array) -> PostureVerification:

@@ -17,8 +17,8 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_STEM, _FINGER = 3, 2
-"""A chain of three joints or more that ends in several of two at most is an arm with a gripper: its
+_STEM, _FINGER = 3, 4
+"""A chain of three joints or more that ends in several of four at most is an arm with a hand: its
 tool is what carries the fingers."""
 
 

@@ -114,6 +114,36 @@ def test_motors_that_are_too_weak_do_not_hold(tmp_path: Path) -> None:
         sag_posture(robot, posed, tool)
 
 
+COUPLED = 'joint1="b_slide" joint2="elbow" polycoef="0.02 {ratio} 0 0"'
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize(("ratio", "rate"), [("0.05 0", 0.05), ("0.02 0.015", 0.056)])
+def test_a_joint_that_follows_is_held_by_the_one_that_leads(
+    tmp_path: Path, ratio: str, rate: float
+) -> None:
+    """By virtual work; MuJoCo's coupling is soft, and how far it opens is predicted."""
+    coupling = f"<equality><joint {COUPLED.format(ratio=ratio)}/></equality></mujoco>"
+    servo = f'<position joint="b_slide" kp="{STIFFNESS["b_slide"]}" kv="20"/>'
+    text = by_hand.MJCF.replace("</mujoco>", coupling).replace(servo, "")
+    assert text.count("<position") == 3
+    robot = load_arm(tmp_path, mjcf=text)
+    held = pa.hold_posture(robot, {"shoulder": -0.4, "elbow": 1.2, "a_turn": 0.0})
+    assert held.passed
+    at = dict(zip(robot.joint_names, held.posture.qpos, strict=True))
+    tree = by_hand.torques(0.0, -0.4, 1.2, at["b_slide"])
+    torques = dict(zip(robot.joint_names, held.statics.joint_torques, strict=True))
+    assert torques["elbow"] == pytest.approx(tree["elbow"] + rate * tree["b_slide"], rel=1e-6)
+    assert torques["b_slide"] == 0.0
+    off = held.verification.joint_positions - held.posture.qpos
+    opened = dict(zip(robot.joint_names, off, strict=True))["b_slide"]
+    assert opened > 3e-3
+    assert held.verification.joint_error < 1e-4
+    straight = ratio.endswith(" 0")
+    assert (held.worst.unproven is None) == straight
+    assert np.isfinite(held.worst.bounds).all() == straight
+
+
 def test_robots_with_a_free_base_are_sent_elsewhere_and_those_without_feet_here() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed_base"):
         pa.hold_posture(pa.load_variant("v3"))
