@@ -62,7 +62,7 @@ def hold(
     Examples:
       pupper-analysis hold panda.urdf
       pupper-analysis hold ur5.urdf ur5.xml --joints '*lift*=-90deg' --tool tool0 --payload 3
-      pupper-analysis hold v3 --joints '*_3=0.5' --kp 20 --kd 0.5 --json held.json
+      pupper-analysis hold hand.xml --keyframe open --tool thumb_tip --figure held.png
 
     \b
     Exit status: 0 it holds, 1 it does not, 2 bad input.

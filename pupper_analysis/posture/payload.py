@@ -81,10 +81,11 @@ def tool_payload(robot: Robot, posture: Posture, tool: Tool, worst: WorstPosture
         most, weakest, place = lower, name, at
         if done:
             break
+    proven = _proven(worst, loaded, most)
     return ToolPayload(
         mass=mass,
         joint=joint,
-        everywhere=_proven(worst, loaded, most),
+        everywhere=math.inf if proven >= most and not weakest else proven,
         somewhere=most if weakest else math.inf,
         weakest=weakest,
         posture=place,
@@ -117,7 +118,7 @@ def _proven(empty: WorstPostures, loaded: WorstPostures, most: float) -> float:
     if not np.isfinite(empty.bounds).all():
         return math.nan
     limits = empty.limits
-    if (empty.bounds > limits).any() or loaded is empty:
+    if (empty.bounds > limits).any():
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (limits - empty.bounds) / (loaded.bounds - empty.bounds)

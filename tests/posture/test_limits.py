@@ -106,6 +106,11 @@ def test_a_payload_is_at_its_limit_in_both_engines() -> None:
     mass = by_hand.EFFORTS["b_slide"] / G - MASSES["hand"]
     assert payload.somewhere == pytest.approx(mass, rel=1e-6)
     assert posture_payload(robot, payload.posture, tool)[0] == pytest.approx(mass, rel=1e-6)
+    strong = replace(robot)
+    vars(strong)["effort_limits"] = np.full(4, math.inf)
+    free = tool_payload(strong, posture, tool, worst_postures(strong, posture, tool))
+    assert free.mass == free.everywhere == free.somewhere == math.inf
+    assert tool_force(strong, posture, tool).weakest == math.inf
     weak = replace(robot)
     vars(weak)["effort_limits"] = np.full(4, 1e-3)
     held = worst_postures(weak, posture, tool)

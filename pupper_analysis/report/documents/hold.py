@@ -268,6 +268,9 @@ def _told(hold: Hold) -> Iterable[doc.Words]:
     ]
     if weak:
         yield text("motors-weak-somewhere", joints=", ".join(weak)).marked("warn")
+    if not np.isfinite(hold.limits).any():
+        yield text("no-motor-has-a-limit").marked("warn")
+        return
     yield text(
         "carries-and-withstands",
         tool=doc.Name(hold.tool.name),
