@@ -18,7 +18,7 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.loading import kind_of
-from pupper_analysis.report.verdict import short_verdict
+from pupper_analysis.report.verdict import verdict_word
 
 CONFIGURATIONS = 100
 
@@ -36,7 +36,7 @@ def stood(model: Path) -> str:
         return f"| {model.name} | | {type(error).__name__}: {str(error)[:90]} | | | | |"
     verdict, took = result.verdict, time.process_time() - begin
     errors = f"{verdict.torque_error:.1e} | {verdict.force_error or 0:.1e}"
-    word = short_verdict(verdict)
+    word = verdict_word(verdict).en
     return (
         f"| {model.name} | {robot.total_mass:.3f} | {word} | {loaded:.1f} | {took:.1f} | {errors} |"
     )

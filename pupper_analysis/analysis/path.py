@@ -33,6 +33,7 @@ class PathThere(Result):
         lower_bound: The least time of an acceleration that may jump (s), likewise; see
             ``FastestPath``.
         servos: The servos that follow it.
+        converted: Which of the robot's models was made of the other one, if one was.
     """
 
     name: str
@@ -43,6 +44,7 @@ class PathThere(Result):
     reserve: float | None
     lower_bound: float | None
     servos: ServosUsed
+    converted: str = ""
 
     @property
     def passed(self) -> bool:
@@ -91,6 +93,7 @@ def study_path(
         reserve=reserve,
         lower_bound=lower_bound,
         servos=servos_used(robot, kp, kd),
+        converted=robot.description.converted,
     )
 
 

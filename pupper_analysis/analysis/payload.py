@@ -53,6 +53,7 @@ class LoadedStance(Result):
         buckling: How fast it buckles with ``NEAR`` of what the servos' stiffness holds; empty where
             something else gives way there.
         servos: The servos that all are of.
+        converted: Which of the robot's models was made of the other one, if one was.
     """
 
     name: str
@@ -63,6 +64,7 @@ class LoadedStance(Result):
     fell: PayloadTrial | None
     buckling: tuple[Buckling, ...]
     servos: ServosUsed
+    converted: str = ""
 
     @property
     def passed(self) -> bool:
@@ -124,7 +126,8 @@ def try_payload(
             for mass in masses
         )
     used = servos_used(robot, kp, kd)
-    return LoadedStance(robot.name, stand, payload, mass, trial, fell, buckling, used)
+    made = robot.description.converted
+    return LoadedStance(robot.name, stand, payload, mass, trial, fell, buckling, used, made)
 
 
 def _bisected(

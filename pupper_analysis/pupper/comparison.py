@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.report.document import Cell, Column, Name, Table, number_cell
+from pupper_analysis.report.verdict import verdict_of_files
 from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -65,7 +66,7 @@ class ComparisonRow(Result):
         force_error: Likewise.
         cross_check: Worst relative deviation.
         verified: The verdict.
-        one_file: Whether both engines' models are from one file.
+        converted: Which of the robot's models was made of the other one, if one was.
     """
 
     name: str
@@ -84,7 +85,7 @@ class ComparisonRow(Result):
     force_error: float
     cross_check: float
     verified: bool
-    one_file: bool = False
+    converted: str = ""
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def compare_with_base(
         force_error=analysis.verification.force_error,
         cross_check=max(quantity.relative for quantity in analysis.check.quantities),
         verified=analysis.verified,
-        one_file=bool(analysis.verdict.converted),
+        converted=analysis.verdict.converted,
     )
 
 
@@ -139,8 +140,7 @@ def _verdict(row: ComparisonRow) -> str:
     """Returns a row's verdict: one that rests on feed-forward says so."""
     if not row.verified:
         return "FAILED"
-    word = "VERIFIED" if row.stands_without else "VERIFIED with feed-forward"
-    return f"{word} (from one file)" if row.one_file else word
+    return "VERIFIED" if row.stands_without else "VERIFIED with feed-forward"
 
 
 def _ratio(length: float | None, reference: float | None) -> float | None:
@@ -170,7 +170,9 @@ def comparison_table(rows: Sequence[ComparisonRow]) -> Table:
             for _, _, field, form, scale in columns
         ]
         stands = text("stands") if row.stands_without else text("FAILS").marked("bad")
-        verdict = text(_verdict(row)).marked("good" if row.verified else "bad")
+        verdict = verdict_of_files(_verdict(row), row.converted).marked(
+            "good" if row.verified else "bad"
+        )
         cells.append((Name(row.name), verdict, stands, *numbers))
     return Table(
         text("comparison-ratios-to-the-unscaled"),

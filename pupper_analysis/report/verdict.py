@@ -58,8 +58,7 @@ def short_verdict(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
     if verdict.passed:
         alone = verdict.commands_alone in (None, Ending.HOLDS)
-        word = "HOLDS" if alone else "HOLDS with feed-forward"
-        return f"{word} (from one file)" if verdict.converted else word
+        return "HOLDS" if alone else "HOLDS with feed-forward"
     return "FAILS"
 
 
@@ -79,7 +78,19 @@ def verdict_lines(verdict: Verdict) -> tuple[Text, ...]:
 
 def verdict_word(verdict: Verdict) -> Text:
     """Returns a verdict in a word or two."""
-    return text(short_verdict(verdict))
+    return verdict_of_files(short_verdict(verdict), verdict.converted)
+
+
+def verdict_of_files(key: str, converted: str) -> Text:
+    """Returns the word of a verdict; of a good one it tells if both models are of one file.
+
+    Args:
+        key: The word's, of the catalogue.
+        converted: Which of the robot's models was made of the other one, if one was.
+    """
+    word = text(key)
+    good = converted and key not in ("FAILS", "FAILED")
+    return text("verdict-from-one-file", word=word) if good else word
 
 
 def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:

@@ -108,11 +108,11 @@ def test_it_is_said_that_there_was_one_file(
 
 def test_a_verdict_says_so(of_mjcf: pa.Robot, both: pa.Robot) -> None:
     from pupper_analysis.analysis.stance import study_stance
-    from pupper_analysis.report.verdict import in_words, short_verdict
+    from pupper_analysis.report.verdict import in_words, verdict_word
 
     verdict = study_stance(of_mjcf, pa.StandTask()).verdict
     assert verdict.passed
-    assert short_verdict(verdict).endswith("(from one file)")
+    assert verdict_word(verdict).en == "HOLDS (from one file)"
     assert "(from one file) " in in_words(verdict)
     assert "one file" not in in_words(study_stance(both, pa.StandTask()).verdict)
 

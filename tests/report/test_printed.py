@@ -71,7 +71,7 @@ def test_what_is_compared_is_what_is_meant() -> None:
         "base": "v3",
         "stands_without": False,
         "verified": False,
-        "one_file": False,
+        "converted": "",
     }
     assert {
         key: value for key, value in found.items() if isinstance(value, float)

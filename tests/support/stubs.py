@@ -315,6 +315,7 @@ def loaded(*unlimited: str) -> Any:
         fell=None,
         buckling=buckling,
         servos=SERVOS,
+        converted="",
     )
 
 

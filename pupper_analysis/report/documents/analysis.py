@@ -18,7 +18,7 @@ from pupper_analysis.report.documents.simulated import (
 )
 from pupper_analysis.report.documents.sources import files_text, is_derived, joint_places, page_of
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines
+from pupper_analysis.report.verdict import verdict_lines, verdict_of_files
 from pupper_analysis.report.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
@@ -60,7 +60,7 @@ def analysis_document(analysis: Analysis, robot: Robot | None = None) -> doc.Doc
 def _verdict_word(analysis: Analysis) -> doc.Text:
     if not analysis.verified:
         return text("FAILED")
-    return text("VERIFIED (from one file)" if analysis.verdict.converted else "VERIFIED")
+    return verdict_of_files("VERIFIED", analysis.verdict.converted)
 
 
 def _key_figures(analysis: Analysis) -> Iterable[doc.Words]:

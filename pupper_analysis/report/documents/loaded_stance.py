@@ -11,6 +11,7 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.verdict import verdict_of_files
 from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 
@@ -27,7 +28,7 @@ def payload_document(loaded: LoadedStance, robot: Robot | None = None) -> doc.Do
         doc.Name(loaded.name),
         (view_block(robot, loaded.stand, None), payload_table(loaded), *_buckling(loaded)),
         passed=loaded.passed,
-        verdict=text("carries") if loaded.passed else text("FAILS"),
+        verdict=verdict_of_files("carries" if loaded.passed else "FAILS", loaded.converted),
         failures=() if loaded.passed else tuple(_trial(loaded)),
         told=(
             limit,

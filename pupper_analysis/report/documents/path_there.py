@@ -12,6 +12,7 @@ from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.verdict import verdict_of_files
 from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
@@ -29,7 +30,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         doc.Name(there.name),
         (view_block(robot, there.stand, None, [motion]), *path_blocks(path, tracking)),
         passed=there.passed,
-        verdict=text("tracked") if there.passed else text("FAILED"),
+        verdict=verdict_of_files("tracked" if there.passed else "FAILED", there.converted),
         failures=tuple(map(doc.tell, tracking.failures)),
         told=(task_text(there.stand.task), *_least_time(there), *made_up(there.servos)),
         notes=robot_notes(robot),

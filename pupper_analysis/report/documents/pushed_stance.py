@@ -15,7 +15,7 @@ from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build_document, compare_results
 from pupper_analysis.report.documents.standing import ground_text, made_up, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines
+from pupper_analysis.report.verdict import verdict_lines, verdict_of_files
 from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -34,7 +34,7 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
         passed=pushed.passed,
-        verdict=text("lasts") if pushed.passed else text("FAILS"),
+        verdict=verdict_of_files("lasts" if pushed.passed else "FAILS", pushed.verdict.converted),
         failures=tuple(_against(pushed)),
         told=(
             *_weakest(pushed),
