@@ -343,7 +343,8 @@ def there(**changes: Any) -> Any:
         failures=(),
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
-    least = {"binding": None, "reserve": None, "lower_bound": None, "servos": SERVOS}
+    least = {"binding": None, "reserve": None, "lower_bound": None}
+    least |= {"servos": SERVOS, "converted": ""}
     return Stub(**fields, **{**least, **changes})
 
 
