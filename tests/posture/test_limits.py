@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +22,9 @@ from pupper_analysis.posture.worst import Everywhere, worst_postures
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.simulation.balance import load_by_mujoco
 from tests.support import arm as by_hand
-from tests.support.arm import MASSES, ORDER, RANGES, G, arm
+from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
 
 POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
 
@@ -87,6 +89,29 @@ def test_no_sample_exceeds_the_bounds_and_the_tree_is_the_robots() -> None:
         most = tree.greatest()
         assert (torques <= most[:, 0] + 1e-12).all()
         assert (-torques <= most[:, 1] + 1e-12).all()
+
+
+def test_springs_and_gravity_compensation_are_those_of_the_mjcf(tmp_path: Path) -> None:
+    """The second is gravity on lighter links; of the first there is no bound, and it is said."""
+    elbow, fore = 'name="elbow" type="hinge"', '<body name="fore"'
+    for old, new, unproven in (
+        (elbow, f'{elbow} stiffness="3" springref="1"', "springs-act-at-rest"),
+        (fore, f'{fore} gravcomp="0.7"', None),
+    ):
+        robot = load_arm(tmp_path, mjcf=by_hand.MJCF.replace(old, new))
+        posture = find_posture(robot, POSTURE)
+        held = Configuration(robot, posture.qpos).load()
+        assert load_by_mujoco(robot, posture.qpos) == pytest.approx(held, abs=1e-12)
+        plain = by_hand.torques(*POSTURE.values())["elbow"]
+        relief = 3 * (1.0 - POSTURE["elbow"])
+        if unproven is None:
+            ahead = math.cos(POSTURE["shoulder"] + POSTURE["elbow"])
+            relief = -0.7 * G * MASSES["fore"] * by_hand.CENTRES["fore"] * ahead
+        assert held[0] == pytest.approx(plain - relief, abs=1e-12)
+        worst = worst_postures(robot, posture, find_tool(robot))
+        assert (worst.unproven and worst.unproven.code) == unproven
+        assert np.isfinite(worst.bounds).all() == (unproven is None)
+        assert (worst.bounds >= np.abs(worst.joint_torques)).all()
 
 
 def test_a_payload_is_at_its_limit_in_both_engines() -> None:

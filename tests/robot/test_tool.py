@@ -21,12 +21,15 @@ def test_a_payload_on_a_link_weighs_where_it_is_in_both_models(frame: str) -> No
     random = np.random.default_rng(4)
     qpos = robot.home + random.uniform(-0.3, 0.3, robot.nq)
     qpos[3:7] /= np.linalg.norm(qpos[3:7])
-    tool, step = find_tool(robot, frame).moved(place), 1e-6
+    link, step = find_tool(robot, frame).link, 1e-6
     heights = []
     for way in (step, -step):
         moved = np.tile(qpos, (robot.nu, 1))
         moved[:, 7:] += way * np.eye(robot.nu)
-        heights.append([tool.position(Configuration(robot, one))[2] for one in moved])
+        placed = [Configuration(robot, one) for one in moved]
+        heights.append(
+            [(one.frame_position(link) + one.frame_rotation(link) @ place)[2] for one in placed]
+        )
     rises = (np.array(heights[0]) - heights[1]) / (2 * step)
     added = Configuration(loaded, qpos).load() - Configuration(robot, qpos).load()
     weight = mass * float(np.linalg.norm(robot.gravity))
