@@ -47,6 +47,9 @@ predicted: joints about vertical axes hold nothing."""
 _TOUCH = 1e-3
 """Parts that push on each other by less of the weight only just touch."""
 
+_SATURATED = 1e-6
+"""A motor that is so near to its limit, in parts of it, gives all it can."""
+
 _SAMPLE_TIME = 0.1  # s between the states that are looked at, and kept
 
 
@@ -278,6 +281,12 @@ def _deviations(robot: Robot, found: PostureVerification, weight: float) -> list
         off.append(diagnose("joint-off", error=Quantity(found.joint_error, "rad")))
     if not found.torque_error < FORCE_TOLERANCE + share:
         off.append(diagnose("motor-torque-off", error=found.torque_error))
+    weakest, strongest = robot.effort_ranges.T * (1 - _SATURATED)
+    given = found.joint_torques
+    full = np.flatnonzero((given <= weakest) | (given >= strongest))
+    if off and full.size:
+        names = [robot.joint_names[joint] for joint in full]
+        off.append(diagnose("motors-give-all", joints=names, released=not found.feedforward))
     if off and found.mujoco_residual > ANOTHER_ROBOT * weight:
         mass = Quantity(robot.mj_model.body_subtreemass[0], "kg")
         off.append(
