@@ -18,6 +18,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.load import Feet, robot_of
@@ -101,9 +102,12 @@ def read_pair(
     folders = {name: Path(folder) for name, folder in (packages or {}).items()}
     for model in models:
         check_type("model", model, str | Path)
-    files: list[UrdfFile | MjcfFile] = [read_model(model, folders) for model in models]
-    files += [] if urdf is None else [read_urdf(urdf, folders)]
-    files += [] if mjcf is None else [read_mjcf(mjcf)]
+    files = [read_model(model, folders) for model in models]
+    for path, kind, read in ((urdf, UrdfFile, read_urdf), (mjcf, MjcfFile, read_mjcf)):
+        if path is not None:
+            files.append(read_model(path, folders))
+            if not isinstance(files[-1], kind):
+                read(find_file(path))  # refuses it, and says what it is
     found = {"urdf" if isinstance(file, UrdfFile) else "mjcf": file for file in files}
     if not files or len(found) < len(files):
         paths = [str(file.path) for file in files]
@@ -115,8 +119,10 @@ def read_pair(
     one, other = found.get("urdf"), found.get("mjcf")
     if body is not None and not isinstance(other, MjcfFile):
         raise ConfigurationError("body", diagnose("body-of-an-mjcf"))
-    if isinstance(other, MjcfFile) and (one is None or body is not None):
-        other = with_one_robot(other, body)
+    if isinstance(other, MjcfFile):
+        other.check_compiled()
+        if one is None or body is not None:
+            other = with_one_robot(other, body)
     if isinstance(one, UrdfFile) and isinstance(other, MjcfFile):
         return ModelPair(one, other)
     return ModelPair.of(other or next(iter(found.values())))

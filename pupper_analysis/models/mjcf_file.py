@@ -134,11 +134,19 @@ class MjcfFile:
         Raises:
             ModelError: If MuJoCo refuses it; the message is MuJoCo's.
         """
+        self.check_compiled()
+        assert self._model is not None
+        return self._model
+
+    def check_compiled(self) -> None:
+        """Passes on MuJoCo's refusal, if there is one.
+
+        Raises:
+            ModelError: If MuJoCo refuses the file; the message is MuJoCo's.
+        """
         if self.refusal is not None:
             problem, place = self.refusal
             raise refuse_file(place, problem)
-        assert self._model is not None
-        return self._model
 
 
 def read_mjcf(path: str | Path) -> MjcfFile:

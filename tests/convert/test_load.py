@@ -188,3 +188,16 @@ def test_limbs_on_a_link_that_is_fixed_to_the_root_are_legs(tmp_path: Path) -> N
     robot = pa.load_robot(file)
     assert robot.floating
     assert len(robot.feet) == 4
+
+
+def test_a_file_under_the_other_ones_name_is_told(tmp_path: Path) -> None:
+    with pytest.raises(pa.ModelError, match="it is an MJCF"):
+        pa.load_robot(urdf=MJCF)
+    with pytest.raises(pa.ModelError, match="it is a URDF"):
+        pa.load_robot(mjcf=URDF)
+    refused = tmp_path / "refused.xml"
+    joint = '<worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>'
+    refused.write_text(f'<mujoco>{joint}<actuator><motor joint="b"/></actuator></mujoco>')
+    for files in ((refused,), (URDF, refused)):
+        with pytest.raises(pa.ModelError, match="unknown transmission target 'b'"):
+            pa.load_robot(*files)
