@@ -14,7 +14,7 @@ from pupper_analysis.convert.root import with_one_robot
 from pupper_analysis.convert.to_mjcf import bare_mjcf
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -67,13 +67,16 @@ class ModelPair:
 
 
 def _bare_urdf(file: MjcfFile) -> UrdfFile:
-    """Makes the URDF of an MJCF in memory.
+    """Makes the URDF of an MJCF in memory; its ball joints are fixed, as beside a hand-made one.
 
     Raises:
         ModelError: If a URDF cannot have the robot.
     """
-    text = urdf_draft(file, file.path).text
-    return urdf_from(file.path, text, parse_text(text), None)
+    text = urdf_draft(file, file.path, fix_balls=True).text
+    made = urdf_from(file.path, text, parse_text(text), None)
+    if all(joint.is_fixed for joint in made.tree.joints.values()):
+        raise ModelError(file.path, diagnose("no-joints"))
+    return made
 
 
 def read_pair(

@@ -46,6 +46,7 @@ class Meshes:
         self._stems: set[str] = set()
         self._touching: set[tuple[Path, str]] = set()
         self._shells: set[Path] = set()
+        self._collided = {mesh.get("filename") for mesh in urdf.root.iterfind(".//collision//mesh")}
 
     @property
     def notes(self) -> list[Diagnostic]:
@@ -84,6 +85,12 @@ class Meshes:
         self._named.setdefault(path, named.absolute())
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
+        if not touches and file in self._collided:
+            # MuJoCo keeps a mesh as it first meets it: the hull, which is most of the work, would be
+            # made anew in every model if the first had none.
+            hulled = self.name(mesh, touches=True)
+            if hulled is not None:
+                return hulled
         try:
             self._take(path, touches=touches)
         except UnreadableError as error:

@@ -50,6 +50,7 @@ class UrdfLinks:
         model: What MuJoCo compiles it to.
         tree: The URDF.
         shapes: Makes its shapes.
+        fix_balls: Whether ball joints are fixed at rest; else they are refused.
         left: What a URDF cannot say.
         links: {body: (its link, where the body's frame is in the link's)}.
     """
@@ -58,6 +59,7 @@ class UrdfLinks:
     model: mujoco.MjModel
     tree: UrdfTree
     shapes: UrdfShapes
+    fix_balls: bool = False
     left: list[Diagnostic] = field(default_factory=list)
     links: dict[int, tuple[str, pin.SE3]] = field(default_factory=dict)
 
@@ -107,7 +109,8 @@ class UrdfLinks:
         model = self.model
         placement = inside * placement_of(model.body_quat[body], model.body_pos[body])
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        if count == 0:
+        fixed = self.fix_balls and count == 1 and model.jnt_type[first] == JointKind.BALL
+        if count == 0 or fixed:
             self._joint(self._joint_name(f"{name}_fixed"), "fixed", parent, name, placement)
             self._link(body, name, pin.SE3.Identity())
             return
@@ -211,12 +214,13 @@ class UrdfLinks:
         return free_name(wanted, self._joint_names)
 
 
-def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
+def urdf_draft(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> ConversionDraft:
     """Makes the URDF of an MJCF.
 
     Args:
         file: The MJCF.
         output: Where the URDF shall be: the paths of its meshes start there.
+        fix_balls: Fix ball joints at rest; else they are refused.
 
     Raises:
         ModelError: If a URDF cannot have the robot.
@@ -228,7 +232,7 @@ def urdf_draft(file: MjcfFile, output: Path) -> ConversionDraft:
     base = find_root(file, model)
     tree = UrdfTree(etree.Element("robot", name=str(file.spec.modelname) or file.path.stem))
     shapes = UrdfShapes(file, model, output.resolve().parent)
-    links = UrdfLinks(file, model, tree, shapes)
+    links = UrdfLinks(file, model, tree, shapes, fix_balls)
     links.add(base)
     links.add_sites()
     left = [*links.left, *shapes.left, *_couplings(tree, model), *tell_other_elements(model)]

@@ -9,9 +9,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from lxml import etree
 
 import pupper_analysis as pa
+from pupper_analysis.convert import meshes
 from pupper_analysis.convert.load import read_pair
+from pupper_analysis.models.urdf_file import urdf_from
+from pupper_analysis.models.xml import parse_text
 from pupper_analysis.pupper.variants import model_folder
 
 URDF, MJCF = model_folder("urdf") / "pupper_v3.urdf", model_folder("mjcf") / "pupper_v3.xml"
@@ -201,3 +205,56 @@ def test_a_file_under_the_other_ones_name_is_told(tmp_path: Path) -> None:
     for files in ((refused,), (URDF, refused)):
         with pytest.raises(pa.ModelError, match="unknown transmission target 'b'"):
             pa.load_robot(*files)
+
+
+RODS = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
+<geom size="0.1" mass="2"/><body name="leg"><joint name="hip" axis="0 1 0" damping="0.1"/>
+<geom size="0.1" mass="1" pos="0 0 -0.3"/>
+<body name="rod" pos="0 0 -0.3"><joint name="ball" type="ball"/>
+<geom size="0.03" mass="0.5" pos="0.1 0 0"/></body></body></body></worldbody></mujoco>"""
+
+
+def test_a_ball_joint_is_fixed_as_beside_a_urdf_that_has_none(tmp_path: Path) -> None:
+    file = tmp_path / "rods.xml"
+    file.write_text(RODS)
+    robot = pa.load_robot(file, feet=[], self_check=False)
+    assert robot.joint_names == ("hip",)
+    assert "ball-joints-fixed" in {note.code for note in robot.notes}
+    # At rest: 1 kg 0.3 m below the hip, and the rod's 0.5 kg, 0.1 m beside that.
+    config = pa.Configuration(robot, np.array([0, 0, 1, 0, 0, 0, 1, 0.3]))
+    lever = 1.5 * 0.3 * np.sin(0.3) - 0.5 * 0.1 * np.cos(0.3)
+    assert abs(config.gravity()[6]) == pytest.approx(9.81 * lever, rel=1e-9)
+    assert pa.cross_check(robot).passed
+
+
+def test_a_body_that_has_no_joint_but_a_free_one_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "drone.xml"
+    file.write_text(
+        "<mujoco><worldbody><body><freejoint/><geom size='0.1'/></body></worldbody></mujoco>"
+    )
+    with pytest.raises(pa.ModelError, match="no joints"):
+        pa.load_robot(file)
+
+
+def test_a_mesh_that_is_seen_and_touches_is_compiled_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """MuJoCo keeps the first it meets: without its hull that would be made anew at each compile."""
+    file = tmp_path / "tetrahedron.obj"
+    file.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    hulls: list[tuple[str, bool]] = []
+    compiled = meshes._compile
+
+    def seen(content: object, path: Path, scale: str, *, touches: bool, shell: bool) -> None:
+        hulls.append((path.name, touches))
+        compiled(content, path, scale, touches=touches, shell=shell)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(meshes, "_compile", seen)
+    root = parse_text(
+        f"<robot name='r'><link name='a'><collision><geometry><mesh filename='{file}'/></geometry>"
+        "</collision></link></robot>"
+    )
+    made = meshes.Meshes(urdf_from(file, "", root, None), file)
+    mesh = etree.fromstring(f"<mesh filename='{file}'/>")
+    assert made.name(mesh, touches=False) == made.name(mesh, touches=True)
+    assert hulls == [(file.name, True)]
