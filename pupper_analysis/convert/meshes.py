@@ -86,8 +86,8 @@ class Meshes:
         if (path, scale) in self._names and (not touches or (path, scale) in self._touching):
             return self._names[path, scale]
         if not touches and file in self._collided:
-            # MuJoCo keeps a mesh as it first meets it: the hull, which is most of the work, would be
-            # made anew in every model if the first had none.
+            # MuJoCo keeps a mesh as it first meets it: the hull, most of the work, would be made
+            # anew in every model if the first had none.
             hulled = self.name(mesh, touches=True)
             if hulled is not None:
                 return hulled

@@ -288,7 +288,10 @@ def _solve_exactly(draft: Draft) -> Made:
     return replace(draft, built=robot), told
 
 
-@_pass(Term("tells which joints and motors are not commanded"), _on_feet)
+@_pass(
+    Term("tells which joints and motors are not commanded"),
+    lambda draft: _on_feet(draft) or _held(draft),
+)
 def _tell_what_follows(draft: Draft) -> Made:
     return draft, (*notes.bound_joints(draft.robot), *notes.tell_uncommanded(draft.robot))
 

@@ -61,6 +61,9 @@ class Servos:
     def command(self, robot: Robot, positions: Array, torques: Array | None = None) -> Array:
         """Returns the ctrl (model.nu,) that asks for joint positions, with a feed-forward torque.
 
+        Servos at tendons and sites are asked for the length that they have there, as a joint's are:
+        they exert nothing then. All other motors are commanded 0.
+
         Args:
             robot: The robot.
             positions: (nu,) joint positions (rad).
@@ -69,8 +72,34 @@ class Servos:
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
         target = positions if torques is None else positions + command_lead(torques, self.kp)
+        others = _servos_elsewhere(self.model, actuators[driven])
+        if others.size:
+            model, data = self.model, mujoco.MjData(self.model)
+            data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions
+            for step in (
+                mujoco.mj_kinematics,
+                mujoco.mj_comPos,
+                mujoco.mj_tendon,
+                mujoco.mj_transmission,
+            ):
+                step(model, data)
+            bias = model.actuator_biasprm[others]
+            force = bias[:, 0] + bias[:, 1] * data.actuator_length[others]
+            ctrl[model.actuator_ctrladr[others]] = -force / model.actuator_gainprm[others, 0]
         ctrl[self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[driven]
         return ctrl
+
+
+def _servos_elsewhere(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns the position servos that are none of the known actuators."""
+    servo = (
+        (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED.value)
+        & (model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE.value)
+        & np.isin(model.actuator_dyntype, _HOLDING)
+        & (model.actuator_gainprm[:, 0] != 0)
+        & (model.actuator_biasprm[:, 1] != 0)
+    )
+    return np.setdiff1d(np.flatnonzero(servo), known)
 
 
 def command_lead(torques: Array, kp: Array) -> Array:

@@ -258,3 +258,27 @@ def test_a_mesh_that_is_seen_and_touches_is_compiled_once(
     mesh = etree.fromstring(f"<mesh filename='{file}'/>")
     assert made.name(mesh, touches=False) == made.name(mesh, touches=True)
     assert hulls == [(file.name, True)]
+
+
+GRIPPER = """<mujoco><worldbody><body name="base"><geom size="0.05"/>
+<body name="arm" pos="0 0 0.1"><joint name="lift" axis="0 1 0" range="-100 100" damping="0.1"/>
+<geom size="0.03" mass="1" pos="0.3 0 0"/>
+<body name="jaw" pos="0.4 0 0"><joint name="slide" type="slide" axis="0 0 1" range="0 0.04"
+damping="1"/><geom size="0.01" mass="0.1"/></body></body></body></worldbody>
+<tendon><fixed name="string"><joint joint="slide" coef="1"/></fixed></tendon>
+<actuator><position joint="lift" kp="500" kv="20"/>
+<general tendon="string" gainprm="2" biastype="affine" biasprm="1 -400 -5"/></actuator></mujoco>"""
+
+
+def test_a_servo_at_a_tendon_is_commanded_the_length_that_it_has(tmp_path: Path) -> None:
+    """Commanded 0, as it was, it closed the gripper that it was to hold open."""
+    file = tmp_path / "gripper.xml"
+    file.write_text(GRIPPER)
+    arm = pa.load_robot(file)
+    assert "motors-commanded-zero" in {note.code for note in arm.notes}
+    held = pa.hold_posture(arm, {"lift": 0.2, "slide": 0.03})
+    assert held.passed
+    # 1 kg at 0.3 m and 0.1 kg at 0.4 m, 0.03 m off the arm's line.
+    lift = 0.3 * np.cos(0.2) + 0.1 * (0.4 * np.cos(0.2) + 0.03 * np.sin(0.2))
+    torque = held.statics.joint_torques[arm.joint_names.index("lift")]
+    assert torque == pytest.approx(-9.81 * lift, rel=1e-9)

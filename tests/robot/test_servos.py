@@ -167,7 +167,7 @@ def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
-def test_motors_of_tendons_are_not_commanded_and_told(
+def test_motors_of_tendons_exert_nothing_and_are_told(
     kind: str, pulls: bool, tmp_path: Path
 ) -> None:
     pair = quadruped(tmp_path)
@@ -181,6 +181,7 @@ def test_motors_of_tendons_are_not_commanded_and_told(
     (told,) = [note for note in robot.notes if note.code == "motors-commanded-zero"]
     assert (told.values["motors"], told.values["kinds"]) == (("winch",), ("tendon",))
     assert told.values["servos"] == (("winch",) if pulls else ())
+    holds(robot)
     plain = quadruped(tmp_path)
     notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
     assert not [note for note in notes if note.code == "motors-commanded-zero"]
