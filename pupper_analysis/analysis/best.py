@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -10,6 +11,7 @@ from pupper_analysis.analysis.payload import LoadedStance, try_payload
 from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.optimize.best import BestStance, best_stance
 from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.task import StandTask
@@ -39,7 +41,7 @@ def study_best(
     robot: Robot,
     objective: Objective,
     task: StandTask,
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -50,7 +52,7 @@ def study_best(
         robot: The robot.
         objective: What shall be best.
         task: Where the search begins, and all that is not searched over.
-        point: Where the payload is, in the base's frame (m).
+        point: Where the payload is, as in ``with_payload``.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 

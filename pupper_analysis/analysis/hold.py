@@ -128,7 +128,7 @@ def hold_posture(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     posture, point = find_posture(robot, joints, keyframe=keyframe), find_tool(robot, tool)
-    robot = with_payload(robot, payload, frame=point.name)
+    robot = with_payload(robot, payload, point)
     config = Configuration(robot, posture.qpos)
     statics = gravity_compensation(config, contacts=[])
     sagged, unsettled = None, None
@@ -142,7 +142,7 @@ def hold_posture(
     more = tool_payload(robot, posture, point, worst)
     trial = None
     if 0 < more.mass < math.inf:
-        loaded = with_payload(robot, TRIED * more.mass, frame=point.name)
+        loaded = with_payload(robot, TRIED * more.mass, point)
         trial = verify_posture(loaded, posture, find_tool(loaded, point.name), kp=kp, kd=kd)
     return Hold(
         name=robot.name,

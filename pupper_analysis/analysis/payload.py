@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.tool import Tool, find_tool
 from pupper_analysis.simulation.payload import (
     Buckling,
     PayloadTrial,
@@ -75,7 +76,7 @@ class LoadedStance(Result):
 def study_payload(
     robot: Robot,
     task: StandTask,
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -85,7 +86,7 @@ def study_payload(
     Args:
         robot: The robot.
         task: The stance.
-        point: Where the payload is, in the base's frame (m).
+        point: Where the payload is, as in ``with_payload``.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
@@ -109,8 +110,8 @@ def try_payload(
 ) -> LoadedStance:
     """Simulates a stand with almost the greatest payload; see ``study_payload``."""
     mass, trial, fell = payload.mass, None, None
+    point = find_tool(robot, payload.link).moved(payload.point)
     if 0 < mass < math.inf:
-        point = payload.point.tolist()
 
         def tried(mass: float) -> PayloadTrial:
             return simulate_payload(robot, stand, TRIED * mass, point, kp=kp, kd=kd)
@@ -122,8 +123,7 @@ def try_payload(
     if payload.servos.failure is Failure.BUCKLING and payload.servos.mass > 0:
         masses = (share * payload.servos.mass for share in NEAR)
         buckling = tuple(
-            payload_buckling(robot, stand, mass, payload.point.tolist(), kp=kp, kd=kd)
-            for mass in masses
+            payload_buckling(robot, stand, mass, point, kp=kp, kd=kd) for mass in masses
         )
     used = servos_used(robot, kp, kd)
     made = robot.description.converted

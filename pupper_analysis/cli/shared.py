@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from pupper_analysis.report.html.write import Reported
     from pupper_analysis.results import Result
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.robot.tool import Tool
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -313,6 +314,21 @@ def parse_point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
             option, diagnose("not-of-the-form", given=text, form=f"{form} (m)")
         )
     return numbers
+
+
+def parse_place(option: str, text: str) -> tuple[str, tuple[float, ...]]:
+    """Returns the frame, "" for the base, and the point (m) of FRAME,X,Y,Z, of either alone too."""
+    frame, _, place = text.partition(",") if text.count(",") in (0, 3) else ("", "", text)
+    zero = (0.0, 0.0, 0.0)
+    return frame, parse_point(option, place, 3) if place or not frame else zero
+
+
+def place_on(robot: Robot, place: tuple[str, tuple[float, ...]]) -> Tool:
+    """Returns the place on a robot that ``parse_place`` read."""
+    from pupper_analysis.robot.tool import find_place, find_tool
+
+    frame, point = place
+    return find_tool(robot, frame).moved(point) if frame else find_place(robot, point)
 
 
 def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:

@@ -20,7 +20,7 @@ from pupper_analysis.cli.robots import (
     print_notes,
     robot_from,
 )
-from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of, to_task_value
+from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of
 from pupper_analysis.cli.stance_file import stance_option
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.stance.fields import ROBOT_FIELDS
@@ -130,22 +130,12 @@ class RobotAndTask:
         from pupper_analysis.robot.posture import with_posture
         from pupper_analysis.robot.servos import with_integrator
 
-        frame, at = self._payload_frame
-        place = to_task_value(ROBOT_FIELDS["payload_at"], at) or (0.0, 0.0, 0.0)
         posed = with_posture(
             robot, dict(shared.parse_position("posture", text) for text in self.posture)
         )
-        loaded = with_payload(posed, self.payload, place, frame=frame)
+        place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
+        loaded = with_payload(posed, self.payload, shared.place_on(posed, place))
         return with_integrator(loaded, self.integrator)
-
-    @property
-    def _payload_frame(self) -> tuple[str | None, str | None]:
-        """The frame that carries the payload, None for the base, and where in it: X,Y,Z."""
-        text = self.payload_at
-        if text is None or text.count(",") == 2:
-            return None, text
-        frame, _, place = text.partition(",")
-        return frame, place or None
 
     def show(self, result: Result, robot: Robot) -> None:
         """Shows a result of that robot as it was asked for."""

@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 at_option = click.option(
     "--at",
     default="0,0,0",
-    metavar="X,Y,Z",
-    help="Position of the payload in the base frame (m); e.g. 0,0,8cm.",
+    metavar="[FRAME,]X,Y,Z",
+    help="Position of the payload in the base frame, or that of a link, site or body (m); "
+    "e.g. 0,0,8cm or right_hand,0,0,5cm.",
 )
 
 
@@ -153,12 +154,12 @@ def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Pat
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.payload import study_payload
 
-    task, place = asked.task(), _at(at)
+    task, place = asked.task(), shared.parse_place("at", at)
     shared.check_outputs(json_path)
     robot = asked.robot(words)
-    kp, kd = asked.gains(robot)
+    on, (kp, kd) = shared.place_on(robot, place), asked.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
-        result = study_payload(robot, task, place, kp=kp, kd=kd)
+        result = study_payload(robot, task, on, kp=kp, kd=kd)
     asked.show(result, robot)
     shared.finish_command(json_path, result, passed=result.passed)
 
@@ -198,12 +199,12 @@ def best(
     from pupper_analysis.analysis.best import study_best
     from pupper_analysis.stance.optimize.search import Objective
 
-    task, place = asked.task(), _at(at)
+    task, place = asked.task(), shared.parse_place("at", at)
     shared.check_outputs(figure, json_path)
     robot = asked.robot(words)
-    kp, kd = asked.gains(robot)
+    on, (kp, kd) = shared.place_on(robot, place), asked.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):
-        result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
+        result = study_best(robot, Objective(objective), task, on, kp=kp, kd=kd)
     asked.show(result, robot)
     _draw(robot, result.stance, figure)
     shared.finish_command(json_path, result, passed=result.passed)
@@ -216,8 +217,3 @@ def _draw(robot: Robot, stance: Stance, path: Path | None) -> None:
 
         pose_figure(robot, stance.stand, stance.statics, path)
         shared.confirm_written(path)
-
-
-def _at(text: str) -> tuple[float, float, float]:
-    x, y, z = shared.parse_point("at", text, 3)
-    return x, y, z

@@ -96,7 +96,7 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
     """Returns the greatest mass (kg) at a tool in a posture (nu,), and whose motor binds."""
     config, limits = Configuration(robot, qpos), robot.effort_limits
     empty = config.by_motors(config.load())
-    rates = config.by_motors(-tool.jacobian(config).T @ robot.gravity)
+    rates = config.by_motors(tool.load_per_mass(config))
     over = np.abs(empty) > limits
     if over.any():
         return 0.0, robot.joint_names[int(np.argmax(np.abs(empty) - limits))]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,14 +10,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments, check_length, real_array
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import find_tool
+from pupper_analysis.robot.tool import Tool, find_place
 
 Array = NDArray[np.float64]
 
@@ -29,9 +28,7 @@ _NAME = "payload"
 def with_payload(
     robot: Robot,
     mass: float,
-    point: Sequence[float] = (0.0, 0.0, 0.0),
-    *,
-    frame: str | None = None,
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
 ) -> Robot:
     """Welds a point mass to a robot, in the URDF's model and in the MJCF's.
 
@@ -42,19 +39,18 @@ def with_payload(
     Args:
         robot: The robot.
         mass: Of the payload (kg), finite and >= 0.
-        point: (3,) where it is, in the frame's axes (m).
-        frame: What carries it: a link of the URDF, or a site, body or geom of the MJCF, with the
-            link's axes; the base by default.
+        point: (3,) where it is, in the base's frame (m); or a point of another link, as
+            ``find_tool(robot, "right_hand").moved((0.0, 0.0, 0.05))``.
 
     Returns:
         The loaded robot; the robot itself for no mass.
 
     Raises:
         ConfigurationError: If the mass or the point is none, or it is for a base that is fixed.
-        UnknownNameError: If there is no such frame.
+        UnknownNameError: If the robot has no such link.
         ModelError: If the MJCF's base is not where the URDF's is.
     """
-    place = point_on_base(point)
+    tool = find_place(robot, point)
     try:
         weighed = float(mass)
     except (TypeError, ValueError):
@@ -64,13 +60,10 @@ def with_payload(
     mass = weighed
     if mass == 0.0:
         return robot
-    link, body, there = robot.base, robot.mj_base, place
-    if frame is None:
+    if tool.link == robot.base:
         robot.check_floating()
-    else:
-        tool = find_tool(robot, frame).moved(place)
-        link, place = tool.link, tool.offset
-        body, there = tool.in_mjcf(robot)
+    link, place = tool.link, tool.offset
+    body, there = tool.in_mjcf(robot)
     (urdf, mjcf), name = robot.description.trees(), _NAME
     sides: tuple[tuple[ModelTree, str, Array], ...] = ((urdf, link, place), (mjcf, body, there))
     while any(name in tree.names for tree, _, _ in sides):
@@ -86,15 +79,3 @@ def with_payload(
     model.inertias[on.parentJoint] = model.inertias[on.parentJoint] + welded
     # The unloaded robot's stands are its own.
     return replace(built, pin_model=model, fingerprint=robot.fingerprint)
-
-
-def point_on_base(point: Sequence[float]) -> Array:
-    """Returns a point (3,).
-
-    Raises:
-        ConfigurationError: If it is none.
-    """
-    place = real_array("point", point)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise ConfigurationError("point", diagnose("no-point", given=reprlib.repr(point)))
-    return np.array([check_length("point", value) for value in place])

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import reprlib
 from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.errors import UnknownNameError
+from pupper_analysis.arguments import check_arguments, check_length, real_array
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -39,9 +41,9 @@ class Tool(Result):
     offset: Array
     chain: tuple[str, ...]
 
-    def moved(self, way: Array) -> Tool:
+    def moved(self, way: ArrayLike) -> Tool:
         """Returns the point that is so far (3,) from it, in its link's axes (m)."""
-        return replace(self, offset=self.offset + way)
+        return replace(self, offset=self.offset + check_point(way))
 
     def position(self, config: Configuration) -> Array:
         """Returns where the point is (3,), in the world (m)."""
@@ -61,7 +63,16 @@ class Tool(Result):
 
     def jacobian(self, config: Configuration) -> Array:
         """Returns the Jacobian (3, nv) of the point, in world axes."""
-        return config.point_jacobian(self.link, self.position(config))
+        return self.twist_jacobian(config)[:3]
+
+    def twist_jacobian(self, config: Configuration) -> Array:
+        """Returns the Jacobian (6, nv) of the point and of its link's turning, in world axes."""
+        return config.frame_jacobian(self.link, config.frame_rotation(self.link) @ self.offset)
+
+    def load_per_mass(self, config: Configuration) -> Array:
+        """Returns what a mass at the point asks of the robot at rest (nv,) (N/kg)."""
+        load: Array = -config.robot.gravity @ self.jacobian(config)
+        return load
 
 
 @check_arguments
@@ -93,6 +104,32 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     sites = [model.site(index).name for index in range(model.nsite)]
     known = dict.fromkeys([*robot.structure.links, *filter(None, sites)])
     raise UnknownNameError(robot.name, "frame", link, tuple(known))
+
+
+def find_place(robot: Robot, point: ArrayLike | Tool) -> Tool:
+    """Returns a point of a robot: one of the base (3,), in its frame (m), or of any link.
+
+    Raises:
+        ConfigurationError: If it is none.
+        UnknownNameError: If the robot has no link that carries it.
+    """
+    if not isinstance(point, Tool):
+        return Tool(robot.base, robot.base, check_point(point), ())
+    if point.link not in robot.structure.links:
+        raise UnknownNameError(robot.name, "link", point.link, tuple(robot.structure.links))
+    return point
+
+
+def check_point(point: ArrayLike) -> Array:
+    """Returns a point (3,).
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    place = real_array("point", point)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise ConfigurationError("point", diagnose("no-point", given=reprlib.repr(point)))
+    return np.array([check_length("point", value) for value in place])
 
 
 def carrying_link(robot: Robot, body: int, place: Array) -> tuple[str, Array]:

@@ -14,10 +14,11 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Term, diagnose
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.results import Result
-from pupper_analysis.robot.payload import point_on_base, with_payload
+from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.tool import Tool, find_place
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     check_stand,
@@ -109,7 +110,7 @@ def payload_buckling(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Sequence[float] = (0.0, 0.0, 0.0),
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -133,7 +134,7 @@ def payload_buckling(
     """
     robot.check_tree("a payload")
     check_standing(robot, stand)
-    place = point_on_base(point)
+    place = find_place(robot, point)
     laid = _laid(robot, stand, mass, place, command, kp, kd)
     data = mujoco.MjData(laid.drive.model)
     laid.robot.mj_convention.set_state(data, laid.qpos)
@@ -150,7 +151,7 @@ def simulate_payload(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Sequence[float] = (0.0, 0.0, 0.0),
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -171,7 +172,7 @@ def simulate_payload(
         robot: The robot.
         stand: How it stands, without payload.
         mass: Of the payload (kg).
-        point: (3,) where it is, in the base's frame (m).
+        point: Where it is, as in ``with_payload``.
         command: What the servos are commanded.
         kp: Servo stiffness (N m/rad); the model's own by default.
         kd: Servo damping (N m s/rad); the model's own by default.
@@ -188,7 +189,7 @@ def simulate_payload(
     """
     robot.check_tree("a payload")
     check_stand(robot, stand, duration)
-    place = point_on_base(point)
+    place = find_place(robot, point)
     laid = _laid(robot, stand, mass, place, command, kp, kd)
     if not dry_friction:
         laid.free()
@@ -233,13 +234,13 @@ def _laid(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Array,
+    point: Tool,
     command: PayloadCommand,
     kp: ArrayLike | None,
     kd: ArrayLike | None,
 ) -> _Laid:
     """Puts a payload on a robot."""
-    loaded = with_payload(robot, mass, point.tolist())
+    loaded = with_payload(robot, mass, point)
     start = _start(robot, stand, mass, point, command, kp)
     loaded = on_ground(loaded, start.stand.task.ground, start.stand.foot_targets)
     drive = model_with_servos(loaded, kp, kd)
@@ -250,7 +251,7 @@ def _start(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Array,
+    point: Tool,
     command: PayloadCommand,
     kp: ArrayLike | None,
 ) -> LoadedPose:

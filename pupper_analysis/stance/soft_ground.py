@@ -30,8 +30,8 @@ def solve_loaded_stand(loaded: Robot, stand: Stand) -> Stand:
 
     The base stays where it is, and the feet where they are seen from above: each leg is longer by
     what its foot sinks in under the load. The com is where the load takes it. Where the legs do not
-    follow (they are straight, or an ankle does not turn as its sole would have to), they are as
-    they were, and the robot sinks as a whole.
+    follow (they are straight, or an ankle does not turn as its sole would have to, or it almost
+    tips, and depths do not settle), they are as they were, and the robot sinks as a whole.
 
     Args:
         loaded: The robot with its payload.
@@ -56,6 +56,8 @@ def solve_loaded_stand(loaded: Robot, stand: Stand) -> Stand:
     except StanceUnreachableError as error:
         if error.blocked:
             raise
+        return stand
+    except NotSettlingError:
         return stand
 
 

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import check_point
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import STANCE, check_name, check_range
 from pupper_analysis.study.metrics import (
@@ -118,7 +118,7 @@ class DesignStudy:
         self.left_out: tuple[str, ...] = ()
         self._given = tuple(measure)
         self._points: Array | None = None
-        self.point = tuple(point_on_base(payload_point).tolist())
+        self.point = tuple(check_point(payload_point).tolist())
         self.time_limit = None if time_limit is None else check_finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
             told = diagnose("time-limit-not-positive", limit=self.time_limit)

@@ -121,7 +121,7 @@ def test_a_payload_is_at_its_limit_in_both_engines() -> None:
     worst = worst_postures(robot, posture, tool)
     payload = tool_payload(robot, posture, tool, worst)
     for share, holds in ((0.98, True), (1.02, False)):
-        loaded = with_payload(robot, share * payload.mass, frame="tip")
+        loaded = with_payload(robot, share * payload.mass, find_tool(robot, "tip"))
         torques = Configuration(loaded, posture.qpos).load()
         assert (np.abs(torques) <= robot.effort_limits).all() == holds
         assert verify_posture(loaded, posture, tool, duration=4.0).passed == holds

@@ -17,7 +17,7 @@ from tests.support.variants import load
 def test_a_payload_on_a_link_weighs_where_it_is_in_both_models(frame: str) -> None:
     """By virtual work: it adds m |g| times the rate at which its point rises."""
     robot, mass, place = load("v3"), 0.3, np.array([0.01, -0.02, 0.03])
-    loaded = with_payload(robot, mass, place.tolist(), frame=frame)
+    loaded = with_payload(robot, mass, find_tool(robot, frame).moved(place))
     random = np.random.default_rng(4)
     qpos = robot.home + random.uniform(-0.3, 0.3, robot.nq)
     qpos[3:7] /= np.linalg.norm(qpos[3:7])
@@ -41,4 +41,4 @@ def test_a_payload_on_a_link_weighs_where_it_is_in_both_models(frame: str) -> No
     )
     assert loaded.total_mass == pytest.approx(robot.total_mass + mass)
     with pytest.raises(pa.UnknownNameError, match="leg_front_l_2"):
-        with_payload(robot, mass, frame="hand")
+        find_tool(robot, "hand")

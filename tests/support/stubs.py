@@ -294,6 +294,7 @@ def stance(**changes: Any) -> Any:
 def loaded(*unlimited: str) -> Any:
     payload = Stub(
         point=np.array([0.011, -0.022, 0.083]),
+        link="base_link",
         mass=1.239,
         where=("knee",),
         failure=Failure.BUCKLING,

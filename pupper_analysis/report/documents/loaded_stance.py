@@ -52,6 +52,7 @@ def payload_text(loaded: LoadedStance) -> doc.Text:
     return text(
         "payload-at-place",
         place=", ".join(f"{1e3 * value:.0f}" for value in payload.point),
+        link=payload.link,
         mass=mass_text(loaded.mass),
         failure=failure,
     )

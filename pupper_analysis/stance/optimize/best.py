@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -11,6 +12,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.optimize.search import EvaluatedStance, Objective, StanceSearch
 from pupper_analysis.stance.optimize.space import StanceSpace
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
@@ -62,7 +64,7 @@ def best_stance(
     objective: Objective = Objective.UTILISATION,
     *,
     task: StandTask | None = None,
-    point: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
     distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
     kp: ArrayLike | None = None,
 ) -> BestStance:
@@ -100,7 +102,7 @@ def best_stance(
         objective: What shall be best.
         task: Where the search begins, and all that is not searched over; the nominal stand by
             default.
-        point: Where the payload is, in the base's frame (m).
+        point: Where the payload is, as in ``with_payload``.
         distribution: Which contact forces the motors' utilisation is that of: by default
             ``MIN_TANGENTIAL``, what a simulator holds for good.
         kp: Servo stiffness for the payload (N m/rad), one or (nu,); the model's own by default.

@@ -16,9 +16,9 @@ from pupper_analysis.errors import (
     NoEquilibriumError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.robot.payload import point_on_base
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.tool import Tool, find_place
 from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
 from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -53,7 +53,7 @@ class Objective(StrEnum):
 
     UTILISATION: the least peak motor utilisation.
     MARGIN: the largest distance of the com's projection from the support polygon's edge.
-    PAYLOAD: the largest payload at a point of the base (``payload_limit``).
+    PAYLOAD: the largest payload at a point (``payload_limit``).
     """
 
     UTILISATION = "utilisation"
@@ -89,12 +89,12 @@ class StanceSearch:
         robot: Robot,
         objective: Objective,
         task: StandTask | None = None,
-        point: Sequence[float] = (0.0, 0.0, 0.0),
+        point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
         distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
         kp: ArrayLike | None = None,
     ) -> None:
         self.robot, self.objective, self.distribution = robot, objective, distribution
-        self.point = point_on_base(point)
+        self.point = find_place(robot, point)
         self.limits = robot.effort_limits
         self.bears = np.isfinite(self.limits)
         self.evaluations = 0

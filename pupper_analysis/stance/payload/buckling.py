@@ -9,9 +9,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import linalg
 
-from pupper_analysis.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
+from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
 from pupper_analysis.stance.sag.solution import Anchor
 from pupper_analysis.stance.stand import Stand
@@ -24,7 +24,7 @@ def find_buckling_modes(
     stand: Stand,
     kp: Array,
     lines: tuple[Array, Array],
-    point: Array,
+    point: Tool,
     laws: Sequence[GroundLaw],
     deep: Array,
 ) -> Array | None:
@@ -33,8 +33,8 @@ def find_buckling_modes(
     In the stand, gravity and the contact forces that last are linear in the payload's mass m, and
     so is the stiffness: K(m) = K_0 + m G, with K_0 that of servos, ground, and the robot's own
     weight, on all motions for which the material contact points do not slip. The stand buckles in
-    a mode v where K(m) v = 0, that is, -G v = mu K_0 v with mu = 1 / m. As the base turns by w, in
-    its own axes, the payload's moment p x a, with a = -R^T g, changes by p x (a x w).
+    a mode v where K(m) v = 0, that is, -G v = mu K_0 v with mu = 1 / m. The
+    payload's weight is a force at its point that keeps its direction.
 
     On level ground this is exact for the configuration, but that the ground is as stiff as it is
     ``deep``; on a slope K is made symmetric.
@@ -44,7 +44,7 @@ def find_buckling_modes(
         stand: How it stands.
         kp: (nu,) servo stiffness at the joints (N m/rad).
         lines: (n, 3) contact forces without payload (N), and how they grow with it (N/kg).
-        point: (3,) where it is, in the base's frame (m).
+        point: Where it is.
         laws: The ground's, of each foot that carries.
         deep: (n,) how deep these are in the ground (m).
 
@@ -65,8 +65,10 @@ def find_buckling_modes(
     forces, more = (line @ frame.T for line in lines)
     bare = touch.balance_rates(forces, None)
     softer = bare - touch.balance_rates(forces + more, None)  # by a payload of 1 kg
-    arm, pull = cross_matrices(np.array([point, config.base_rotation().T @ -robot.gravity]))
-    softer[3:6, 3:6] -= arm @ pull
+    twists, weight = point.twist_jacobian(config)[None], np.zeros((1, 6))
+    softer += config.pushed_rates(twists, weight)
+    weight[0, :3] = robot.gravity
+    softer -= config.pushed_rates(twists, weight)
     stiff = bare + along.T @ (rates[:, None] * along)
     stiff[6:, 6:] += np.diag(kp)
     free = linalg.null_space(across)

@@ -12,8 +12,8 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.payload.buckling import find_buckling_modes
-from pupper_analysis.stance.payload.sharing import load_per_mass
 from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import hold_loads
 
@@ -55,20 +55,20 @@ class Loads:
     normal_rates: Array
 
     @staticmethod
-    def of(config: Configuration, stand: Stand, point: Array, mass: float) -> Loads:
+    def of(config: Configuration, stand: Stand, point: Tool, mass: float) -> Loads:
         """Returns the line through two equilibria, without and with a mass.
 
         Args:
             config: Where the robot, a tree, is: in the stand.
             stand: The stand.
-            point: (3,) where the payload is, in the base's frame (m).
+            point: Where the payload is.
             mass: kg.
 
         Raises:
             StaticsInfeasibleError: If no contact forces balance one of them.
         """
         own, carrying = config.load(), stand_contacts(config.robot, stand)
-        both = np.array([own, own + mass * load_per_mass(config, point)])
+        both = np.array([own, own + mass * point.load_per_mass(config)])
         (forces, laden), (torques, held) = hold_loads(config, both, carrying)
         rates = (laden - forces) / mass
         outwards = [np.einsum("ni,ni->n", one, carrying.normals) for one in (forces, rates)]
@@ -115,17 +115,17 @@ class SmallPayload:
 
     Args:
         robot: The robot.
-        point: (3,) where it is, in the base's frame (m).
+        point: Where it is.
         kp: (nu,) servo stiffness at the joints (N m/rad).
 
     Attributes:
         mass: kg.
     """
 
-    def __init__(self, robot: Robot, point: Array, kp: Array) -> None:
+    def __init__(self, robot: Robot, point: Tool, kp: Array) -> None:
         self._robot, self._point, self._kp = robot, point, kp
         self.mass = SMALL * robot.total_mass
-        loaded = with_payload(robot, self.mass, point.tolist())
+        loaded = with_payload(robot, self.mass, point)
         self._laws = {foot: GroundLaw.of(loaded, foot) for foot in robot.contact_points}
         share = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(self._laws)
         self._usual = {foot: law.depth(share) for foot, law in self._laws.items()}

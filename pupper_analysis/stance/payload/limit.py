@@ -14,8 +14,9 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.payload import point_on_base, with_payload
+from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Tool, find_place
 from pupper_analysis.stance.payload.first_order import Loads
 from pupper_analysis.stance.payload.servo_limit import (
     RESOLUTION,
@@ -25,7 +26,7 @@ from pupper_analysis.stance.payload.servo_limit import (
     find_first_failing,
     servo_limit,
 )
-from pupper_analysis.stance.payload.sharing import Sharing, load_per_mass, share_load
+from pupper_analysis.stance.payload.sharing import Sharing, share_load
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation
@@ -45,7 +46,7 @@ a lever as long as the stand is high: rounding."""
 
 @dataclass(frozen=True, eq=False)
 class PayloadLimit(Result):
-    """The greatest mass that a stand can carry at a point of its base.
+    """The greatest mass that a stand can carry at a point.
 
     Attributes:
         mass: kg; the least of the three that follow.
@@ -56,7 +57,8 @@ class PayloadLimit(Result):
             the load is there, is stable, and nothing slips, lifts, saturates, comes to a joint's
             limit or to the ground.
         contacts: What friction and unilateral contact allow, whatever the motors do.
-        point: (3,) where the mass is attached, in the base's frame (m).
+        point: (3,) where the mass is attached, in the frame of ``link`` (m).
+        link: Of the URDF, that carries it.
         shared: What the motors would allow if the legs shared the load as these can, and were
             commanded so: more than ``motors`` on more than three feet, whose shares there are the
             ground's. None on a slope.
@@ -73,6 +75,7 @@ class PayloadLimit(Result):
     contacts: Bound
     shared: Sharing | None
     point: Array
+    link: str
     command: PayloadCommand
     unlimited: tuple[str, ...]
     joint_torques: Array
@@ -99,7 +102,7 @@ class PayloadLimit(Result):
 def payload_limit(
     robot: Robot,
     stand: Stand,
-    point: Sequence[float] = (0.0, 0.0, 0.0),
+    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -120,7 +123,7 @@ def payload_limit(
     Args:
         robot: The robot.
         stand: How it stands, without payload.
-        point: (3,) where the mass is, in the base's frame (m).
+        point: Where the mass is, as in ``with_payload``.
         command: What the servos are commanded.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default, none where its
@@ -135,7 +138,7 @@ def payload_limit(
         StaticsInfeasibleError: If the stand cannot be held without payload.
     """
     robot.check_tree("a payload")
-    place = point_on_base(point)
+    place = find_place(robot, point)
     try:
         command = PayloadCommand(command)
     except ValueError as error:
@@ -160,7 +163,8 @@ def payload_limit(
         servos=servos,
         contacts=contacts,
         shared=share_load(robot, stand, place),
-        point=place,
+        point=place.offset,
+        link=place.link,
         command=command,
         unlimited=tuple(
             name
@@ -173,7 +177,7 @@ def payload_limit(
 
 
 def motor_limit(
-    robot: Robot, stand: Stand, point: Sequence[float] | Array, *, most: float = math.inf
+    robot: Robot, stand: Stand, point: Sequence[float] | Tool, *, most: float = math.inf
 ) -> Bound:
     """Finds the greatest payload that the motors hold with the contact forces that last.
 
@@ -185,7 +189,7 @@ def motor_limit(
     Args:
         robot: The robot.
         stand: How it stands, without payload.
-        point: (3,) where the mass is, in the base's frame (m).
+        point: Where the mass is, as in ``with_payload``.
         most: What the contacts bear (kg); nothing above is looked at.
 
     Returns:
@@ -217,7 +221,7 @@ def motor_limit(
     if (over > 0).any():
         return Bound(0.0, Failure.MOTOR, _names(robot, over > 0))
     ceiling = min(most, UNLIMITED * robot.total_mass)
-    mass = _by_line(robot, stand, np.asarray(point, dtype=float))
+    mass = _by_line(robot, stand, find_place(robot, point))
     if mass is None:
         mass = find_first_failing(
             lambda tried: (found := at(tried)) is not None and bool((found > 0).any()),
@@ -235,7 +239,7 @@ def motor_limit(
     return Bound(mass, Failure.MOTOR, _names(robot, near))
 
 
-def _by_line(robot: Robot, stand: Stand, point: Array) -> float | None:
+def _by_line(robot: Robot, stand: Stand, point: Tool) -> float | None:
     """Returns what motors hold by the line through two equilibria; None where there is no line."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     if stand.task.ground.slope:
@@ -252,11 +256,11 @@ def _by_line(robot: Robot, stand: Stand, point: Array) -> float | None:
 
 
 def _even(
-    robot: Robot, stand: Stand, point: Sequence[float] | Array, mass: float
+    robot: Robot, stand: Stand, point: Sequence[float] | Tool, mass: float
 ) -> GravityCompensation | None:
     """Returns what lasts with a payload; None if no contact forces balance it."""
     try:
-        loaded = with_payload(robot, mass, tuple(np.asarray(point).tolist()))
+        loaded = with_payload(robot, mass, point)
         return stand_statics(loaded, stand, distribution=ForceDistribution.MIN_TANGENTIAL)
     except StaticsInfeasibleError:
         return None
@@ -266,7 +270,7 @@ def _names(robot: Robot, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
     return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
 
 
-def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Bound:
+def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Tool) -> Bound:
     """Finds the greatest payload that friction and unilateral contact bear.
 
     With the mass m at a point whose Jacobian is J_p, balance of the base means, in its six rows,
@@ -277,7 +281,7 @@ def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) ->
     Args:
         robot: The robot.
         stand: How it stands, without payload. Forces act half way into its ``depths``.
-        point: (3,) where the mass is, in the base's frame (m).
+        point: Where the mass is, as in ``with_payload``.
 
     Returns:
         The limit; infinite if all is borne that is looked at (``UNLIMITED``).
@@ -286,7 +290,7 @@ def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Array) ->
     config, most = Configuration(robot, stand.qpos), UNLIMITED * robot.total_mass
     carrying = make_contacts(robot, stand.stance_feet, None, stand.normals, stand.depths)
     problem = carrying.balance(carrying.jacobian(config), config.load())
-    load = load_per_mass(config, point)[:6]
+    load = find_place(robot, point).load_per_mass(config)[:6]
     best, forces = problem.greatest_load(load, carrying.friction, most)
     if best >= 0.999 * most:
         return Bound(math.inf, Failure.NOTHING, ())

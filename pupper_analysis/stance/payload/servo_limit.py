@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -20,6 +20,7 @@ from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos, own_servos
 from pupper_analysis.robot.terrain import on_ground
+from pupper_analysis.robot.tool import Tool, find_place
 from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.payload.nudge import find_saturating_motors
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
@@ -124,7 +125,7 @@ class LoadedPose(Result):
 def servo_limit(
     robot: Robot,
     stand: Stand,
-    point: ArrayLike,
+    point: Sequence[float] | Tool,
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -170,7 +171,7 @@ def servo_limit(
 
     ceiling = 2 * most if math.isfinite(most) else 1e4 * robot.total_mass
     stiffness = model_with_servos(robot, kp, None if kp is None else 0.0).kp
-    start = _guess(robot, stand, np.asarray(point, dtype=float), stiffness) / 4
+    start = _guess(robot, stand, find_place(robot, point), stiffness) / 4
     mass = 0.0 if fails(0.0) else find_first_failing(fails, min(start, most), ceiling)
     if mass >= ceiling:
         return Bound(math.inf, Failure.NOTHING, ())
@@ -178,7 +179,7 @@ def servo_limit(
     return Bound(mass, failure, where)
 
 
-def _guess(robot: Robot, stand: Stand, point: Array, kp: Array) -> float:
+def _guess(robot: Robot, stand: Stand, point: Tool, kp: Array) -> float:
     """Returns about what a stand bears (kg), to begin the search at."""
     small = SmallPayload(robot, point, kp)
     try:
@@ -212,7 +213,7 @@ def find_loaded_pose(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: ArrayLike,
+    point: Sequence[float] | Tool,
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -224,7 +225,7 @@ def find_loaded_pose(
         robot: The robot.
         stand: How it stands, without payload.
         mass: Of the payload (kg).
-        point: (3,) where the mass is, in the base's frame (m).
+        point: Where the mass is, as in ``with_payload``.
         command: What the servos are commanded.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default, none where its
@@ -237,7 +238,7 @@ def find_loaded_pose(
         ConfigurationError: If the robot cannot stand, or kp is out of range.
         ModelError: If the model has no position servos, and no kp is given.
     """
-    loaded = with_payload(robot, mass, np.asarray(point, dtype=float).tolist())
+    loaded = with_payload(robot, mass, point)
     try:
         sunk = solve_loaded_stand(loaded, stand)
         balance = stand_statics(loaded, sunk, distribution=ForceDistribution.MIN_TANGENTIAL)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Tool, find_place
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.contacts import make_contacts
 
@@ -34,15 +35,7 @@ class Sharing(Result):
     normal_forces: dict[str, float]
 
 
-def load_per_mass(config: Configuration, point: Sequence[float] | Array) -> Array:
-    """Returns what a mass at a point of the base's frame (3,) asks of the robot (nv,) (N/kg)."""
-    offset = config.base_rotation() @ np.asarray(point, dtype=float)  # in world axes
-    robot = config.robot
-    load: Array = -robot.gravity @ config.frame_jacobian(robot.base, offset)[:3]
-    return load
-
-
-def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sharing | None:
+def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Tool) -> Sharing | None:
     """Finds the greatest payload that motors bear with any sharing of the load among the feet.
 
     Without tangential forces, which creep away, the feet's normal forces n and the mass m obey
@@ -53,7 +46,7 @@ def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sh
     Args:
         robot: The robot.
         stand: How it stands, without payload.
-        point: (3,) where the mass is, in the base's frame (m).
+        point: Where the mass is, as in ``with_payload``.
 
     Returns:
         The sharing; None on a slope, where tangential forces carry, too, or if no sharing bears it.
@@ -65,7 +58,7 @@ def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Array) -> Sh
     config, feet = Configuration(robot, stand.qpos), stand.stance_feet
     carrying = make_contacts(robot, feet, None, stand.normals, stand.depths)
     lifting = config.by_motors(carrying.jacobian(config))[:, 2::3]
-    loading = config.by_motors(load_per_mass(config, point))
+    loading = config.by_motors(find_place(robot, point).load_per_mass(config))
     held, limits = config.by_motors(config.load()), robot.effort_limits
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     # In weights, and masses of the robot: all unknowns are of the order of 1.

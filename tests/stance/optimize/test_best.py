@@ -10,6 +10,7 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.tool import find_place
 from pupper_analysis.simulation.payload import simulate_payload
 from pupper_analysis.stance.optimize import search
 from pupper_analysis.stance.optimize.best import best_stance
@@ -144,7 +145,7 @@ def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -
     robot, point = load("v3"), (0.05, 0.0, 0.05)
     found = StanceSearch(robot, Objective.PAYLOAD, point=point)
     found.run()
-    small = SmallPayload(robot, np.array(point), model_with_servos(robot).kp)
+    small = SmallPayload(robot, find_place(robot, point), model_with_servos(robot).kp)
 
     def carried(stand: pa.Stand) -> float:
         first = small.borne(stand)

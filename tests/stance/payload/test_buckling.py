@@ -8,6 +8,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.tool import find_place, find_tool
 from pupper_analysis.stance.payload import first_order
 from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
@@ -15,31 +16,34 @@ from tests.support.variants import NAMES, load, stand_of
 
 
 @pytest.mark.parametrize(
-    ("name", "task", "point"),
+    ("name", "task", "link", "point"),
     [
-        *((name, pa.StandTask(), (0.0, 0.0, 0.0)) for name in NAMES),
-        ("v3", pa.StandTask(roll=0.05, pitch=0.1, yaw=0.2), (0.05, 0.02, 0.1)),
+        *((name, pa.StandTask(), None, (0.0, 0.0, 0.0)) for name in NAMES),
+        ("v3", pa.StandTask(roll=0.05, pitch=0.1, yaw=0.2), None, (0.05, 0.02, 0.1)),
+        ("v3", pa.StandTask(roll=0.05, pitch=0.1), "leg_front_l_1", (0.02, 0.01, 0.1)),
     ],
 )
 def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(
     name: str,
     task: pa.StandTask,
+    link: str | None,
     point: tuple[float, float, float],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Substituted twice, as the depths under the load change the configuration."""
     robot = load(name)
     stand = pa.solve_stand(robot, task)
+    place = find_tool(robot, link).moved(point) if link else find_place(robot, point)
     kp, mass, sunk = model_with_servos(robot).kp, 0.3, stand
     for _ in range(4):
-        sunk = solve_loaded_stand(with_payload(robot, mass, point), stand)
+        sunk = solve_loaded_stand(with_payload(robot, mass, place), stand)
         monkeypatch.setattr(first_order, "SMALL", mass / robot.total_mass)  # as stiff as under it
-        first = SmallPayload(robot, np.array(point), kp).borne(sunk)
+        first = SmallPayload(robot, place, kp).borne(sunk)
         assert first is not None
         mass = float(1 / first.modes[0])
     signs = []
     for share in (0.98, 1.02):
-        heavy = with_payload(robot, share * mass, point)
+        heavy = with_payload(robot, share * mass, place)
         pose = pa.steady_state(heavy, solve_loaded_stand(heavy, stand), feedforward=True)
         signs.append(np.sign(pose.stiffness))
     assert signs == [1, -1]
@@ -47,4 +51,4 @@ def test_where_it_buckles_the_settled_pose_is_not_stable_any_more(
 
 def test_servos_too_soft_without_any_payload() -> None:
     robot, stand = load("v3"), stand_of("v3")
-    assert SmallPayload(robot, np.zeros(3), np.full(12, 0.5)).borne(stand) is None
+    assert SmallPayload(robot, find_place(robot, (0, 0, 0)), np.full(12, 0.5)).borne(stand) is None

@@ -13,6 +13,7 @@ import pupper_analysis as pa
 from pupper_analysis.analysis.payload import NEAR, study_payload
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.robot.tool import find_place, find_tool
 from pupper_analysis.simulation import payload
 from pupper_analysis.simulation.payload import simulate_payload
 from pupper_analysis.stance.payload.first_order import SmallPayload
@@ -127,6 +128,21 @@ def test_at_the_motors_limit_one_is_at_its_end_with_the_forces_that_last(name: s
         with_payload(robot, 0.9 * limit.mass, ON_TOP), stand, distribution=EVEN
     )
     assert below.motor_utilisation.max() < 1
+
+
+def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    tool = find_tool(robot, "leg_front_l_2").moved((0.0, 0.02, 0.06))
+    at = tool.position(pa.Configuration(robot, stand.qpos)) - stand.qpos[:3]
+    limits = []
+    for place in (tool, find_place(robot, at)):  # the same point, of another link
+        limit = motor_limit(robot, stand, place)
+        for share, held in ((0.99, True), (1.01, False)):
+            laden = with_payload(robot, share * limit.mass, place)
+            torques = pa.stance.stand_statics(laden, stand, distribution=EVEN).joint_torques
+            assert bool((np.abs(torques) < robot.effort_limits).all()) is held
+        limits.append(limit.mass)
+    assert abs(limits[0] - limits[1]) > 0.1 * limits[1]
 
 
 def test_where_a_foot_lets_go_the_motors_limit_is_found_by_search() -> None:
@@ -265,7 +281,7 @@ def test_a_surprise_is_carried_less_well() -> None:
 @pytest.mark.parametrize("name", ["original", "v3", "v3-long-leg"])
 def test_first_order_is_near_the_limit(name: str) -> None:
     robot, stand = load(name), stand_of(name)
-    small = SmallPayload(robot, np.array(ON_TOP), model_with_servos(robot).kp)
+    small = SmallPayload(robot, find_place(robot, ON_TOP), model_with_servos(robot).kp)
     first = small.borne(stand)
     assert first is not None
     limit = payload_limit(robot, stand, ON_TOP).mass
