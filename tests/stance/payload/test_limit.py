@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -26,6 +27,7 @@ from pupper_analysis.stance.payload.servo_limit import (
 )
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at, with_efforts
+from tests.support.random_legged import drawn, written
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
 
@@ -143,6 +145,29 @@ def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
             assert bool((np.abs(torques) < robot.effort_limits).all()) is held
         limits.append(limit.mass)
     assert abs(limits[0] - limits[1]) > 0.1 * limits[1]
+
+
+@pytest.mark.longest
+def test_a_payload_on_a_tail_is_borne_until_its_motor_or_a_foot_gives_way(tmp_path: Path) -> None:
+    pair = written(drawn(57), tmp_path)
+    strong = pa.load_robot(pair.urdf, pair.mjcf, self_check=False)
+    tail = next(name for name in strong.joint_names if "wag" in name)
+    place = find_tool(strong, "tail").moved((0.02, 0.05, 0.0))
+    efforts = np.where(np.array(strong.joint_names) == tail, 8.0, strong.effort_limits)
+    stand = pa.solve_stand(strong)
+    for robot, failure in (
+        (strong, Failure.TIPPING),
+        (with_efforts(strong, efforts), Failure.MOTOR),
+    ):
+        limit = payload_limit(robot, stand, place)
+        assert limit.failure is failure
+        assert limit.link == "tail"
+        assert (limit.where == (tail,)) is (failure is Failure.MOTOR)
+        trials = [
+            simulate_payload(robot, stand, share * limit.mass, place, duration=3)
+            for share in (0.95, 1.05)
+        ]
+        assert [trial.held for trial in trials] == [True, False]
 
 
 def test_where_a_foot_lets_go_the_motors_limit_is_found_by_search() -> None:
