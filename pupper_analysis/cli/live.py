@@ -59,6 +59,8 @@ def live_command(
 ) -> None:
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
+    Of an arm, or any robot with a fixed base, there is a slider for each joint.
+
     ROBOT is a variant (v3 by default), a URDF, an MJCF, or a URDF and an MJCF. Each browser that
     opens the page has its own session.
     Only this machine can reach the page, unless --host is given: then anyone can who reaches
@@ -76,7 +78,9 @@ def live_command(
     Exit status: 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.live.door import is_loopback
+    from pupper_analysis.live.held import HeldPage
     from pupper_analysis.live.server import Page, serve
+    from pupper_analysis.live.source import LoadedFiles
     from pupper_analysis.live.state import parse_state
     from pupper_analysis.live.viser_parts import import_viser
 
@@ -85,8 +89,6 @@ def live_command(
     meant = which.one(words) or "v3"
     source: LiveSource
     if isinstance(meant, FilesGiven):
-        from pupper_analysis.live.source import LoadedFiles
-
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
             source = LoadedFiles.of(*meant.models, **meant.said)
         print_notes(source.robot({}))
@@ -96,7 +98,11 @@ def live_command(
 
         source = LiveVariants(variant_spec(meant))
     with shared.show_progress("making the page"):
-        page = Page(source, begin, language=language, host=host, port=port)
+        page: Page | HeldPage
+        if isinstance(source, LoadedFiles) and not source.loaded.floating:
+            page = HeldPage(source, language=language, host=host, port=port)
+        else:
+            page = Page(source, begin, language=language, host=host, port=port)
     click.echo(f"{page.address}  (Ctrl-C ends it)")
     if not is_loopback(host):
         click.echo(

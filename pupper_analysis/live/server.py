@@ -6,7 +6,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Hashable
-from typing import Any
+from typing import Any, Protocol
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import memory, viser_parts
@@ -72,10 +72,7 @@ class Page:
         self._lock = threading.Lock()
         door = Door(host)
         self._server = viser_parts.start_server(host, free, f"{robot.name}, live", door)
-        shown = "localhost" if host in ("0.0.0.0", "::") else host
-        shown = f"[{shown}]" if ":" in shown else shown
-        self.address = f"http://{shown}:{self._server.get_port()}/"
-        self.address += f"?token={door.token}" if door.token else ""
+        self.address = viser_parts.address_of(self._server, host, door)
         self._size = size = robot.stand_height
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)
@@ -152,7 +149,16 @@ def check_state(model: Model, state: State) -> None:
             robot.points_of(foot)
 
 
-def serve(page: Page, *, browser: bool, wait: Callable[[], object]) -> None:
+class Served(Protocol):
+    """A page that is served."""
+
+    address: str
+
+    def close(self) -> None:
+        """Ends all sessions, and serves no more."""
+
+
+def serve(page: Served, *, browser: bool, wait: Callable[[], object]) -> None:
     """Opens a browser, and serves until ``wait`` is over.
 
     Args:

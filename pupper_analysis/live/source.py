@@ -62,11 +62,11 @@ class LoadedFiles:
             **options: What else ``load_robot`` is given.
 
         Raises:
-            ConfigurationError: If it cannot stand.
+            ConfigurationError: If its base is free, and it has no feet.
             ModelError: As ``load_robot``.
         """
         robot = load_robot(*models, **options)
-        if not robot.floating or not robot.contact_points:
+        if robot.floating and not robot.contact_points:
             raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
         paths = tuple(str(find_file(model).absolute()) for model in models)
         return LoadedFiles(paths, options, robot)

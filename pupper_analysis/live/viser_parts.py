@@ -81,6 +81,20 @@ def start_server(host: str, port: int, label: str, door: Door | None = None) -> 
     return server
 
 
+def address_of(server: Any, host: str, door: Door) -> str:
+    """Returns what a browser opens.
+
+    Args:
+        server: viser's.
+        host: Where it can be reached.
+        door: Who may come in.
+    """
+    shown = "localhost" if host in ("0.0.0.0", "::") else host
+    shown = f"[{shown}]" if ":" in shown else shown
+    address = f"http://{shown}:{server.get_port()}/"
+    return address + (f"?token={door.token}" if door.token else "")
+
+
 @contextlib.contextmanager
 def _behind(door: Door) -> Iterator[None]:
     """Lets a server that viser starts meanwhile answer only whom a door lets in."""

@@ -199,7 +199,7 @@ def describe_scene(
         com=com,
         below=np.array([com[0], com[1], height_at(points, com)]),
         inside=stand.com_margin >= 0,
-        joints=tuple(_joints(config, stand, statics)),
+        joints=tuple(joint_axes(config, stand.joint_positions(robot), statics)),
         contacts=tuple(
             Contact(foot, load.centre_of_pressure, load.force)
             for foot, load in (statics.foot_loads if statics else {}).items()
@@ -234,11 +234,18 @@ def polygon_corners(points: Array) -> Array:
     return np.column_stack([corners, points[np.argmin(away, axis=0), 2]])
 
 
-def _joints(
-    config: Configuration, stand: Stand, statics: GravityCompensation | None
+def joint_axes(
+    config: Configuration, positions: Array, statics: GravityCompensation | None
 ) -> list[JointAxis]:
+    """Returns where a robot's joints are, and what their motors hold.
+
+    Args:
+        config: The robot in its configuration.
+        positions: (nu,) of the joints (rad, m).
+        statics: What the motors hold; None if that is not shown.
+    """
     robot = config.robot
-    model, positions = robot.mj_model, stand.joint_positions(robot)
+    model = robot.mj_model
     found = []
     for index, name in enumerate(robot.joint_names):
         joint = model.joint(name).id

@@ -25,6 +25,7 @@ from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.words import join_words, text
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
 _RINGS = 12
 """Distances of the tool that are told apart: some 50 random postures each."""
@@ -240,18 +241,28 @@ def _posture(hold: Hold) -> doc.Words:
     return text("posture-with-payload", where=where, mass=f"{hold.carried:g}")
 
 
-def _told(hold: Hold) -> Iterable[doc.Words]:
-    used = hold.statics.motor_utilisation
-    limited = np.isfinite(hold.limits) & np.isfinite(used)
+def hardest_motor(statics: GravityCompensation, limits: NDArray[np.float64]) -> Iterable[doc.Words]:
+    """Says which motor is closest to its limit, if one has any.
+
+    Args:
+        statics: What the motors hold.
+        limits: (nu,) theirs (N m).
+    """
+    used = statics.motor_utilisation
+    limited = np.isfinite(limits) & np.isfinite(used)
     if limited.any():
         worst = int(np.argmax(np.where(limited, used, -1.0)))
         yield text(
             "motor-that-holds-most",
-            joint=doc.Name(hold.statics.joint_names[worst]),
+            joint=doc.Name(statics.joint_names[worst]),
             share=f"{used[worst]:.1%}",
-            torque=f"{hold.statics.joint_torques[worst]:.3g}",
-            limit=f"{hold.limits[worst]:.3g}",
+            torque=f"{statics.joint_torques[worst]:.3g}",
+            limit=f"{limits[worst]:.3g}",
         )
+
+
+def _told(hold: Hold) -> Iterable[doc.Words]:
+    yield from hardest_motor(hold.statics, hold.limits)
     if hold.sagged is not None:
         yield text(
             "tool-sags-by",

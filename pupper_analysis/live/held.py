@@ -1,0 +1,253 @@
+"""The page of a robot whose base is held: a slider for each joint, and what the motors hold."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.analysis.hold import hold_posture
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.live import render, viser_parts
+from pupper_analysis.live.colour import colour_of
+from pupper_analysis.live.documents import failure_document, unforeseen_document
+from pupper_analysis.live.door import Door
+from pupper_analysis.live.export import PROGRAM
+from pupper_analysis.live.language import Language
+from pupper_analysis.live.scene import Figure, joint_text, quaternion_along
+from pupper_analysis.live.shapes import parts_of
+from pupper_analysis.live.source import LoadedFiles, quote_words
+from pupper_analysis.posture.posture import Posture, find_posture, joint_ranges, joint_units
+from pupper_analysis.report.document import Document, Name
+from pupper_analysis.report.documents.hold import hardest_motor
+from pupper_analysis.report.documents.loads import torque_table
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.formats import escape_control
+from pupper_analysis.report.scene import joint_axes
+from pupper_analysis.report.words import text
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+
+Array = NDArray[np.float64]
+
+_SHOWN = {"rad": (180.0 / math.pi, "deg", math.pi), "m": (1e3, "mm", 1.0)}
+"""{unit of a joint: (how many of what the page shows it is, what that is, the end of a slider of a
+joint without limits)}."""
+
+_STEP = 0.5
+"""From notch to notch of a slider (deg, mm): half of what one tells apart on the page."""
+
+_DISC, _ABOVE = 0.035, 0.1
+"""Radius of a joint's disc, and how far above it its label is, in parts of the robot's size."""
+
+
+def held_document(robot: Robot, statics: GravityCompensation) -> Document:
+    """Returns what the motors hold, at once: without a simulation there is no verdict."""
+    limits = np.array(robot.effort_limits)
+    return Document(
+        text("held-posture"),
+        Name(robot.name),
+        (torque_table(statics, limits.tolist()),),
+        passed=None,
+        verdict=None,
+        told=tuple(hardest_motor(statics, limits)),
+    )
+
+
+class HeldSession:
+    """What a browser sees and does.
+
+    One thread answers it: where the sliders are, and a simulation when that is asked for.
+
+    Args:
+        client: viser's handle of the browser.
+        source: The robot, and how others name it.
+        say: The page's language.
+    """
+
+    def __init__(self, client: Any, source: LoadedFiles, say: Language) -> None:
+        self._client, self._source, self._say = client, source, say
+        self._robot = robot = source.loaded
+        self._asked, self._closed = threading.Event(), threading.Event()
+        self._lock = threading.Lock()
+        self._simulate = False
+        start = find_posture(robot)
+        gui, scene = client.gui, client.scene
+        left = gui.add_panel()
+        with left.add_tab(say("what-it-takes")):
+            self._numbers = gui.add_html(render.render_waiting(text("solving"), say))
+        left.dock_left()
+        left.set_width(380)
+        self.sliders = self._add_sliders(gui, start)
+        self._begin = {name: slider.value for name, slider in self.sliders.items()}
+        self._command = gui.add_text(say("as-a-command"), "", multiline=True)
+        simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
+        self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
+        simulate.on_click(lambda _: self.simulate())
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(360)
+        self._figure = Figure(scene, "/held", robot, parts_of(robot.mj_model))
+        self._size = size = robot_size(robot, start)
+        scene.add_grid("/ground", 4 * size, 4 * size, cell_size=size / 10, section_size=size / 2)
+        self._discs = [
+            scene.add_cylinder(f"/joints/{n}", _DISC * size, 2 * _DISC * size, cast_shadow=False)
+            for n in range(robot.nu)
+        ]
+        self._label = scene.add_label("/label", "", anchor="bottom-center")
+        self.thread = threading.Thread(target=self._answering, name="live-held", daemon=True)
+        self._asked.set()
+        self.thread.start()
+
+    def close(self) -> None:
+        """Ends the thread, as soon as what it is at is done."""
+        self._closed.set()
+        self._asked.set()
+
+    def simulate(self) -> None:
+        """Simulates the posture."""
+        with self._lock:
+            self._simulate = True
+        self._result.content = render.render_waiting(text("simulating"), self._say)
+        self._asked.set()
+
+    def _add_sliders(self, gui: Any, start: Posture) -> dict[str, Any]:
+        """Adds a slider for each joint that follows no other."""
+        robot, sliders = self._robot, {}
+        follows = () if robot.closure is None else {int(one) for one in robot.closure.following}
+        ranges, units = joint_ranges(robot), joint_units(robot)
+        for index, name in enumerate(robot.joint_names):
+            if index in follows:
+                continue
+            scale, unit, end = _SHOWN[units[index]]
+            ends = np.clip(ranges[index], -end, end) * scale
+            # Inwards, so that no end of a slider is beyond the joint's.
+            low, high = math.ceil(ends[0] / _STEP) * _STEP, math.floor(ends[1] / _STEP) * _STEP
+            value = float(np.clip(start.qpos[index] * scale, low, high))
+            name_and_unit = f"{escape_control(name)} ({unit})"
+            slider = gui.add_slider(name_and_unit, low, max(high, low + _STEP), _STEP, value)
+            slider.on_update(lambda _: self._asked.set())
+            sliders[name] = slider
+        return sliders
+
+    def positions(self) -> dict[str, float]:
+        """Returns where the joints are told to be that someone has moved (rad, m)."""
+        units = dict(zip(self._robot.joint_names, joint_units(self._robot), strict=True))
+        moved = {n: one.value for n, one in self.sliders.items() if one.value != self._begin[n]}
+        return {name: value / _SHOWN[units[name]][0] for name, value in moved.items()}
+
+    def _answering(self) -> None:
+        while not self._closed.is_set():
+            self._asked.wait()
+            self._asked.clear()
+            if self._closed.is_set():
+                return
+            with self._lock:
+                simulate, self._simulate = self._simulate, False
+            self._safely(self._show)
+            if simulate:
+                self._safely(self._hold)
+
+    def _safely(self, work: Callable[[], None]) -> None:
+        """Does some work; what is wrong with it is shown, and the page lives on."""
+        try:
+            work()
+        except PupperAnalysisError as error:
+            self._numbers.content = render.render_panel(failure_document(error), self._say)
+        except Exception as error:  # a bug: the page tells of it, and goes on
+            if not self._closed.is_set():
+                self._numbers.content = render.render_panel(unforeseen_document(error), self._say)
+
+    def _show(self) -> None:
+        """Shows the posture that the sliders say, and what its motors hold."""
+        robot, positions = self._robot, self.positions()
+        posture = find_posture(robot, positions)
+        config = Configuration(robot, posture.qpos)
+        statics = gravity_compensation(config, contacts=[])
+        told = render.render_panel(held_document(robot, statics), self._say)
+        axes = joint_axes(config, posture.qpos, statics)
+        hardest = max(axes, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
+        words = [PROGRAM, "hold", *self._source.arguments({})]
+        words += [f"--joints={name}={value:.6g}" for name, value in positions.items()]
+        with self._client.atomic():
+            self._numbers.content = told
+            self._command.value = escape_control(quote_words(words))
+            self._figure.pose(posture.qpos)
+            for disc, one in zip(self._discs, axes, strict=True):
+                disc.color, disc.position = colour_of(one.share), one.place
+                disc.wxyz = quaternion_along(one.direction)
+            self._label.text = joint_text(hardest.name, hardest.torque or 0.0, hardest.share)
+            self._label.position = hardest.place + np.array([0.0, 0.0, _ABOVE * self._size])
+
+    def _hold(self) -> None:
+        """Simulates the posture; what is wrong with it is its result."""
+        try:
+            told = build_document(hold_posture(self._robot, self.positions()))
+        except PupperAnalysisError as error:
+            told = failure_document(error)
+        self._result.content = render.render_panel(told, self._say)
+
+
+class HeldPage:
+    """A page of a robot whose base is held, which is served until it is closed.
+
+    Args:
+        source: The robot.
+        language: In which it opens, ``"en"`` or ``"zh"``.
+        host: Where it can be reached: by default from this machine alone.
+        port: Where; any free one by default.
+
+    Attributes:
+        address: What a browser opens.
+        sessions: {browser: its session}.
+
+    Raises:
+        ConfigurationError: If it cannot be served there, the base is free, or the language neither.
+        MissingPackageError: If viser is not installed.
+    """
+
+    def __init__(
+        self,
+        source: LoadedFiles,
+        *,
+        language: str = "en",
+        host: str = "127.0.0.1",
+        port: int | None = None,
+    ) -> None:
+        viser_parts.import_viser()  # before the work
+        self._source, self._say = source, Language(language)
+        size = robot_size(source.loaded, find_posture(source.loaded))
+        door, free = Door(host), viser_parts.free_port(host, port)
+        self.sessions: dict[int, HeldSession] = {}
+        self._server = viser_parts.start_server(host, free, f"{source.loaded.name}, live", door)
+        self.address = viser_parts.address_of(self._server, host, door)
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = (1.6 * size, -1.5 * size, 1.1 * size), (0, 0, 0.4 * size)
+        camera.near = 0.02 * size
+        self._server.on_client_connect(self._opened)
+        self._server.on_client_disconnect(self._left)
+
+    def _opened(self, client: Any) -> None:
+        self.sessions[client.client_id] = HeldSession(client, self._source, self._say)
+
+    def _left(self, client: Any) -> None:
+        session = self.sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    def close(self) -> None:
+        """Ends all sessions, and serves no more."""
+        for session in [*self.sessions.values()]:
+            session.close()
+        viser_parts.stop_server(self._server)
+
+
+def robot_size(robot: Robot, posture: Posture) -> float:
+    """Returns how far the farthest joint is from the base at a posture (m); 0.1 at least."""
+    config = Configuration(robot, posture.qpos)
+    places = [config.joint_position(name) for name in robot.joint_names]
+    return max(0.1, *(float(np.linalg.norm(place)) for place in places))
