@@ -13,7 +13,7 @@ from pupper_analysis.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.at_rest import AtRest
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.structure import Workspace
 
 Array = NDArray[np.float64]
@@ -265,7 +265,8 @@ class Configuration:
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
-        return AtRest(self.robot.mj_model, self.robot.mj_convention).forces(self.qpos)
+        with lend(self.robot, _at_rest) as springs:
+            return springs.forces(self.qpos)
 
     def load(self) -> Array:
         """Returns what motors and contacts hold at rest (nv,): gravity less ``passive``."""
@@ -308,8 +309,8 @@ class Configuration:
         # What carries a joint turns its column of J; what it carries moves its foot.
         changed -= np.where(structure.carried, both, pushed.T)
         if self.robot.acts_at_rest:
-            springs = AtRest(self.robot.mj_model, self.robot.mj_convention)
-            changed -= springs.rates(self.qpos)
+            with lend(self.robot, _at_rest) as springs:
+                changed -= springs.rates(self.qpos)
         return changed
 
     def forward_dynamics(self, force: ArrayLike) -> Array:
@@ -397,3 +398,8 @@ class Configuration:
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)
+
+
+def _at_rest(robot: Robot) -> AtRest:
+    """Makes what computes springs; it is lent, for MuJoCo's data takes 50 times as long to make."""
+    return AtRest(robot.mj_model, robot.mj_convention)
