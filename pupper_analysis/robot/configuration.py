@@ -265,7 +265,7 @@ class Configuration:
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
-        with lend(self.robot, _at_rest) as springs:
+        with lend(self.robot, AtRest.of) as springs:
             return springs.forces(self.qpos)
 
     def load(self) -> Array:
@@ -309,7 +309,7 @@ class Configuration:
         # What carries a joint turns its column of J; what it carries moves its foot.
         changed -= np.where(structure.carried, both, pushed.T)
         if self.robot.acts_at_rest:
-            with lend(self.robot, _at_rest) as springs:
+            with lend(self.robot, AtRest.of) as springs:
                 changed -= springs.rates(self.qpos)
         return changed
 
@@ -398,8 +398,3 @@ class Configuration:
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)
-
-
-def _at_rest(robot: Robot) -> AtRest:
-    """Makes what computes springs; it is lent, for MuJoCo's data takes 50 times as long to make."""
-    return AtRest(robot.mj_model, robot.mj_convention)
