@@ -73,6 +73,8 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "qpos": [stand.qpos],
         "stances": [pa.StandTask(), pa.StandTask(pitch=0.01)],
         "seconds": 0.5,
+        "posture": pa.posture.find_posture(pa.load_variant("v3", fixed_base=True)),
+        "tool": pa.robot.find_tool(robot, "leg_front_l_3"),
         "mass": 0.1,
         "impulse": 0.1,
         "configurations": 2,

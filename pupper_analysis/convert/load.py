@@ -24,7 +24,7 @@ from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.robot import Robot
 
-_OF_TWO_FILES = ("effort-unstated",)
+_OF_A_URDF = ("armature-from-mjcf", "effort-unstated", "fixed-base-stands", "root-link-left-out")
 """What is told of a URDF beside an MJCF, and is no news of one that was made of it."""
 
 
@@ -62,7 +62,8 @@ class ModelPair:
         source = self.urdf if self.converted == "mjcf" else self.mjcf
         made = self.converted.upper()
         told = diagnose("one-model-converted", made=made, file=source.path.name)
-        own = [note for note in robot.notes if note.code not in _OF_TWO_FILES]
+        known = _OF_A_URDF if self.converted == "urdf" else ()
+        own = [note for note in robot.notes if note.code not in known]
         return replace(robot, description=description, notes=(told, *own))
 
 

@@ -248,8 +248,8 @@ def test_other_arguments_are_checked() -> None:
         study({"kp": [5]}, robot=3)
     with pytest.raises(pa.ConfigurationError, match=r"a variant has base, leg_scale.*no 'legs'"):
         study({"kp": [5]}, robot={"base": "v3", "legs": 2})
-    with pytest.raises(pa.ConfigurationError, match="give urdf and mjcf"):
-        study({"kp": [5]}, robot={"urdf": V3["urdf"]})
+    with pytest.raises(pa.ConfigurationError, match="give urdf, mjcf or both"):
+        study({"kp": [5]}, robot={"feet": V3["feet"]})
     with pytest.raises(pa.VariantError, match="known variants"):
         study({"kp": [5]}, robot="v4")
     with pytest.raises(pa.ConfigurationError, match="no such number"):
