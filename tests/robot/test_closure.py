@@ -324,9 +324,9 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="joints.* coupled"):
+    with pytest.raises(pa.ConfigurationError, match="are coupled"):
         pa.gravity_compensation(pa.Configuration(robot, qpos))
-    with pytest.raises(pa.ConfigurationError, match="joints.* coupled"):
+    with pytest.raises(pa.ConfigurationError, match="are coupled"):
         pa.gravity_compensation(pa.Configuration(robot, qpos), ())
 
 
@@ -346,7 +346,7 @@ def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
     qpos[7 + robot.joint_names.index("FL_knee")] += 0.2
-    with pytest.raises(pa.ConfigurationError, match="joints.* coupled"):
+    with pytest.raises(pa.ConfigurationError, match="are coupled"):
         pa.statics.gravity_compensations(robot, qpos[None])
 
 
@@ -362,7 +362,7 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
         "the best stance": lambda: pa.best_stance(robot),
     }
     for what, ask in asked.items():
-        with pytest.raises(pa.ConfigurationError, match=f"joints.* coupled.*{what} is not computed"):
+        with pytest.raises(pa.ConfigurationError, match=rf"coupled.*{what} is not computed"):
             ask()
 
 
