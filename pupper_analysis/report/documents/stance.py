@@ -74,8 +74,8 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
         settles = text(
             "settles-at",
             height=f"{settled.base_height:.5f}",
-            servo=f"{1e3 * settled.servo_sag:.2f}",
-            contact=f"{1e3 * settled.contact_sag:.2f}",
+            servo=f"{1e3 * settled.servo_sag:z.2f}",
+            contact=f"{1e3 * settled.contact_sag:z.2f}",
         )
         if settled.failures:
             why = join_words(map(doc.tell, settled.failures), "semicolon")
