@@ -150,7 +150,7 @@ def test_path_finds_the_shortest_duration(
     assert content["reserve"] == fastest.reserve
     assert content["lower_bound"] == pytest.approx(fastest.lower_bound)
     assert content["binding"]["names"] == list(fastest.binding.names)
-    assert f"least time {fastest.seconds:.3g} s" in out
+    assert f"shortest duration {fastest.seconds:.3g} s" in out
     assert str(fastest.binding) in out
 
 
