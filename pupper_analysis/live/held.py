@@ -15,10 +15,10 @@ from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import render, viser_parts
 from pupper_analysis.live.colour import colour_of
 from pupper_analysis.live.documents import failure_document, unforeseen_document
-from pupper_analysis.live.door import Door
 from pupper_analysis.live.export import PROGRAM
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.scene import Figure, joint_text, quaternion_along
+from pupper_analysis.live.server import LOOPBACK, Served
 from pupper_analysis.live.shapes import parts_of
 from pupper_analysis.live.source import LoadedFiles, quote_words
 from pupper_analysis.posture.posture import Posture, find_posture, joint_ranges, joint_units
@@ -99,9 +99,10 @@ class HeldSession:
             for n in range(robot.nu)
         ]
         self._label = scene.add_label("/label", "", anchor="bottom-center")
-        self.thread = threading.Thread(target=self._answering, name="live-held", daemon=True)
+        work = threading.Thread(target=self._answering, name="live-held", daemon=True)
+        self.threads = [work]
         self._asked.set()
-        self.thread.start()
+        work.start()
 
     def close(self) -> None:
         """Ends the thread, as soon as what it is at is done."""
@@ -192,18 +193,14 @@ class HeldSession:
         self._result.content = render.render_panel(told, self._say)
 
 
-class HeldPage:
-    """A page of a robot whose base is held, which is served until it is closed.
+class HeldPage(Served):
+    """A page of a robot whose base is held.
 
     Args:
         source: The robot.
-        language: In which it opens, ``"en"`` or ``"zh"``.
-        host: Where it can be reached: by default from this machine alone.
-        port: Where; any free one by default.
-
-    Attributes:
-        address: What a browser opens.
-        sessions: {browser: its session}.
+        language: See ``Served``, as host and port.
+        host: Where it can be reached.
+        port: Where.
 
     Raises:
         ConfigurationError: If it cannot be served there, the base is free, or the language neither.
@@ -215,35 +212,16 @@ class HeldPage:
         source: LoadedFiles,
         *,
         language: str = "en",
-        host: str = "127.0.0.1",
+        host: str = LOOPBACK,
         port: int | None = None,
     ) -> None:
         viser_parts.import_viser()  # before the work
-        self._source, self._say = source, Language(language)
-        size = robot_size(source.loaded, find_posture(source.loaded))
-        door, free = Door(host), viser_parts.free_port(host, port)
-        self.sessions: dict[int, HeldSession] = {}
-        self._server = viser_parts.start_server(host, free, f"{source.loaded.name}, live", door)
-        self.address = viser_parts.address_of(self._server, host, door)
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = (1.6 * size, -1.5 * size, 1.1 * size), (0, 0, 0.4 * size)
-        camera.near = 0.02 * size
-        self._server.on_client_connect(self._opened)
-        self._server.on_client_disconnect(self._left)
+        self._source, robot = source, source.loaded
+        super().__init__(robot.name, robot_size(robot, find_posture(robot)), language, host, port)
 
-    def _opened(self, client: Any) -> None:
-        self.sessions[client.client_id] = HeldSession(client, self._source, self._say)
-
-    def _left(self, client: Any) -> None:
-        session = self.sessions.pop(client.client_id, None)
-        if session is not None:
-            session.close()
-
-    def close(self) -> None:
-        """Ends all sessions, and serves no more."""
-        for session in [*self.sessions.values()]:
-            session.close()
-        viser_parts.stop_server(self._server)
+    def _session(self, client: Any, address: str, words: str, say: Language) -> HeldSession:
+        del address, words  # it begins at one posture for all
+        return HeldSession(client, self._source, say)
 
 
 def robot_size(robot: Robot, posture: Posture) -> float:

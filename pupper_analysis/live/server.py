@@ -6,7 +6,7 @@ import threading
 import time
 import webbrowser
 from collections.abc import Callable, Hashable
-from typing import Any, Protocol
+from typing import Any
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import memory, viser_parts
@@ -29,19 +29,94 @@ has loaded the page again, or lost its connection for a moment."""
 _LEAVE = 3.0  # s that sessions have to end what they are at
 
 
-class Page:
-    """A page that is served until it is closed.
+class Served:
+    """A page that is served until it is closed: each browser that opens it has a session.
 
     Args:
-        source: Which robot it is about.
-        state: What it begins with.
-        language: In which it opens, ``"en"`` or ``"zh"``.
+        robot: The robot's name, which the page is called by.
+        size: How large it is (m): where it is looked at from.
+        language: In which it opens, ``"en"`` or ``"zh"``, if its address says nothing else.
         host: Where it can be reached: by default from this machine alone.
         port: Where; any free one by default.
 
     Attributes:
         address: What a browser opens.
         sessions: {browser: its session}.
+
+    Raises:
+        ConfigurationError: If it cannot be served there, or the language is neither.
+        MissingPackageError: If viser is not installed.
+    """
+
+    def __init__(self, robot: str, size: float, language: str, host: str, port: int | None) -> None:
+        self._language = Language(language)
+        self.sessions: dict[int, Any] = {}
+        self._lock = threading.Lock()
+        door, free = Door(host), viser_parts.free_port(host, port)
+        self._server = viser_parts.start_server(host, free, f"{robot}, live", door)
+        self.address = viser_parts.address_of(self._server, host, door)
+        self._size = size
+        camera = self._server.initial_camera
+        camera.position = tuple(size * number for number in _FROM)
+        camera.look_at = self._target = (0.0, 0.0, 0.4 * size)
+        camera.near = 0.05 * size
+        self._server.on_client_connect(self._opened)
+        self._server.on_client_disconnect(self._left)
+
+    def _session(self, client: Any, address: str, words: str, say: Language) -> Any:
+        """Returns a browser's session.
+
+        Args:
+            client: viser's handle of the browser.
+            address: Host and port, as it reaches the server.
+            words: The state that it asks for.
+            say: The language that it asks for.
+        """
+        raise NotImplementedError
+
+    def _opened(self, client: Any) -> None:
+        address, words, language = viser_parts.asked_for(self._server, client.client_id)
+        say = Language(language) if language in NAMES else self._language
+        camera = client.camera
+        if camera.image_width < camera.image_height:  # a phone, upright: its sheet leaves 45 %
+            away = max(1.0, 1.3 * 0.45 * camera.image_height / camera.image_width)
+            camera.position = tuple(away * self._size * number for number in _FROM)
+            camera.look_at = self._target
+        session = self._session(client, address, words, say)
+        with self._lock:
+            self.sessions[client.client_id] = session
+        if client.client_id not in self._server.get_clients():  # it left meanwhile
+            self._left(client)
+
+    def _left(self, client: Any) -> None:
+        with self._lock:
+            session = self.sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+            memory.give_back_later()
+
+    def close(self) -> None:
+        """Ends all sessions, and serves no more."""
+        with self._lock:
+            sessions = [*self.sessions.values()]
+            self.sessions.clear()
+        for session in sessions:
+            session.close()
+        for session in sessions:
+            for thread in session.threads:
+                thread.join(_LEAVE)
+        viser_parts.stop_server(self._server)
+
+
+class Page(Served):
+    """A page of stances.
+
+    Args:
+        source: Which robot it is about.
+        state: What it begins with.
+        language: See ``Served``, as host and port.
+        host: Where it can be reached.
+        port: Where.
 
     Raises:
         PupperAnalysisError: If there is no such robot.
@@ -60,30 +135,15 @@ class Page:
         port: int | None = None,
     ) -> None:
         viser_parts.import_viser()  # before the work
-        self._language = Language(language)
         self._model, self._state = Model(source), state or State()
         robot = self._model.robot(self._state)
         self._model.robot(State())
         check_state(self._model, self._state)
-        free = viser_parts.free_port(host, port)
-        self.sessions: dict[int, Session] = {}
         self._came: dict[int, Hashable] = {}
         self._gone: dict[Hashable, tuple[float, State, Language]] = {}
-        self._lock = threading.Lock()
-        door = Door(host)
-        self._server = viser_parts.start_server(host, free, f"{robot.name}, live", door)
-        self.address = viser_parts.address_of(self._server, host, door)
-        self._size = size = robot.stand_height
-        camera = self._server.initial_camera
-        camera.position = tuple(size * number for number in _FROM)
-        camera.look_at = self._target = (0.0, 0.0, 0.4 * size)
-        camera.near = 0.05 * size
-        self._server.on_client_connect(self._opened)
-        self._server.on_client_disconnect(self._left)
+        super().__init__(robot.name, robot.stand_height, language, host, port)
 
-    def _opened(self, client: Any) -> None:
-        address, words, language = viser_parts.asked_for(self._server, client.client_id)
-        say = Language(language) if language in NAMES else self._language
+    def _session(self, client: Any, address: str, words: str, say: Language) -> Session:
         state, problem = self._state, None
         if words:
             try:
@@ -93,27 +153,17 @@ class Page:
                 state, problem = self._state, error.diagnostic
         came = (*viser_parts.browser_of(self._server, client.client_id), words)
         state, say = self._gone_on(came) or (state, say)
-        camera = client.camera
-        if camera.image_width < camera.image_height:  # a phone, upright: its sheet leaves 45 %
-            away = max(1.0, 1.3 * 0.45 * camera.image_height / camera.image_width)
-            camera.position = tuple(away * self._size * number for number in _FROM)
-            camera.look_at = self._target
-        session = Session(client, self._model, state, address, problem, say)
         with self._lock:
-            self.sessions[client.client_id] = session
             self._came[client.client_id] = came
-        if client.client_id not in self._server.get_clients():  # it left meanwhile
-            self._left(client)
+        return Session(client, self._model, state, address, problem, say)
 
     def _left(self, client: Any) -> None:
         with self._lock:
-            session = self.sessions.pop(client.client_id, None)
+            session = self.sessions.get(client.client_id)
             came = self._came.pop(client.client_id, None)
             if session is not None and came is not None:
                 self._gone[came] = (time.monotonic(), *session.asked)
-        if session is not None:
-            session.close()
-            memory.give_back_later()
+        super()._left(client)
 
     def _gone_on(self, came: Hashable) -> tuple[State, Language] | None:
         """Returns what a browser had when it left just now; None if it did not."""
@@ -122,18 +172,6 @@ class Page:
             self._gone = {key: one for key, one in self._gone.items() if now - one[0] < RELOADED}
             left = self._gone.pop(came, None)
         return None if left is None else left[1:]
-
-    def close(self) -> None:
-        """Ends all sessions, and serves no more."""
-        with self._lock:
-            sessions = [*self.sessions.values()]
-            self.sessions.clear()
-        for session in sessions:
-            session.close()
-        for session in sessions:
-            for thread in session.threads:
-                thread.join(_LEAVE)
-        viser_parts.stop_server(self._server)
 
 
 def check_state(model: Model, state: State) -> None:
@@ -147,15 +185,6 @@ def check_state(model: Model, state: State) -> None:
     for field, value in state.asked():
         for foot in value if field.per_foot else ():
             robot.points_of(foot)
-
-
-class Served(Protocol):
-    """A page that is served."""
-
-    address: str
-
-    def close(self) -> None:
-        """Ends all sessions, and serves no more."""
 
 
 def serve(page: Served, *, browser: bool, wait: Callable[[], object]) -> None:

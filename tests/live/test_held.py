@@ -47,8 +47,9 @@ def session(source: LoadedFiles) -> Iterator[HeldSession]:
     one = HeldSession(Browser(server), source, Language("en"))
     yield one
     one.close()
-    one.thread.join(PATIENCE)
-    assert not one.thread.is_alive()
+    [thread] = one.threads
+    thread.join(PATIENCE)
+    assert not thread.is_alive()
     viser_parts.stop_server(server)
 
 
