@@ -1,0 +1,26 @@
+"""The page of a posture that is held: each number in its own column."""
+
+from __future__ import annotations
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.report.document import Table
+from pupper_analysis.report.documents.hold import hold_document
+from tests.support.arm import arm
+
+pytestmark = pytest.mark.slow
+
+
+def test_torques_positions_and_sags_are_each_in_their_column() -> None:
+    held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})
+    table = next(block for block in hold_document(held).blocks if isinstance(block, Table))
+    columns = {str(getattr(one.name, "en", one.name)): at for at, one in enumerate(table.columns)}
+    assert held.sagged is not None
+    for name, values in (
+        ("torque", held.statics.joint_torques),
+        ("position", held.posture.qpos),
+        ("sag", held.sagged.joint_sag),
+    ):
+        shown = [float(row[columns[name]].text) for row in table.rows]
+        assert shown == pytest.approx(values.tolist(), abs=5e-5)
