@@ -314,3 +314,20 @@ class StudyError(PupperAnalysisError):
         self.folder = str(folder)
         self.problem = str(problem)
         super().__init__(diagnose("study-unusable", folder=self.folder, problem=problem))
+
+
+class MeasurementError(PupperAnalysisError):
+    """Measurements of a robot (stands, a log) cannot be used.
+
+    Attributes:
+        source: The file, or what stands for it.
+        problem: What is wrong, and what would be valid.
+        cause: The same, without its words where a diagnostic was given.
+    """
+
+    def __init__(self, source: str | PathLike[str], problem: Problem) -> None:
+        self.source = str(source)
+        self.problem = str(problem)
+        self.cause = as_diagnostic(problem)
+        told = diagnose("measurements-unusable", source=self.source, problem=problem)
+        super().__init__(told)

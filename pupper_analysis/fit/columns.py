@@ -1,0 +1,215 @@
+"""Files of measurements: columns of numbers with names and units, from CSV or npz."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_type
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import MeasurementError
+from pupper_analysis.files import reason_of
+
+Array = NDArray[np.float64]
+
+_UNITS: Mapping[str, Mapping[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "position": {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3, "m": 1.0, "mm": 1e-3},
+    "velocity": {
+        "rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "m/s": 1.0, "mm/s": 1e-3,
+    },
+    "torque": {"N m": 1.0, "Nm": 1.0, "N*m": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N": 1.0},
+    # Kitchen scales show mass.
+    "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
+}  # fmt: skip
+"""{quantity: {unit: its size in SI}}; the first of each is meant where none is said."""
+
+_MISSING = ("", "nan", "na", "null", "none")
+"""Cells that say that nothing was measured."""
+
+_NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column that may be in a file of measurements.
+
+    Attributes:
+        pattern: Its name, as ``time`` or ``position.*``.
+        quantity: What its numbers are: a key of the units; empty for words.
+    """
+
+    pattern: str
+    quantity: str
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What stands in a file of measurements.
+
+    Attributes:
+        source: The file's path.
+        numbers: {name: (n,) in SI units}; missing cells are NaN.
+        words: {name: n texts}, of columns that hold words.
+        lines: (n,) the file's line of each row; counted from 0 where it has no lines.
+    """
+
+    source: str
+    numbers: Mapping[str, Array]
+    words: Mapping[str, tuple[str, ...]]
+    lines: tuple[int, ...]
+
+    def of(self, prefix: str) -> dict[str, Array]:
+        """Returns the columns of one prefix: {``FL_knee``: (n,)} for ``position``."""
+        start = prefix + "."
+        return {
+            name[len(start) :]: values
+            for name, values in self.numbers.items()
+            if name.startswith(start)
+        }
+
+
+def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
+    """Reads a file of measurements.
+
+    A CSV file has its columns' names in its first line, with units in brackets where they are not
+    SI: ``position.FL_knee [deg]``. A cell that is empty or says ``nan`` is missing. An ``.npz`` has
+    arrays of those names; those of several joints may be one, ``position`` (n, joints), whose names
+    are in ``joints``.
+
+    Args:
+        path: The file.
+        known: The columns that it may have.
+
+    Raises:
+        MeasurementError: If it cannot be read: a column that is not known, twice there or in no
+            known unit, a cell that is no number.
+    """
+    check_type("path", path, str | Path)
+    source = str(path)
+    try:
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise MeasurementError(source, str(reason_of(error))) from error
+    if Path(path).suffix == ".npz":
+        return _from_arrays(source, data, known)
+    return _from_csv(source, data, known)
+
+
+def _from_csv(source: str, data: bytes, known: Sequence[Column]) -> Columns:
+    try:
+        rows = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise MeasurementError(source, diagnose("no-csv", problem=str(error))) from error
+    filled = [(line, row) for line, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
+    if len(filled) < 2:
+        raise MeasurementError(source, diagnose("no-rows"))
+    header, body = [cell.strip() for cell in filled[0][1]], filled[1:]
+    columns = list(_columns(source, header, known))
+    for line, row in body:
+        if len(row) != len(header):
+            told = diagnose("row-length", line=line, cells=len(row), columns=len(header))
+            raise MeasurementError(source, told)
+    numbers, words = {}, {}
+    for place, (name, column, factor) in enumerate(columns):
+        cells = [row[place].strip() for _, row in body]
+        if column.quantity:
+            numbers[name] = factor * _numbers(source, header[place], cells, body)
+        else:
+            words[name] = tuple(cells)
+    return Columns(source, numbers, words, tuple(line for line, _ in body))
+
+
+def _numbers(
+    source: str, name: str, cells: Sequence[str], body: Sequence[tuple[int, list[str]]]
+) -> Array:
+    try:  # quickly, where all are numbers
+        found = np.array(cells, dtype=float)
+    except ValueError:
+        found = np.empty(len(cells))
+        for row, cell in enumerate(cells):
+            try:
+                found[row] = math.nan if cell.lower() in _MISSING else float(cell)
+            except ValueError:
+                told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell)
+                raise MeasurementError(source, told) from None
+    if np.isinf(found).any():
+        row = int(np.flatnonzero(np.isinf(found))[0])
+        told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row])
+        raise MeasurementError(source, told)
+    return found
+
+
+def _from_arrays(source: str, data: bytes, known: Sequence[Column]) -> Columns:
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name]) for name in file.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise MeasurementError(source, diagnose("no-npz", problem=str(error))) from error
+    flat: dict[str, NDArray[np.generic]] = {}
+    joints = [str(one) for one in np.atleast_1d(arrays.pop("joints", np.zeros(0)))]
+    for name, values in arrays.items():
+        match = _NAME.fullmatch(name)
+        if values.ndim == 2 and values.shape[1] == len(joints) and match:
+            unit = f" [{match['unit']}]" if match["unit"] else ""
+            for joint, column in zip(joints, values.T, strict=True):
+                flat[f"{match['name']}.{joint}{unit}"] = column
+        elif values.ndim == 1:
+            flat[name] = values
+        else:
+            told = diagnose("array-no-column", name=name, shape=str(values.shape), joints=joints)
+            raise MeasurementError(source, told)
+    sizes = {len(values) for values in flat.values()}
+    if len(sizes) != 1 or 0 in sizes:
+        raise MeasurementError(source, diagnose("arrays-of-sizes", sizes=sorted(sizes)))
+    numbers, words = {}, {}
+    header = list(flat)
+    for name, (plain, column, factor) in zip(header, _columns(source, header, known), strict=True):
+        if not column.quantity:
+            words[plain] = tuple(str(one) for one in flat[name])
+            continue
+        if flat[name].dtype.kind not in "iuf":
+            told = diagnose("array-of-another-type", type=str(flat[name].dtype))
+            raise MeasurementError(source, told)
+        values = factor * flat[name].astype(float)
+        if np.isinf(values).any():
+            row = int(np.flatnonzero(np.isinf(values))[0])
+            told = diagnose("cell-no-number", column=name, line=row, cell=str(values[row]))
+            raise MeasurementError(source, told)
+        numbers[plain] = values
+    return Columns(source, numbers, words, tuple(range(sizes.pop())))
+
+
+def _columns(
+    source: str, header: Iterable[str], known: Sequence[Column]
+) -> Iterator[tuple[str, Column, float]]:
+    """Yields name, kind and size of the unit of each column."""
+    seen = set()
+    for text in header:
+        match = _NAME.fullmatch(text)
+        name = match["name"].strip() if match else text
+        column = next((one for one in known if fnmatchcase(name, one.pattern)), None)
+        if match is None or column is None:
+            patterns = tuple(one.pattern for one in known)
+            raise MeasurementError(
+                source, diagnose("measurement-unknown", column=text, known=patterns)
+            )
+        if name in seen:
+            raise MeasurementError(source, diagnose("column-twice", column=name))
+        seen.add(name)
+        units = _UNITS.get(column.quantity, {})
+        unit = (match["unit"] or "").strip()
+        if unit and unit not in units:
+            told = diagnose("column-unit", column=name, unit=unit, known=tuple(units))
+            raise MeasurementError(source, told)
+        yield name, column, units[unit] if unit else 1.0

@@ -1,0 +1,145 @@
+"""Logs: what is read of them, what is found in them, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pupper_analysis.errors import MeasurementError, UnknownNameError
+from pupper_analysis.fit.log import Log, read_log
+from pupper_analysis.fit.log_quality import find_quantum, inspect_log
+from tests.support.arm import arm
+
+JOINTS = ("shoulder", "elbow")
+
+
+def log(seconds: float = 4.0) -> Log:
+    """Joints that lag their command by 50 ms, as those of a servo with friction do."""
+    time = np.arange(0, seconds, 0.005)
+    command = np.column_stack([0.4 * np.sin(5 * time), 0.3 * np.sin(7 * time + 1)])
+    position = np.column_stack([0.4 * np.sin(5 * time - 0.25), 0.3 * np.sin(7 * time + 0.65)])
+    return Log("a.csv", time, JOINTS, command, position)
+
+
+def written(folder: Path, header: str, *rows: str) -> Path:
+    file = folder / "log.csv"
+    file.write_text("\n".join([header, *rows]))
+    return file
+
+
+def table(rows: int = 120) -> list[list[str]]:
+    return [[f"{5 * row}", f"{0.1 * row}", f"{0.002 * row}"] for row in range(rows)]
+
+
+HEADER = "time [ms],position.elbow [deg],command.elbow"
+
+
+def test_units_and_missing_cells_are_read(tmp_path: Path) -> None:
+    rows = table()
+    rows[3][1], rows[4][2] = "", "nan"
+    found = read_log(written(tmp_path, HEADER, *map(",".join, rows)))
+    assert found.interval == pytest.approx(5e-3)
+    assert found.position[10, 0] == pytest.approx(np.deg2rad(1.0))
+    assert found.command[10, 0] == pytest.approx(0.02)
+    assert np.flatnonzero(np.isnan(found.position[:, 0])).tolist() == [3]
+    assert np.flatnonzero(np.isnan(found.command[:, 0])).tolist() == [4]
+
+
+def test_arrays_are_read_as_columns(tmp_path: Path) -> None:
+    file, wanted = tmp_path / "log.npz", log()
+    np.savez(file, joints=JOINTS, time=wanted.time, **{"position [deg]": np.rad2deg(
+        wanted.position), "command": wanted.command})  # fmt: skip
+    found = read_log(file)
+    assert found.joints == JOINTS
+    assert found.position == pytest.approx(wanted.position)
+    assert found.command == pytest.approx(wanted.command)
+
+
+@pytest.mark.parametrize(
+    ("header", "change", "code"),
+    [
+        (HEADER.replace("elbow [deg]", "elbow [turns]"), None, "column-unit"),
+        (HEADER.replace("position.elbow [deg]", "angle"), None, "measurement-unknown"),
+        (HEADER.replace("time [ms]", "torque.elbow"), None, "column-missing"),
+        (HEADER.replace("command.elbow", "command.wrist"), None, "column-without-position"),
+        (HEADER.replace("command", "velocity"), None, "joint-without-command"),
+        (HEADER.replace("command.elbow", "position.elbow"), None, "column-twice"),
+        (HEADER, (5, 0, "15"), "time-not-rising"),
+        (HEADER, (5, 0, ""), "time-missing"),
+        (HEADER, (5, 1, "fast"), "cell-no-number"),
+        (HEADER, (5, 1, "inf"), "cell-no-number"),
+        (HEADER, (5, 1, "1,2"), "row-length"),
+        (HEADER, 80, "log-too-short"),
+        (HEADER, 0, "no-rows"),
+    ],
+)
+def test_what_is_no_log_is_refused(tmp_path: Path, header: str, change: object, code: str) -> None:
+    rows = table() if not isinstance(change, int) else table(change)
+    if isinstance(change, tuple):
+        rows[change[0]][change[1]] = change[2]
+    with pytest.raises(MeasurementError) as refused:
+        read_log(written(tmp_path, header, *map(",".join, rows)))
+    assert refused.value.cause.code == code
+
+
+def test_the_robots_order_is_taken_and_unknown_joints_are_refused() -> None:
+    placed = log().of(arm())
+    assert placed.joints == arm().joint_names
+    elbow = arm().joint_names.index("elbow")
+    assert (placed.position[:, elbow] == log().position[:, 1]).all()
+    assert np.isnan(placed.position[:, arm().joint_names.index("a_turn")]).all()
+    with pytest.raises(UnknownNameError):
+        replace(log(), joints=("shoulder", "wrist")).of(arm())
+
+
+def test_a_log_tells_what_it_is() -> None:
+    good = log()
+    quantum = 2 * np.pi / 4096
+    position = quantum * np.round(good.position / quantum)
+    position[:, 1] = 0.3
+    kept = np.delete(np.arange(len(good.time)), [50, 51, 300])
+    time = good.time + 2.0 * (np.arange(len(good.time)) > 400)
+    odd = replace(good, time=time, position=position)
+    odd = replace(odd, time=time[kept], position=position[kept], command=good.command[kept])
+    found = inspect_log(arm(), odd, np.full(4, 1e6))
+    codes = {one.code for one in found.diagnostics}
+    said = {"joints-do-not-move", "clock-jumps", "log-samples-missing", "joints-not-in-log"}
+    assert found.quantum[0] == pytest.approx(quantum, rel=1e-6)
+    assert found.moves.tolist() == [True, False]
+    assert (found.gaps, len(found.jumps)) == (3, 1)
+    assert codes >= {
+        "joints-do-not-move",
+        "clock-jumps",
+        "log-samples-missing",
+        "joints-not-in-log",
+    }
+    assert inspect_log(arm(), good).quantum.tolist() == [0.0, 0.0]
+
+
+def test_wrong_columns_are_found() -> None:
+    good, robot = log(), arm()
+    degrees, swapped = np.rad2deg(good.position), "command-and-position-swapped"
+    rate = np.gradient(good.position, good.time, axis=0)
+    inspect_log(robot, replace(good, velocity=rate))
+    for wrong, code in (
+        (replace(good, position=good.command, command=good.position), swapped),
+        (replace(good, position=degrees, command=np.rad2deg(good.command)), "column-in-degrees"),
+        (replace(good, position=degrees / 8, command=good.command / 8), "columns-of-two-units"),
+        (replace(good, velocity=np.rad2deg(rate)), "velocity-in-another-unit"),
+        (replace(good, position=np.full_like(good.position, 0.2)), "log-without-motion"),
+    ):  # fmt: skip
+        with pytest.raises(MeasurementError) as refused:
+            inspect_log(robot, wrong)
+        assert refused.value.cause.code == code
+
+
+@pytest.mark.parametrize("bits", [8, 12, 14, 16])
+def test_an_encoders_quantum_is_found_to_its_digits_in_a_file(bits: int) -> None:
+    random, quantum = np.random.default_rng(bits), 2 * np.pi / 2**bits
+    moved = 0.5 * np.sin(np.arange(2000) / 60) + quantum * random.normal(size=2000)
+    values = np.round(quantum * np.round(moved / quantum), 7)
+    assert find_quantum(values) == pytest.approx(quantum, rel=2e-3)
+    assert find_quantum(moved + 1e-3 * random.normal(size=2000)) == 0.0
