@@ -106,7 +106,6 @@ def test_a_log_tells_what_it_is() -> None:
     odd = replace(odd, time=time[kept], position=position[kept], command=good.command[kept])
     found = inspect_log(arm(), odd, np.full(4, 1e6))
     codes = {one.code for one in found.diagnostics}
-    said = {"joints-do-not-move", "clock-jumps", "log-samples-missing", "joints-not-in-log"}
     assert found.quantum[0] == pytest.approx(quantum, rel=1e-6)
     assert found.moves.tolist() == [True, False]
     assert (found.gaps, len(found.jumps)) == (3, 1)
