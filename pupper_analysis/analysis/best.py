@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -11,7 +10,7 @@ from pupper_analysis.analysis.payload import LoadedStance, try_payload
 from pupper_analysis.analysis.stance import Stance, study_stance
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool
+from pupper_analysis.robot.tool import Place
 from pupper_analysis.stance.optimize.best import BestStance, best_stance
 from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.task import StandTask
@@ -41,7 +40,7 @@ def study_best(
     robot: Robot,
     objective: Objective,
     task: StandTask,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.robot.tool import Tool, find_tool
+from pupper_analysis.robot.tool import Place, find_tool
 from pupper_analysis.simulation.payload import (
     Buckling,
     PayloadTrial,
@@ -76,7 +76,7 @@ class LoadedStance(Result):
 def study_payload(
     robot: Robot,
     task: StandTask,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pupper_analysis.report.html.write import Reported
     from pupper_analysis.results import Result
     from pupper_analysis.robot.robot import Robot
-    from pupper_analysis.robot.tool import Tool
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -128,6 +127,7 @@ UNITS = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "angle": {"rad": 1.0, "deg": math.pi / 180},
 }
+UNITS["position"] = UNITS["angle"] | UNITS["length"]
 """Units that a value may end in, per kind of quantity; the first is meant without one."""
 
 
@@ -201,14 +201,7 @@ def parse_position(option: str, text: str) -> tuple[str, float]:
         ConfigurationError: For the option, if it is none.
     """
     name, value = parse_assignment(option, text)
-    for kind in ("angle", "length"):
-        try:
-            return name, parse_quantity(kind, value)
-        except ValueError:
-            continue
-    what, units = Term("position"), (*UNITS["angle"], *UNITS["length"])
-    told = diagnose("part-is-no-quantity", part=value, given=text, kind=what, units=units)
-    raise ConfigurationError(option, told)
+    return name, parse_measure(option, "position", value, text)
 
 
 def _no_quantity(kind: str, text: str, given: str = "") -> Diagnostic:
@@ -316,19 +309,12 @@ def parse_point(option: str, text: str, size: int = 2) -> tuple[float, ...]:
     return numbers
 
 
-def parse_place(option: str, text: str) -> tuple[str, tuple[float, ...]]:
-    """Returns the frame, "" for the base, and the point (m) of FRAME,X,Y,Z, of either alone too."""
+def parse_place(option: str, text: str) -> tuple[str | float, ...]:
+    """Returns (x, y, z), or (frame, x, y, z), of X,Y,Z, FRAME,X,Y,Z or FRAME (m)."""
     frame, _, place = text.partition(",") if text.count(",") in (0, 3) else ("", "", text)
     zero = (0.0, 0.0, 0.0)
-    return frame, parse_point(option, place, 3) if place or not frame else zero
-
-
-def place_on(robot: Robot, place: tuple[str, tuple[float, ...]]) -> Tool:
-    """Returns the place on a robot that ``parse_place`` read."""
-    from pupper_analysis.robot.tool import find_place, find_tool
-
-    frame, point = place
-    return find_tool(robot, frame).moved(point) if frame else find_place(robot, point)
+    point = parse_point(option, place, 3) if place or not frame else zero
+    return (frame, *point) if frame else point
 
 
 def package_folders(packages: tuple[str, ...]) -> dict[str, Path]:

@@ -24,11 +24,12 @@ def option_of(field: Field) -> Callable[[Command], Command]:
     example = f"; e.g. {field.example}." if field.example else "."
     options: dict[str, Any] = {"help": field.help.removesuffix(".") + example}
     point = field.axes or field.choices
-    if field.per_foot:
+    if field.per:
         form = "X,Y" if point else field.kind.upper()
-        options |= {"multiple": True, "metavar": f"FOOT={form}"}
+        options |= {"multiple": True, "metavar": f"{field.per.upper()}={form}"}
     elif point:
-        options |= {"metavar": ",".join(field.axes or "xy").upper()}
+        frame = "[FRAME,]" if field.frame else ""
+        options |= {"metavar": frame + ",".join(field.axes or "xy").upper()}
     elif field.kind in shared.UNITS:
         options |= {"type": shared.QuantityType(field.kind), "default": field.usual}
     else:
@@ -60,9 +61,9 @@ def task_of(values: Mapping[str, Any]) -> StandTask:
 
 def to_task_value(field: Field, value: Any) -> Any:
     """Returns an option's value as the task has it."""
-    if field.per_foot:
+    if field.per:
         given = [(shared.parse_assignment(field.option, text), text) for text in value]
-        return {foot: _one(field, text, whole) for (foot, text), whole in given}
+        return {of: _one(field, text, whole) for (of, text), whole in given}
     if value is None or value in field.choices or not (field.axes or field.choices):
         return value
     return _one(field, value, value)

@@ -44,15 +44,8 @@ AS_PUBLISHED = (
         help="Also simulate the MJCF as published, unedited. [default: on]",
     ),
 )
-LOAD: tuple[Callable[[Command], Command], ...] = (
-    *(option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")),
-    click.option(
-        "--posture",
-        multiple=True,
-        metavar="NAME=POSITION",
-        help="Position of a joint that carries no foot, or of all that match a pattern (rad, m); "
-        "e.g. '*elbow*=60deg'. Repeatable.",
-    ),
+LOAD: tuple[Callable[[Command], Command], ...] = tuple(
+    option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
 )
 SERVOS = (
     click.option(
@@ -84,7 +77,6 @@ class RobotAndTask:
     self_check: bool
     payload: float
     payload_at: str | None
-    posture: tuple[str, ...]
     stance: Mapping[str, Any]
     kp: tuple[str, ...]
     kd: tuple[str, ...]
@@ -101,7 +93,6 @@ class RobotAndTask:
             which=which,
             payload=0.0,
             payload_at=None,
-            posture=(),
             stance={},
             self_check=False,  # which is of feet
             fixed_base=True,
@@ -125,16 +116,12 @@ class RobotAndTask:
         return self._as_asked(robot)
 
     def _as_asked(self, robot: Robot) -> Robot:
-        """Returns a robot with the posture, the payload and the integrator that were asked for."""
+        """Returns a robot with the payload and the integrator that were asked for."""
         from pupper_analysis.robot.payload import with_payload
-        from pupper_analysis.robot.posture import with_posture
         from pupper_analysis.robot.servos import with_integrator
 
-        posed = with_posture(
-            robot, dict(shared.parse_position("posture", text) for text in self.posture)
-        )
         place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
-        loaded = with_payload(posed, self.payload, shared.place_on(posed, place))
+        loaded = with_payload(robot, self.payload, place)
         return with_integrator(loaded, self.integrator)
 
     def show(self, result: Result, robot: Robot) -> None:

@@ -157,9 +157,9 @@ def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Pat
     task, place = asked.task(), shared.parse_place("at", at)
     shared.check_outputs(json_path)
     robot = asked.robot(words)
-    on, (kp, kd) = shared.place_on(robot, place), asked.gains(robot)
+    kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
-        result = study_payload(robot, task, on, kp=kp, kd=kd)
+        result = study_payload(robot, task, place, kp=kp, kd=kd)
     asked.show(result, robot)
     shared.finish_command(json_path, result, passed=result.passed)
 
@@ -202,9 +202,9 @@ def best(
     task, place = asked.task(), shared.parse_place("at", at)
     shared.check_outputs(figure, json_path)
     robot = asked.robot(words)
-    on, (kp, kd) = shared.place_on(robot, place), asked.gains(robot)
+    kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):
-        result = study_best(robot, Objective(objective), task, on, kp=kp, kd=kd)
+        result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
     asked.show(result, robot)
     _draw(robot, result.stance, figure)
     shared.finish_command(json_path, result, passed=result.passed)

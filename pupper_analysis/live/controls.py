@@ -10,13 +10,18 @@ from functools import partial
 from typing import Any
 
 from pupper_analysis.diagnostics import term
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.live.joints import JointSliders, led_joints
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.sliders import CONTROLS, Control, Range, ranges_of
 from pupper_analysis.live.state import State, on_page
 from pupper_analysis.live.viser_parts import mark_slider
 from pupper_analysis.report.formats import escape_control
+from pupper_analysis.robot.posture import free_joints, named_positions
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import split_place
 from pupper_analysis.stance.fields import FIELDS, Field
+from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 
 PLACES = {
@@ -39,6 +44,7 @@ class Controls:
         scales: {name of a scale that it can be made with: its own}.
         say: The page's language.
         changed: What is told that the state has changed.
+        hang: What is told that a joint of a leg has been moved.
     """
 
     def __init__(
@@ -48,8 +54,10 @@ class Controls:
         scales: Mapping[str, float],
         say: Language,
         changed: Callable[[], None],
+        hang: Callable[[], None],
     ) -> None:
-        self._gui, self._say, self._changed = gui, say, changed
+        self._gui, self._say, self._changed, self._hang = gui, say, changed, hang
+        self._robot = robot
         self._lock = threading.RLock()
         self._state = State()
         self._ranges = ranges_of(robot, scales)
@@ -76,15 +84,42 @@ class Controls:
         self.lifted.on_update(self._when(self._with_lift))
         self.foot.on_update(self._foot_chosen)
 
+    def joints(self) -> None:
+        """Adds what says where joints are: of a posture, and of legs that hang."""
+        gui, robot = self._gui, self._robot
+        free, home = free_joints(robot), robot.home[-robot.nu :]
+        legs = [joint for joint in led_joints(robot) if joint not in free]
+        with gui.add_folder(term("Legs", self._say.code)):
+            gui.add_markdown(self._say("legs-hang"))
+            self.legs = JointSliders(gui, robot, legs, home, lambda _joint, _at: self._hang())
+        with gui.add_folder(term("Posture", self._say.code), visible=bool(free)):
+            self.posture = JointSliders(gui, robot, free, home, self._placed)
+
+    def _placed(self, joint: str, position: float) -> None:
+        """Takes a joint's place in the posture."""
+        with self._lock:
+            self._state = self._state.having(posture={**self._state.posture, joint: position})
+        self._changed()
+
+    @property
+    def hanging(self) -> tuple[State, dict[str, float]]:
+        """What the controls say, and where the sliders of joints are (rad, m)."""
+        return self.state, self.legs.positions() | self.posture.positions()
+
     def body(self) -> None:
         """Adds what says what it carries, and which robot it is."""
         gui, say = self._gui, self._say
         for folder in ("Payload", "Legs and torso", "Servos"):
             if any(_folder(CONTROLS[name].field) == folder for name in self._ranges):
                 with gui.add_folder(term(folder, say.code)):
+                    if folder == "Payload":
+                        links = {escape_control(link): link for link in self._robot.structure.links}
+                        self.on = gui.add_dropdown(say("payload-on"), list(links))
+                        self._links = links
                     self._add(folder)
                     if folder == "Servos":
                         own = gui.add_button(say("own-servos"))
+        self.on.on_update(self._when(self._with_link))
         own.on_click(lambda _: self.put(self.state.having(kp=None, kd=None), told=True))
 
     def _add(self, folder: str, *but: str) -> None:
@@ -130,17 +165,20 @@ class Controls:
         if control.name == LIFTED:  # who says how high lifts it
             self.lifted.value = True
         whole = getattr(state, field.name)
-        own = whole.get(self._chosen) if field.per_foot else whole
+        own = whole.get(self._chosen) if field.per else whole
         if control.axis is not None:
             numbers = list(own or (0.0,) * len(field.axes))
-            numbers[control.axis] = value
+            numbers[control.axis - len(field.axes)] = value  # behind a frame
             new: Any = tuple(numbers)
         else:
             new = value
-        state = state.having(
-            **{field.name: {**whole, self._chosen: new} if field.per_foot else new}
-        )
+        state = state.having(**{field.name: {**whole, self._chosen: new} if field.per else new})
         return state.having(place="offset") if field.name == "offset" else state
+
+    def _with_link(self, state: State) -> State:
+        """Returns a state whose payload is on the chosen link."""
+        link, (*_, x, y, z) = self._links[self.on.value], state.payload_at
+        return state.having(payload_at=(x, y, z) if link == self._robot.base else (link, x, y, z))
 
     def _with_lift(self, state: State) -> State:
         """Returns a state with the chosen foot lifted, or not."""
@@ -175,12 +213,12 @@ class Controls:
         with self._lock:
             self._state = state
             for name in self.sliders:
-                if not CONTROLS[name].field.per_foot:
+                if not CONTROLS[name].field.per:
                     self._slide(name, self._value(state, CONTROLS[name]))
             special = {
                 foot
                 for name, field in FIELDS.items()
-                if field.per_foot and field.slider
+                if field.per == "foot" and field.slider
                 for foot in getattr(state, name)
             }
             first = next((name for name, foot in self._feet.items() if foot in special), None)
@@ -188,6 +226,8 @@ class Controls:
                 self.foot.value = first
             self._show_place()
             self._show_foot()
+            self.posture.show(self._posture_of(state))
+            self._show_link()
         if told:
             self._changed()
 
@@ -207,22 +247,41 @@ class Controls:
     def _show_place(self) -> None:
         self.place.value = self._say(PLACES[self._state.place])
 
+    def _posture_of(self, state: State) -> dict[str, float]:
+        """Returns where a state puts joints; nowhere, if it names none of the robot."""
+        try:
+            return named_positions(self._robot, state.posture)
+        except PupperAnalysisError:  # the answer says so
+            return {}
+
+    def _show_link(self) -> None:
+        frame, _ = split_place(self._state.payload_at)
+        link = escape_control(frame or self._robot.base)
+        if link in self._links:  # else it is on a site or a body
+            self.on.value = link
+
     def _show_foot(self) -> None:
         foot, state = self._chosen, self._state
         self.lifted.value = foot in state.swing
         for name in self.sliders:
             control = CONTROLS[name]
-            if control.field.per_foot:
+            if control.field.per:
                 values = getattr(state, control.field.name)
                 usual = self._ranges[name].value
                 self._slide(name, control.of(values[foot]) if foot in values else usual)
 
-    def follow(self, robot: Robot) -> None:
-        """Lets what nobody has set be what is usual for a robot: its height."""
+    def follow(self, robot: Robot, stand: Stand | None) -> None:
+        """Lets what nobody has set be what is usual for a robot, and legs be where they stand."""
         with self._lock:
             for name, field in FIELDS.items():
-                if field.slider and field.nominal != "zero" and getattr(self._state, name) is None:
+                if field.per or field.nominal == "zero" or not field.slider:
+                    continue
+                if getattr(self._state, name) is None:
                     self._slide(field.address, round(1e3 * getattr(robot, field.nominal), 2))
+
+        if stand is not None:
+            joints = stand.joint_positions(robot).tolist()
+            self.legs.show(dict(zip(robot.joint_names, joints, strict=True)))
 
     def limits(self, ends: Mapping[str, Mapping[str, Any]]) -> None:
         """Marks on the sliders how far they can go.
@@ -264,7 +323,7 @@ def slider_values(
         if field.name not in FIELDS or field.attribute not in fields:
             continue
         value = task.values()[field.name]
-        if field.per_foot:
+        if field.per:
             value = value.get(foot)
         elif field.part == "ground" and math.isclose(asked.values()[field.name], value):
             continue  # the ground gives way in other numbers
@@ -274,8 +333,14 @@ def slider_values(
 
 
 def _folders(fields: Mapping[str, Field]) -> list[str]:
-    """Returns the headings of fields, in the order in which they come."""
-    return list(dict.fromkeys(field.slider.folder for field in fields.values() if field.slider))
+    """Returns the headings of fields, in the order in which they come, but for those of joints."""
+    return list(
+        dict.fromkeys(
+            field.slider.folder
+            for field in fields.values()
+            if field.slider and field.per != "joint"
+        )
+    )
 
 
 def _folder(field: Field) -> str:

@@ -14,10 +14,11 @@ from pupper_analysis.analysis.stance import Stance
 from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.live.controls import slider_values
 from pupper_analysis.live.door import without_folders
-from pupper_analysis.live.model import Answer, PredictedSag
+from pupper_analysis.live.model import Answer, Hanging, PredictedSag
 from pupper_analysis.live.sliders import CONTROLS
 from pupper_analysis.live.state import State
 from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.hold import hardest_motor
 from pupper_analysis.report.documents.loads import contact_table, torque_table
 from pupper_analysis.report.documents.push_trial import trial_document
 from pupper_analysis.report.documents.quantities import quantity_columns
@@ -26,8 +27,10 @@ from pupper_analysis.report.documents.standing import stand_table
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.verdict import clause_text, verdict_clauses
 from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.push_trial import PushTrial
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
 NOWHERE = doc.Name("")
 """The title of what is told of no robot."""
@@ -154,7 +157,7 @@ def _possible(state: State, fields: Mapping[str, Any]) -> doc.Text:
     task = replace(state.task(), **fields)
     feet = dict.fromkeys((*task.foot_offsets, *task.swing, *task.ground.heights)) or {"": None}
     told = {
-        (name, foot if CONTROLS[name].field.per_foot else "", f"{value:g}"): None
+        (name, foot if CONTROLS[name].field.per else "", f"{value:g}"): None
         for foot in feet
         for name, value in slider_values(state, task, fields, foot).items()
     }
@@ -219,6 +222,28 @@ def push_document(trial: PushTrial) -> doc.Document:
 
 
 _AS_SIMULATED = doc.Lines((text("orange-as-simulated"),))
+
+
+def hanging_document(hanging: Hanging) -> doc.Document:
+    """Returns what the motors of a robot hold that hangs, and that it is no stand."""
+    if hanging.refusal is not None or hanging.robot is None or hanging.statics is None:
+        assert hanging.refusal is not None
+        return failure_document(hanging.refusal)
+    told = held_document(hanging.robot, hanging.statics)
+    blocks = (doc.Lines((text("no-stand-base-held"),), "warn"), *told.blocks)
+    return replace(told, blocks=blocks)
+
+
+def held_document(robot: Robot, statics: GravityCompensation) -> doc.Document:
+    """Returns what the motors hold with the base held: without a simulation there is no verdict."""
+    limits = np.array(robot.effort_limits)
+    blocks: list[doc.Block] = [torque_table(statics, limits.tolist())]
+    hardest = tuple(hardest_motor(statics, limits))
+    if hardest:
+        blocks.insert(-1, doc.Lines(hardest))
+    return doc.Document(
+        text("held-posture"), doc.Name(robot.name), tuple(blocks), passed=None, verdict=None
+    )
 
 
 def failure_document(error: PupperAnalysisError) -> doc.Document:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
 
@@ -76,6 +76,20 @@ def write_command(source: LiveSource, state: State) -> str:
     return quote_words([PROGRAM, "stand", *source.arguments(state.scales()), *_options(state)])
 
 
+def hold_command(
+    source: LiveSource, scales: Mapping[str, float], positions: Mapping[str, float]
+) -> str:
+    """Returns the command that holds a posture with the base fixed.
+
+    Args:
+        source: The robot.
+        scales: Its own scales.
+        positions: {joint: where it is (rad, m)}.
+    """
+    words = [PROGRAM, "hold", *source.arguments(scales)]
+    return quote_words([*words, *(f"--joints={n}={at:.6g}" for n, at in positions.items())])
+
+
 def write_stance_file(state: State) -> str:
     """Returns the options of the same stance as TOML, for ``--stance``; without the robot's."""
     lines, tables = [], []
@@ -105,8 +119,8 @@ def _options(state: State) -> list[str]:
 def _typed_options(state: State) -> Iterator[tuple[str, str, str]]:
     """Yields options of stance, payload and servos, of which foot, and how one types the value."""
     for field, value in state.asked():
-        for foot, one in value.items() if field.per_foot else [("", value)]:
-            yield field.option, foot, _typed(field, one)
+        for of, one in value.items() if field.per else [("", value)]:
+            yield field.option, of, _typed(field, one)
     for name in ("payload", "payload_at", "kp", "kd"):
         value = getattr(state, name)
         if value is not None and (state.payload or not name.startswith("payload")):
@@ -118,7 +132,7 @@ def _typed(field: Field, value: Any) -> str:
     if field.kind == "angle":
         return f"{format_number(value)}deg"
     if isinstance(value, tuple):
-        return ",".join(map(repr, in_si(field, value)))
+        return ",".join(p if isinstance(p, str) else repr(p) for p in in_si(field, value))
     return value if isinstance(value, str) else repr(in_si(field, value))
 
 

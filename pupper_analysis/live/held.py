@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -14,49 +13,31 @@ from pupper_analysis.analysis.hold import hold_posture
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import render, viser_parts
 from pupper_analysis.live.colour import colour_of
-from pupper_analysis.live.documents import failure_document, unforeseen_document
-from pupper_analysis.live.export import PROGRAM
+from pupper_analysis.live.documents import (
+    failure_document,
+    held_document,
+    unforeseen_document,
+)
+from pupper_analysis.live.export import hold_command
+from pupper_analysis.live.joints import JointSliders, led_joints
 from pupper_analysis.live.language import Language
 from pupper_analysis.live.scene import Figure, joint_text, quaternion_along
 from pupper_analysis.live.server import LOOPBACK, Served
 from pupper_analysis.live.shapes import parts_of
-from pupper_analysis.live.source import LoadedFiles, quote_words
-from pupper_analysis.posture.posture import Posture, find_posture, joint_ranges, joint_units
-from pupper_analysis.report.document import Document, Name
-from pupper_analysis.report.documents.hold import hardest_motor
-from pupper_analysis.report.documents.loads import torque_table
+from pupper_analysis.live.source import LoadedFiles
+from pupper_analysis.posture.posture import Posture, find_posture
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.formats import escape_control
 from pupper_analysis.report.scene import joint_axes
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+from pupper_analysis.statics.equilibrium import gravity_compensation
 
 Array = NDArray[np.float64]
 
-_SHOWN = {"rad": (180.0 / math.pi, "deg", math.pi), "m": (1e3, "mm", 1.0)}
-"""{unit of a joint: (how many of what the page shows it is, what that is, the end of a slider of a
-joint without limits)}."""
-
-_STEP = 0.5
-"""From notch to notch of a slider (deg, mm): half of what one tells apart on the page."""
-
 _DISC, _ABOVE = 0.035, 0.1
 """Radius of a joint's disc, and how far above it its label is, in parts of the robot's size."""
-
-
-def held_document(robot: Robot, statics: GravityCompensation) -> Document:
-    """Returns what the motors hold, at once: without a simulation there is no verdict."""
-    limits = np.array(robot.effort_limits)
-    return Document(
-        text("held-posture"),
-        Name(robot.name),
-        (torque_table(statics, limits.tolist()),),
-        passed=None,
-        verdict=None,
-        told=tuple(hardest_motor(statics, limits)),
-    )
 
 
 class HeldSession:
@@ -83,8 +64,9 @@ class HeldSession:
             self._numbers = gui.add_html(render.render_waiting(text("solving"), say))
         left.dock_left()
         left.set_width(380)
-        self.sliders = self._add_sliders(gui, start)
-        self._begin = {name: slider.value for name, slider in self.sliders.items()}
+        self.joints = JointSliders(
+            gui, robot, led_joints(robot), start.qpos, lambda _joint, _at: self._asked.set()
+        )
         self._command = gui.add_text(say("as-a-command"), "", multiline=True)
         simulate = gui.add_button(say("simulate"), hint=say("hint-simulate"))
         self._result = gui.add_html(render.render_hint(text("not-simulated-yet"), say))
@@ -116,31 +98,6 @@ class HeldSession:
         self._result.content = render.render_waiting(text("simulating"), self._say)
         self._asked.set()
 
-    def _add_sliders(self, gui: Any, start: Posture) -> dict[str, Any]:
-        """Adds a slider for each joint that follows no other."""
-        robot, sliders = self._robot, {}
-        follows = () if robot.closure is None else {int(one) for one in robot.closure.following}
-        ranges, units = joint_ranges(robot), joint_units(robot)
-        for index, name in enumerate(robot.joint_names):
-            if index in follows:
-                continue
-            scale, unit, end = _SHOWN[units[index]]
-            ends = np.clip(ranges[index], -end, end) * scale
-            # Inwards, so that no end of a slider is beyond the joint's.
-            low, high = math.ceil(ends[0] / _STEP) * _STEP, math.floor(ends[1] / _STEP) * _STEP
-            value = float(np.clip(start.qpos[index] * scale, low, high))
-            name_and_unit = f"{escape_control(name)} ({unit})"
-            slider = gui.add_slider(name_and_unit, low, max(high, low + _STEP), _STEP, value)
-            slider.on_update(lambda _: self._asked.set())
-            sliders[name] = slider
-        return sliders
-
-    def positions(self) -> dict[str, float]:
-        """Returns where the joints are told to be that someone has moved (rad, m)."""
-        units = dict(zip(self._robot.joint_names, joint_units(self._robot), strict=True))
-        moved = {n: one.value for n, one in self.sliders.items() if one.value != self._begin[n]}
-        return {name: value / _SHOWN[units[name]][0] for name, value in moved.items()}
-
     def _answering(self) -> None:
         while not self._closed.is_set():
             self._asked.wait()
@@ -165,18 +122,16 @@ class HeldSession:
 
     def _show(self) -> None:
         """Shows the posture that the sliders say, and what its motors hold."""
-        robot, positions = self._robot, self.positions()
+        robot, positions = self._robot, self.joints.changed()
         posture = find_posture(robot, positions)
         config = Configuration(robot, posture.qpos)
         statics = gravity_compensation(config, contacts=[])
         told = render.render_panel(held_document(robot, statics), self._say)
         axes = joint_axes(config, posture.qpos, statics)
         hardest = max(axes, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
-        words = [PROGRAM, "hold", *self._source.arguments({})]
-        words += [f"--joints={name}={value:.6g}" for name, value in positions.items()]
         with self._client.atomic():
             self._numbers.content = told
-            self._command.value = escape_control(quote_words(words))
+            self._command.value = escape_control(hold_command(self._source, {}, positions))
             self._figure.pose(posture.qpos)
             for disc, one in zip(self._discs, axes, strict=True):
                 disc.color, disc.position = colour_of(one.share), one.place
@@ -187,7 +142,7 @@ class HeldSession:
     def _hold(self) -> None:
         """Simulates the posture; what is wrong with it is its result."""
         try:
-            told = build_document(hold_posture(self._robot, self.positions()))
+            told = build_document(hold_posture(self._robot, self.joints.changed()))
         except PupperAnalysisError as error:
             told = failure_document(error)
         self._result.content = render.render_panel(told, self._say)

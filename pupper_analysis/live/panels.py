@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, Protocol
 
 from pupper_analysis.live import export, render
 from pupper_analysis.live.controls import Controls
+from pupper_analysis.live.documents import hanging_document
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Model, PredictedSag
+from pupper_analysis.live.model import Answer, Hanging, Model, PredictedSag
 from pupper_analysis.live.state import State
 from pupper_analysis.live.viser_parts import clear_but_tabs, named_tabs
 from pupper_analysis.report.document import Document
@@ -19,8 +21,12 @@ from pupper_analysis.report.words import text
 class Acts(Protocol):
     """What the buttons of a page do."""
 
-    def changed(self) -> None:
-        """Is told that the controls say something else."""
+    def changed(self, *, hangs: bool = False) -> None:
+        """Is told that the controls say something else.
+
+        Args:
+            hangs: Whether joints are to be as their sliders have them: the base is held, no stand.
+        """
 
     def reset(self) -> None:
         """Goes back to where a page begins."""
@@ -85,18 +91,27 @@ class Panels:
             self._numbers = gui.add_html(render.render_waiting(text("solving"), say))
         left.dock_left()
         left.set_width(330)
-        self.controls = Controls(gui, robot, model.source.scales, say, acts.changed)
+        self.controls = Controls(
+            gui, robot, model.source.scales, say, acts.changed, partial(acts.changed, hangs=True)
+        )
         gui.add_html(render.PHONE)
         self._brief = gui.add_html("")
         other = gui.add_button(say.other.name, color="gray")
-        names = (say("stance"), say("body-title"), "MuJoCo", say("share-title"))
+        names = (
+            *map(say, ("stance", "joints-title", "body-title")),
+            "MuJoCo",
+            say("share-title"),
+        )
         kept = None if before is None else before.tabs
         self.tabs: Any
-        self.tabs, (stance, body, simulated, share) = named_tabs(gui, names, other, kept)
+        self.tabs, (stance, joints, body, simulated, share) = named_tabs(gui, names, other, kept)
         with stance:
             self.controls.stance()
             self._nearest = gui.add_button(say("go-to-the-nearest-stance"), visible=False)
             reset = gui.add_button(say("reset-all"), color="gray")
+        with joints:
+            self.controls.joints()
+            self._back = gui.add_button(say("back-to-the-stand"), visible=False)
         with body:
             self.controls.body()
         with simulated:
@@ -105,6 +120,7 @@ class Panels:
             self._share(gui)
         other.on_click(lambda _: acts.speak(say.other))
         self._nearest.on_click(lambda _: acts.go_to_nearest())
+        self._back.on_click(lambda _: acts.changed())
         reset.on_click(lambda _: acts.reset())
         gui.main_panel.dock_right()
         gui.main_panel.set_width(360)
@@ -235,8 +251,9 @@ class Panels:
         """Shows all that follows from a state at once; limits are of the state before."""
         source, state = self._model.source, answer.state
         self.limits(None)
+        self._back.visible = False
         if answer.robot is not None:
-            self.controls.follow(answer.robot)
+            self.controls.follow(answer.robot, answer.stand)
         self.hint("not-simulated-yet")
         self.simulated(0.0)
         self._state.value = str(state)
@@ -244,6 +261,19 @@ class Panels:
         self._live.value = escape_control(export.live_command(source, state, self.say.code))
         self._command.value = escape_control(export.write_command(source, state))
         self._python.value = export.write_python(source, state)
+
+    def hanging(self, hanging: Hanging) -> None:
+        """Shows what the motors of a robot hold that hangs, and that it is no stand."""
+        self.status(hanging_document(hanging))
+        self.limits(None)
+        self._back.visible = True
+        self.hint("nothing-to-simulate")
+        self.simulated(0.0)
+        # A payload that is welded on is none of that command's.
+        state = hanging.state
+        command = export.hold_command(self._model.source, state.scales(), hanging.joints)
+        self._command.value = "" if state.payload else escape_control(command)
+        self._python.value = ""
 
     def limits(self, error: Any) -> None:
         """Shows how far sliders can go, and a way to the nearest stance; nothing for None."""

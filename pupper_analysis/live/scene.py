@@ -10,14 +10,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.live.colour import colour_of
-from pupper_analysis.live.model import Answer
+from pupper_analysis.live.model import Answer, Hanging
 from pupper_analysis.live.shapes import Colour, ShapePart, parts_of
 from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.scene import Contact, StandingScene, describe_scene
+from pupper_analysis.report.scene import (
+    Contact,
+    JointAxis,
+    StandingScene,
+    describe_scene,
+    joint_axes,
+)
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
@@ -145,8 +152,22 @@ class Scene:
         self._support(seen, held=answer.statics is not None and seen.inside)
         self._com(seen)
         self._load(answer, stand)
-        self._torques(seen)
+        self._torques(seen.joints)
         self._forces(seen)
+
+    def hang(self, hanging: Hanging) -> None:
+        """Shows a robot that hangs by its base, and what its motors hold, if it can."""
+        if hanging.robot is None or hanging.statics is None:
+            return
+        self._prepare(hanging.robot)
+        for name in ("twin", "ghost"):
+            self.hide(name)
+        self._draw_only(())
+        self._figure("stand").pose(hanging.qpos)
+        self._figure("stand").show(True)
+        config = Configuration(hanging.robot, hanging.qpos)
+        joints = hanging.qpos[-hanging.robot.nu :]
+        self._torques(joint_axes(config, joints, hanging.statics))
 
     def ghost(self, robot: Robot, stand: Stand | None) -> None:
         """Shows a stance as a ghost: one that is not what was asked for."""
@@ -287,13 +308,14 @@ class Scene:
                 self._nodes["load"].visible = False
             return
         ball = self._node("load", "add_icosphere", 0.13 * self._size, LOAD)
-        turn = rotation_from_quaternion(stand.qpos[3:7])
-        ball.position = stand.qpos[:3] + turn @ np.array(answer.state.payload_point())
+        assert answer.robot is not None
+        place = find_place(answer.robot, answer.state.payload_point())
+        ball.position = place.position(Configuration(answer.robot, stand.qpos))
 
-    def _torques(self, seen: StandingScene) -> None:
+    def _torques(self, joints: Sequence[JointAxis]) -> None:
         """Colours the joints; names the one whose motor works hardest, or all."""
-        hardest = max(seen.joints, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
-        for one in seen.joints:
+        hardest = max(joints, key=lambda one: (one.share or 0.0, abs(one.torque or 0.0)))
+        for one in joints:
             disc, label = self._joints[one.name], self._labels[one.name]
             disc.visible = one.torque is not None
             label.visible = disc.visible and (self.joint_labels or one is hardest)

@@ -16,6 +16,7 @@ from pupper_analysis.live.model import Model
 from pupper_analysis.live.session import Session
 from pupper_analysis.live.source import LiveSource
 from pupper_analysis.live.state import State, parse_state
+from pupper_analysis.robot.posture import placed_joints
 
 LOOPBACK = "127.0.0.1"
 
@@ -183,8 +184,10 @@ def check_state(model: Model, state: State) -> None:
     robot = model.robot(state)
     state.task()
     for field, value in state.asked():
-        for foot in value if field.per_foot else ():
+        for foot in value if field.per == "foot" else ():
             robot.points_of(foot)
+        if field.per == "joint":
+            placed_joints(robot, value)
 
 
 def serve(page: Served, *, browser: bool, wait: Callable[[], object]) -> None:

@@ -1,8 +1,8 @@
 """One browser's page: its controls, its scene, and the two threads that answer it.
 
-One thread solves each state at once, and passes over those that are out of date by then. The other
-one does what takes longer, when nothing has changed for a moment: where servos settle, why a stance
-is out of reach, and simulations. What it finds is shown only with the stance that it is about.
+One thread solves each state at once, and passes over those that are out of date. The other one does
+what takes longer, when nothing has changed for a moment: where servos settle, why a stance is out
+of reach, simulations. What it finds is shown only with the stance that it is about.
 """
 
 from __future__ import annotations
@@ -77,15 +77,13 @@ class Session:
         self._asked, self._think = threading.Event(), threading.Event()
         self._closed, self._held = threading.Event(), threading.Event()
         self._lock = threading.RLock()
-        self._answer: Answer | None = None
-        self._sag: PredictedSag | None = None
-        self._verdict: Verdict | None = None
-        self._refusal: Any = None
-        self._pending = True
-        self._job: Callable[[Answer], None] | None = None
-        self._motion: PlayedMotion | None = None
-        self._result: Document | None = None
-        self._since, self._told = 0.0, -math.inf
+        self._sag: PredictedSag | None
+        self._refusal: Any
+        self._job: Callable[[Answer], None] | None
+        self._motion: PlayedMotion | None
+        self._result: Document | None
+        self._begin(None, None)
+        self._hangs, self._told = False, -math.inf
         self._scene = Scene(client.scene)
         self._panels = Panels(client, model, address, self, say)
         self._panels.controls.put(state, told=False)
@@ -112,8 +110,9 @@ class Session:
         self._asked.set()
         self._think.set()
 
-    def changed(self) -> None:
-        """Is told that the controls say something else."""
+    def changed(self, *, hangs: bool = False) -> None:
+        """Is told that the controls say something else, or that the robot is to hang."""
+        self._hangs = hangs
         self._asked.set()
 
     def reset(self) -> None:
@@ -129,6 +128,7 @@ class Session:
             self._panels.like(before)
             self._panels.controls.put(state, told=False)
             if self._answer is None:
+                self._asked.set()
                 return
             self._panels.answered(self._answer)
             self._tell()
@@ -207,7 +207,7 @@ class Session:
             self._asked.clear()
             if self._closed.is_set():
                 return
-            self._safely(self._solve)
+            self._safely(self._hang if self._hangs else self._solve)
             self._think.set()
 
     def _solve(self) -> None:
@@ -224,6 +224,20 @@ class Session:
             with self._lock:
                 self._panels.making()
         self._show(self._model.answer(state))
+
+    def _hang(self) -> None:
+        """Shows the robot hanging by its base, or why it cannot be shown so."""
+        hanging = self._model.hang(*self._panels.controls.hanging)
+        with self._lock, self._client.atomic():
+            self._begin(None, None)
+            self._scene.hang(hanging)
+            self._panels.hanging(hanging)
+
+    def _begin(self, answer: Answer | None, verdict: Verdict | None) -> None:
+        """Forgets what was found of the answer before."""
+        self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
+        self._verdict, self._since = verdict, time.monotonic()
+        self._job, self._motion, self._result = None, None, None
 
     def _safely(self, work: Callable[[], None]) -> None:
         """Does some work; an error that nobody foresaw is shown, and the page lives on."""
@@ -245,10 +259,7 @@ class Session:
         if passing and answer.stand is None:
             return
         with self._lock, self._client.atomic():
-            self._answer, self._sag, self._refusal, self._pending = answer, None, None, True
-            self._verdict = answers.expect_verdict(answer, closely=False)
-            self._job, self._motion, self._result = None, None, None
-            self._since = time.monotonic()
+            self._begin(answer, answers.expect_verdict(answer, closely=False))
             self._scene.show(answer)
             self._tell()
             if not passing:
@@ -333,14 +344,9 @@ class Session:
         feedforward = self._panels.feedforward
         stance = answers.simulate_stance(answer)
         shown = stance.verification if feedforward else stance.sagging
-
-        def judged() -> None:
-            self._verdict = stance.verdict
-            self._tell()
-
-        self._if_shown(answer, judged)
         told = simulation_document(stance, feedforward=feedforward)
-        self._show_motion(answer, told, PlayedMotion(shown.motion_time, shown.motion))
+        motion = PlayedMotion(shown.motion_time, shown.motion)
+        self._show_motion(answer, told, motion, stance.verdict)
 
     def _push(self, answer: Answer) -> None:
         impulse, direction = self._panels.push_asked
@@ -348,10 +354,14 @@ class Session:
         told = push_document(trial)
         self._show_motion(answer, told, PlayedMotion(trial.motion_time, trial.motion))
 
-    def _show_motion(self, answer: Answer, told: Document, motion: PlayedMotion) -> None:
+    def _show_motion(
+        self, answer: Answer, told: Document, motion: PlayedMotion, verdict: Verdict | None = None
+    ) -> None:
         """Tells what came of a simulation, and plays it."""
 
         def show() -> None:
+            self._verdict = verdict or self._verdict
+            self._tell()
             self._motion = motion
             self._held.clear()
             self._tell_result(told)
@@ -383,6 +393,6 @@ class Session:
         """Shows what was simulated at a time (s)."""
         assert answer.robot is not None
         assert answer.task is not None
-        beside = self._panels.beside
-        self._scene.twin(answer.robot, motion.at(at), answer.task.ground, beside=beside)
+        seen = motion.at(at), answer.task.ground
+        self._scene.twin(answer.robot, *seen, beside=self._panels.beside)
         self._panels.at_time(at)

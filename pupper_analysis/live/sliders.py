@@ -43,20 +43,24 @@ class Control:
         way = {} if self.axis is None else {"axis": _WAYS[self.field.axes[self.axis]]}
         return fill_template(self.field.words(language).hint, way, language)
 
-    def of(self, value: float | tuple[float, ...]) -> float:
+    def of(self, value: float | tuple[str | float, ...]) -> float:
         """Returns its number of the field's value."""
-        return float(value if self.axis is None else value[self.axis])  # type: ignore[index,arg-type]
+        if self.axis is None:
+            return float(value)  # type: ignore[arg-type]
+        return float(value[self.axis - len(self.field.axes)])  # type: ignore[index]  # behind a frame
 
 
 CONTROLS = {
     control.name: control
     for field in SHOWN.values()
+    if field.per != "joint"
     for control in (
         [Control(f"{field.address}_{axis}", field, at) for at, axis in enumerate(field.axes)]
         or [Control(field.address, field)]
     )
 }
-"""{name: slider} of all there are, by the names that the page's address has for them."""
+"""{name: slider} of all there are, by the names that the page's address has for them; those of
+joints are the robot's (``live.joints``)."""
 
 
 @dataclass(frozen=True)

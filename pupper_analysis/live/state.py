@@ -37,7 +37,7 @@ _BY_ADDRESS = {field.address: field for field in SHOWN.values()}
 PAGE_UNITS = {kind: (unit, 1.0) for kind, unit in UNITS.items()} | {
     **dict.fromkeys(("length", "point", "point3"), ("mm", 1e3)),
     "angle": ("°", math.degrees(1.0)),
-    "ratio": ("", 1.0),
+    **dict.fromkeys(("ratio", "position"), ("", 1.0)),  # a joint's is in rad, or in m
 }
 """{kind of a field: unit of a page, and how many are an SI unit}."""
 
@@ -47,7 +47,9 @@ _MOST_LETTERS = 4000
 
 @dataclass(frozen=True, init=False)
 class State:
-    """What a page asks for. Lengths are in mm and angles in degrees, as sliders have them.
+    """What a page asks for, as sliders have it: lengths in mm, angles in degrees.
+
+    Positions of joints are in rad, or in m of one that slides.
 
     Each field of ``SHOWN`` is an attribute, with its usual value where nothing is asked: None where
     that is the robot's own.
@@ -103,8 +105,8 @@ class State:
         """
         for field, value in self.asked():
             if not isinstance(value, str):
-                for foot, number in _numbers(value):
-                    name = f"{field.address} {foot}" if foot else field.name
+                for of, number in _numbers(value):
+                    name = f"{field.address} {of}" if of else field.name
                     field.check_range(name, number, *PAGE_UNITS[field.kind])
         return StandTask().having(
             {field.name: in_si(field, value) for field, value in self.asked()}
@@ -114,10 +116,10 @@ class State:
         """Returns the scales that are not the robot's own."""
         return {name: v for name, v in self.values.items() if SHOWN[name].kind == "ratio"}
 
-    def payload_point(self) -> tuple[float, float, float]:
-        """Returns where the payload is, in the base's frame (m)."""
-        x, y, z = in_si(SHOWN["payload_at"], self.payload_at)
-        return x, y, z
+    def payload_point(self) -> tuple[str | float, ...]:
+        """Returns where the payload is (m); see ``robot.tool.find_place``."""
+        place: tuple[str | float, ...] = in_si(SHOWN["payload_at"], self.payload_at)
+        return place
 
     def with_task(self, task: StandTask) -> State:
         """Returns the state that has another task's numbers, as near as a slider has them.
@@ -138,9 +140,9 @@ class State:
         parts, feet = [], []
         for name, value in self.values.items():
             field = SHOWN[name]
-            if field.per_foot:
-                for foot, one in sorted(value.items()):
-                    feet.append(f"{field.address}:{quote(foot, safe='')},{_plainly(one)}")
+            if field.per:
+                for of, one in sorted(value.items()):
+                    feet.append(f"{field.address}:{quote(of, safe='')},{_plainly(one)}")
             else:
                 parts.append(f"{field.address}:{_plainly(value)}")
         place = [] if self.place == PLACES[0] else [f"place:{self.place}"]
@@ -149,7 +151,7 @@ class State:
 
 def usual_of(field: Field) -> Any:
     """Returns a field's value on a page just opened; None if it is the robot's own."""
-    if field.per_foot:
+    if field.per:
         return FrozenDict()
     if field.nominal != "zero":
         return None
@@ -157,26 +159,32 @@ def usual_of(field: Field) -> Any:
 
 
 def _finite(field: Field, value: Any) -> Any:
-    """Returns a value of finite numbers; of feet, those that it makes a difference to."""
+    """Returns a value of finite numbers; of feet or joints, those that it makes a difference to."""
     if value is None:
         return None
-    if field.per_foot:
+    if field.per:
         # A foot that is where it is anyway is not moved, and stands on no step.
         return FrozenDict(
             {
-                foot: _each(one, partial(check_finite, f"{field.address} {foot}"))
-                for foot, one in value.items()
-                if field.open or any(number for _, number in _numbers(one))
+                of: _each(one, partial(check_finite, f"{field.address} {of}"))
+                for of, one in value.items()
+                if _zero_counts(field) or any(number for _, number in _numbers(one))
             }
         )
     return _each(value, partial(check_finite, field.name))
 
 
+def _zero_counts(field: Field) -> bool:
+    """Whether 0, of a foot or joint, is another thing than nothing."""
+    return field.open or field.nominal != "zero"
+
+
 def _numbers(value: Any) -> Iterator[tuple[str, float]]:
-    """Yields the numbers of a value, each with its foot, or an empty name."""
-    for foot, one in value.items() if isinstance(value, dict) else [("", value)]:
+    """Yields the numbers of a value, each with its foot or joint, or an empty name."""
+    for of, one in value.items() if isinstance(value, dict) else [("", value)]:
         for number in one if isinstance(one, tuple) else (one,):
-            yield foot, number
+            if not isinstance(number, str):  # a point's frame
+                yield of, number
 
 
 def in_si(field: Field, value: Any) -> Any:
@@ -194,12 +202,12 @@ def on_page(field: Field, value: Any) -> Any:
 
 
 def _each(value: Any, change: Callable[[float], float]) -> Any:
-    """Returns a value, of feet or not, with each of its numbers changed."""
+    """Returns a value, of feet, joints or not, with each of its numbers changed."""
     if isinstance(value, dict):
-        return {foot: _each(one, change) for foot, one in value.items()}
+        return {of: _each(one, change) for of, one in value.items()}
     if isinstance(value, tuple):
-        return tuple(change(number) for number in value)
-    return change(value)
+        return tuple(_each(number, change) for number in value)
+    return value if isinstance(value, str) else change(value)
 
 
 def halfway_state(one: State, other: State) -> State | None:
@@ -216,8 +224,8 @@ def halfway_state(one: State, other: State) -> State | None:
             continue
         if name in OF_THE_ROBOT or first is None or second is None:
             return None
-        if field.per_foot:
-            if field.open and first.keys() != second.keys():
+        if field.per:
+            if _zero_counts(field) and first.keys() != second.keys():
                 return None
             none = (0.0,) * len(field.axes) if field.axes else 0.0
             changed[name] = {
@@ -251,14 +259,15 @@ def format_number(number: float) -> str:
 
 
 def _plainly(value: Any) -> str:
-    return ",".join(format_number(number) for _, number in _numbers(value))
+    parts = value if isinstance(value, tuple) else (value,)
+    return ",".join(quote(p, safe="") if isinstance(p, str) else format_number(p) for p in parts)
 
 
 def parse_state(text: str) -> State:
     """Returns the state that a text says, as ``str(state)`` writes it.
 
     ``height:120;roll:5;place:offset;offset:10,0;move:FR,10,0;lift:FL,20``: names and numbers, in mm
-    and degrees; ``move``, ``lift`` and ``step`` once per foot.
+    and degrees; ``move``, ``lift`` and ``step`` once per foot, ``joint`` once per joint (rad, m).
 
     Raises:
         ConfigurationError: If it says none.
@@ -271,15 +280,18 @@ def parse_state(text: str) -> State:
     for part in filter(None, (part.strip() for part in text.split(";"))):
         name, _, value = part.partition(":")
         field = _BY_ADDRESS.get(name)
-        if field is not None and field.per_foot:
-            foot, *said = _split(name, value, 1 + max(1, len(field.axes)))
-            given.setdefault(field.name, {})[unquote(foot)] = _value(name, said)
+        if field is not None and field.per:
+            of, *said = _split(name, value, 1 + max(1, len(field.axes)))
+            given.setdefault(field.name, {})[unquote(of)] = _value(name, said)
         elif (field.name if field else name) in given:
             raise ConfigurationError("state", diagnose("said-twice", entry=name))
         elif name == "place":
             given[name] = value
         elif field is not None:
-            given[field.name] = _value(name, _split(name, value, max(1, len(field.axes))))
+            framed = field.frame and value.count(",") == len(field.axes)
+            frame, _, numbers = value.partition(",") if framed else ("", "", value)
+            found = _value(name, _split(name, numbers, max(1, len(field.axes))))
+            given[field.name] = (unquote(frame), *found) if framed else found  # type: ignore[misc]
         else:
             told = diagnose("entry-unknown", entry=name, known=[*_BY_ADDRESS, "place"])
             raise ConfigurationError("state", told)

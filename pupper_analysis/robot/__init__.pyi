@@ -1,5 +1,4 @@
 from .payload import with_payload as with_payload
-from .posture import with_posture as with_posture
 from .stability import Stability as Stability
 from .stability import step_stability as step_stability
 from .tool import Tool as Tool

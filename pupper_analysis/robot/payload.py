@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool, find_place
+from pupper_analysis.robot.tool import Place, find_place
 
 Array = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ _NAME = "payload"
 def with_payload(
     robot: Robot,
     mass: float,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
 ) -> Robot:
     """Welds a point mass to a robot, in the URDF's model and in the MJCF's.
 
@@ -39,8 +38,8 @@ def with_payload(
     Args:
         robot: The robot.
         mass: Of the payload (kg), finite and >= 0.
-        point: (3,) where it is, in the base's frame (m); or a point of another link, as
-            ``find_tool(robot, "right_hand").moved((0.0, 0.0, 0.05))``.
+        point: (3,) where it is, in the base's frame (m); or in that of a link, site or body, as
+            ``("right_hand", 0.0, 0.0, 0.05)``, or a ``Tool``.
 
     Returns:
         The loaded robot; the robot itself for no mass.

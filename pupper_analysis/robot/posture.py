@@ -2,43 +2,41 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
-from dataclasses import replace
 from fnmatch import fnmatchcase
 
-import numpy as np
-
-from pupper_analysis.arguments import check_arguments, check_finite
+from pupper_analysis.arguments import check_finite
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 
 _ROUNDED = 1e-6
 """A position that is further beyond a limit is out of range (rad, m): both are typed."""
 
 
-@check_arguments
-def with_posture(robot: Robot, joints: Mapping[str, float]) -> Robot:
-    """Returns a robot whose joints that carry no foot are elsewhere in its home and its stands.
-
-    A search for a stand begins there, and leaves them there to some milliradians.
+def placed_joints(robot: Robot, posture: Mapping[str, float]) -> dict[str, float]:
+    """Returns {joint: its position} of a stand's posture.
 
     Args:
         robot: The robot.
-        joints: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}; of patterns that
+        posture: {joint, or a pattern such as ``*elbow*``: its position (rad, m)}; of patterns that
             match the same joint the last counts.
 
     Raises:
         UnknownNameError: If there is no such joint; the message lists those that are.
-        ConfigurationError: If a joint carries a foot or is part of a loop, or the position is out
-            of its range.
+        ConfigurationError: If a joint carries a foot or is part of a loop.
     """
-    given = named_positions(robot, joints)
-    if not given:
-        return robot
+    placed = named_positions(robot, posture, "posture") if posture else {}
+    free = free_joints(robot) if placed else ()
+    for joint in placed:
+        if joint not in free:
+            raise ConfigurationError("posture", diagnose("joint-is-the-stands", joint=joint))
+    return placed
+
+
+def free_joints(robot: Robot) -> tuple[str, ...]:
+    """Returns the joints that carry no foot and are in no loop or coupling, in actuator order."""
     model = robot.structure.model
     bound = {
         model.names[one]
@@ -48,33 +46,12 @@ def with_posture(robot: Robot, joints: Mapping[str, float]) -> Robot:
     if robot.closure is not None:
         both = (*robot.closure.following.tolist(), *robot.closure.leading.tolist())
         bound |= {robot.joint_names[joint] for joint in both}
-    nominal = dict(robot.description.nominal)
-    spec, mj_model = robot.description.mjcf.copy(), robot.mj_model
-    key = next((one for one in spec.keys if one.name == "home"), None) or next(
-        iter(spec.keys), None
-    )
-    qpos = np.array(mj_model.qpos0 if key is None else key.qpos)
-    for name, position in given.items():
-        if name in bound:
-            raise ConfigurationError("posture", diagnose("joint-is-the-stands", joint=name))
-        index = robot.joint_names.index(name)
-        ends = float(robot.lower_limits[index]), float(robot.upper_limits[index])
-        check_in_range(robot, name, position, ends, "posture")
-        qpos[mj_model.jnt_qposadr[mj_model.joint(name).id]] = nominal[name] = position
-    if key is None:
-        spec.add_key(name="home", qpos=qpos)
-    else:
-        key.qpos = qpos
-    built = rebuild_robot(robot, mjcf=spec, nominal=nominal)
-    digest = hashlib.sha256(np.round(qpos, 9).tobytes()).hexdigest()[:8]
-    return replace(
-        built,
-        published_model=robot.published_model,
-        fingerprint=f"{robot.fingerprint} {digest}",
-    )
+    return tuple(joint for joint in robot.joint_names if joint not in bound)
 
 
-def named_positions(robot: Robot, joints: Mapping[str, float]) -> dict[str, float]:
+def named_positions(
+    robot: Robot, joints: Mapping[str, float], argument: str = "joints"
+) -> dict[str, float]:
     """Returns {joint: its position} of {joint, or a pattern: position}.
 
     Raises:
@@ -85,8 +62,8 @@ def named_positions(robot: Robot, joints: Mapping[str, float]) -> dict[str, floa
     for pattern, value in joints.items():
         chosen = [joint for joint in robot.joint_names if fnmatchcase(joint, pattern)]
         if not chosen:
-            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at("joints")
-        given |= dict.fromkeys(chosen, check_finite(f"joints {pattern!r}", value))
+            raise UnknownNameError(robot.name, "joint", pattern, robot.joint_names).at(argument)
+        given |= dict.fromkeys(chosen, check_finite(f"{argument} {pattern!r}", value))
     return given
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,6 +24,10 @@ Array = NDArray[np.float64]
 _STEM, _FINGER = 3, 4
 """A chain of three joints or more that ends in several of four at most is an arm with a hand: its
 tool is what carries the fingers."""
+
+
+_FRAMED = 4
+"""Parts of a place in a frame: its name, x, y and z."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +81,10 @@ class Tool(Result):
         return load
 
 
+Place = Sequence[float] | Sequence[str | float] | Tool
+"""A point of a robot, as ``find_place`` takes it."""
+
+
 @check_arguments
 def find_tool(robot: Robot, name: str | None = None) -> Tool:
     """Finds a robot's tool.
@@ -106,18 +116,33 @@ def find_tool(robot: Robot, name: str | None = None) -> Tool:
     raise UnknownNameError(robot.name, "frame", link, tuple(known))
 
 
-def find_place(robot: Robot, point: ArrayLike | Tool) -> Tool:
-    """Returns a point of a robot: one of the base (3,), in its frame (m), or of any link.
+def find_place(robot: Robot, point: Place) -> Tool:
+    """Returns a point of a robot.
+
+    Args:
+        robot: The robot.
+        point: One of the base (3,), in its frame (m), or ``(frame, x, y, z)`` in the frame of a
+            link, site, body or geom, or a tool.
 
     Raises:
         ConfigurationError: If it is none.
-        UnknownNameError: If the robot has no link that carries it.
+        UnknownNameError: If the robot has no such frame, or no link that carries the tool.
     """
     if not isinstance(point, Tool):
-        return Tool(robot.base, robot.base, check_point(point), ())
+        frame, at = split_place(point)
+        if frame:
+            return find_tool(robot, frame).moved(at)
+        return Tool(robot.base, robot.base, check_point(at), ())
     if point.link not in robot.structure.links:
         raise UnknownNameError(robot.name, "link", point.link, tuple(robot.structure.links))
     return point
+
+
+def split_place(point: Any) -> tuple[str, Any]:
+    """Returns the frame of a place, "" for the base's, and the point in it; see ``find_place``."""
+    if isinstance(point, Sequence) and len(point) == _FRAMED and isinstance(point[0], str):
+        return point[0], point[1:]
+    return "", point
 
 
 def check_point(point: ArrayLike) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -18,7 +17,7 @@ from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.robot.tool import Tool, find_place
+from pupper_analysis.robot.tool import Place, Tool, find_place
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import (
     check_stand,
@@ -110,7 +109,7 @@ def payload_buckling(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -151,7 +150,7 @@ def simulate_payload(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,

@@ -100,7 +100,7 @@ class Numbers:
         return self._task.having(
             {
                 name: {foot: _one(parts) for foot, parts in of.items()}
-                if FIELDS[name].per_foot
+                if FIELDS[name].per
                 else _one(of[""])
                 for name, of in changed.items()
             }
@@ -127,7 +127,7 @@ def _one(parts: list[float]) -> float | tuple[float, ...]:
 def _values(task: StandTask, field: Field) -> Iterator[tuple[str, Any]]:
     """Yields what a field has that is in numbers, with its foot; empty if it is of none."""
     value = getattr(task if field.part == "task" else task.ground, field.name)
-    if field.per_foot:
+    if field.per:
         yield from value.items()
     elif value is not None and not isinstance(value, str):
         yield "", value
@@ -259,7 +259,7 @@ def _told(task: StandTask, demand: str) -> Diagnostic:
         steps = list(_of_feet(task, FIELDS["heights"]))
         return diagnose("demanded-ground", field=name, value=slope, cut=_cut(slope), steps=steps)
     (field,) = _FIELDS[demand]
-    if field.per_foot:
+    if field.per:
         return diagnose("demanded-of-feet", field=name, feet=list(_of_feet(task, field)))
     value = field.quantity(getattr(task, demand))
     if isinstance(value, Vector):

@@ -25,6 +25,7 @@ from pupper_analysis.frozen import FrozenDict
 UNITS = {
     **dict.fromkeys(("length", "point", "point3", "place"), "m"),
     "angle": "rad",
+    "position": "rad, m",
     "mass": "kg",
     "ratio": "1",
     "stiffness": "N m/rad",
@@ -61,7 +62,8 @@ class Words:
     Attributes:
         label: Its name on a slider, without a unit.
         hint: What it is about; ``{axis}`` is where a number of a point goes.
-        said: The template of a task's text, with ``{value}``, ``{foot}`` and all other fields.
+        said: The template of a task's text, with ``{value}``, ``{of}`` (a foot or joint) and
+            all other fields.
     """
 
     label: str
@@ -75,12 +77,14 @@ class Field:
 
     Attributes:
         name: Of the attribute that has it.
-        kind: ``"length"``, ``"angle"``, ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or
-            one of ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"``.
+        kind: ``"length"``, ``"angle"``, ``"position"`` (of a joint: an angle, or a length of one
+            that slides), ``"point"`` (x, y), ``"point3"``, ``"place"`` (a point, or one of
+            ``choices``), ``"mass"``, ``"ratio"``, ``"stiffness"``, ``"damping"``.
         en: Its words in English.
         zh: Those in Simplified Chinese.
         part: Whose attribute it is: the ``"task"``'s, or its ``"ground"``'s.
-        per_foot: Whether it is a mapping of feet to such values.
+        frame: Whether its point may be in another frame than the base's: (frame, x, y, z).
+        per: Of what it is a mapping to such values: ``"foot"``, ``"joint"``; empty if it is none.
         optional: Whether nothing may be asked, by None; else it is 0.
         nominal: What the nominal stand has: ``"zero"``, an attribute of the robot, the ``"centre"``
             of the feet that carry, ``"foot_places"``, or what is the robot's ``"own"``.
@@ -104,7 +108,8 @@ class Field:
     en: Words
     zh: Words
     part: str = "task"
-    per_foot: bool = False
+    frame: bool = False
+    per: str = ""
     optional: bool = False
     nominal: str = "zero"
     low: float = -math.inf
@@ -138,7 +143,7 @@ class Field:
     @property
     def usual(self) -> Any:
         """Its value where nothing is asked."""
-        if self.per_foot:
+        if self.per:
             return FrozenDict()
         return None if self.optional else 0.0
 
@@ -154,9 +159,9 @@ class Field:
         """
         if value is None and self.optional:
             return None
-        if self.per_foot:
+        if self.per:
             return FrozenDict(
-                {foot: self._checked(f"{self.name}[{foot}]", one) for foot, one in value.items()}
+                {of: self._checked(f"{self.name}[{of}]", one) for of, one in value.items()}
             )
         return self._checked(self.name, value)
 
@@ -234,7 +239,7 @@ FIELDS = read_table("pupper_analysis.stance", "fields.toml")
 NO_MARGINS = {
     name: field.usual
     for name, field in FIELDS.items()
-    if field.part == "task" and not field.per_foot and field.gives == "less"
+    if field.part == "task" and not field.per and field.gives == "less"
 }
 """{name: value} of a stand that keeps off nothing: neither from limits nor from the ground."""
 

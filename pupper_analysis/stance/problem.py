@@ -15,6 +15,7 @@ from pupper_analysis.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.posture import check_in_range, placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.footholds import place_feet, sink_feet
 from pupper_analysis.stance.task import StandTask
@@ -101,7 +102,7 @@ class Goal:
         turn: Its orientation, a unit quaternion (w, x, y, z).
         place: (2,) of the com, or of the base frame.
         by_base: Whether ``place`` is the base frame's.
-        lower: (nu,) joint limits, less the margin.
+        lower: (nu,) joint limits, less the margin; a joint in a posture has no room between them.
         upper: (nu,) likewise.
         give: (m,) by how much closed loops are open, where they give way; None if they do not.
     """
@@ -220,16 +221,10 @@ def _goal_of(
     task = _filled(robot, task, com)
     assert task.height is not None
     assert task.com is not None
-    if like is not None and like.task.joint_margin == task.joint_margin:
+    if like is not None and _limited_alike(like.task, task):
         lower, upper = like.lower, like.upper
     else:
-        lower = robot.lower_limits + task.joint_margin
-        upper = robot.upper_limits - task.joint_margin
-        if checked and (lower > upper).any():
-            name = robot.joint_names[int(np.argmax(lower - upper))]
-            margin = Quantity(task.joint_margin, "rad")
-            problem = diagnose("margin-leaves-no-range", margin=margin, joint=name)
-            raise ConfigurationError("joint_margin", problem)
+        lower, upper = _joint_limits(robot, task, checked=checked)
     place, by_base = centre[:2], False
     if task.offset is not None:
         place, by_base = place + task.offset, True
@@ -260,6 +255,24 @@ def _goal_of(
     )
 
 
+def _joint_limits(robot: Robot, task: StandTask, *, checked: bool) -> tuple[Array, Array]:
+    """Returns between which positions (nu,) joints may be; both are the same in a posture."""
+    lower = robot.lower_limits + task.joint_margin
+    upper = robot.upper_limits - task.joint_margin
+    if checked and (lower > upper).any():
+        name = robot.joint_names[int(np.argmax(lower - upper))]
+        margin = Quantity(task.joint_margin, "rad")
+        problem = diagnose("margin-leaves-no-range", margin=margin, joint=name)
+        raise ConfigurationError("joint_margin", problem)
+    for joint, position in placed_joints(robot, task.posture).items():
+        index = robot.joint_names.index(joint)
+        if checked:
+            ends = float(lower[index]), float(upper[index])
+            check_in_range(robot, joint, position, ends, "posture")
+        lower[index] = upper[index] = position
+    return lower, upper
+
+
 def _check_inside(task: StandTask, place: Array, points: Mapping[str, Array]) -> None:
     """Checks that the com shall be inside the support polygon, with the task's margin."""
     inside = com_margin(np.append(place, 0.0), points)
@@ -287,6 +300,12 @@ def _filled(robot: Robot, task: StandTask, com: str) -> StandTask:
 def _centred(task: StandTask) -> bool:
     """Whether the com shall be over the centre, or inside, where a search begins at the centre."""
     return task.offset is None and isinstance(task.com, str)
+
+
+def _limited_alike(one: StandTask, other: StandTask) -> bool:
+    """Whether the same is asked of joints; of patterns the last counts, so their order does."""
+    postures = [*one.posture.items()] == [*other.posture.items()]
+    return one.joint_margin == other.joint_margin and postures
 
 
 def _turned_alike(one: StandTask, other: StandTask) -> bool:

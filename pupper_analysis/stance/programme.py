@@ -160,8 +160,10 @@ class Programme:
         least, most = (
             (end - numbers.values) / numbers.units for end in (numbers.low, numbers.high)
         )
-        free = np.full(robot.nu, np.inf)
-        within = (-free, free) if "joint_margin" in demands else (goal.lower, goal.upper)
+        within = goal.lower, goal.upper
+        if "joint_margin" in demands:  # all but a posture may give
+            placed = goal.lower == goal.upper
+            within = np.where(placed, goal.lower, -np.inf), np.where(placed, goal.upper, np.inf)
         nothing, anywhere = np.zeros(2 * len(numbers.keys)), np.full(2, np.inf)
         self._low = np.concatenate([-anywhere, within[0], nothing])
         self._high = np.concatenate([anywhere, within[1], -least, most])

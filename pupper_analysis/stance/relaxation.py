@@ -76,8 +76,9 @@ def explain_refusal(
     gaps = {foot: float(np.linalg.norm(feet[foot] - goal.targets[foot])) for foot in feet}
     joints = nearest.joint_positions(robot)
     at_limit: dict[str, float] = {}
+    placed = goal.lower == goal.upper  # in a posture: at no limit
     for limits in (goal.lower, goal.upper):
-        for index in np.flatnonzero(np.abs(joints - limits) < 1e-6):
+        for index in np.flatnonzero((np.abs(joints - limits) < 1e-6) & ~placed):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
     blocked = () if missed else nearest.blocked

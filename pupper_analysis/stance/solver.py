@@ -66,6 +66,8 @@ _TRUST_RADIUS = 0.5  # rad per joint and iteration
 
 _SIZE = 10.0  # of the robot, in heights of its stand: no foot moves by more for a radian per joint
 
+_ANYWHERE = 1e3  # rad, m: beyond it no joint without limits turns, and rounding is a picometre's
+
 _SLOW = 2  # iterations in a row at a pace that leads nowhere
 
 
@@ -243,6 +245,8 @@ class Solver:
             for name, low, high in zip(self._robot.joint_names, *limits, strict=True):
                 if math.isfinite(low) and math.isfinite(high):
                     wrapper.set_joint_limits(name, low, high)
+                elif given is not None:  # it may have been in a posture
+                    wrapper.set_joint_limits(name, -_ANYWHERE, _ANYWHERE)
         self._goal, self.tasks = goal, kept[by_base]
         self.tasks.aim(goal)
 

@@ -53,6 +53,9 @@ class StandTask:
         ground_clearance: Least height above the ground of every part but the feet (m).
         self_clearance: Least distance between links that are not neighbours (m); by default they
             are not looked at.
+        posture: {joint that carries no foot, or a pattern such as ``*elbow*``: its position (rad,
+            m)}; of patterns that match the same joint the last counts. Where nothing is said a
+            search begins at ``home``, and leaves these joints there to some milliradians.
         ik_seed: (nu,) joint positions to start from (rad), which decides between ways to bend a
             knee; the robot's ``home`` by default.
     """
@@ -71,6 +74,7 @@ class StandTask:
     joint_margin: float = 0.0
     ground_clearance: float = 0.0
     self_clearance: float | None = None
+    posture: Mapping[str, float] = field(default_factory=FrozenDict)
     ik_seed: Sequence[float] | None = None
 
     def __post_init__(self) -> None:
@@ -78,7 +82,7 @@ class StandTask:
             value = getattr(self, entry.name)
             if value is _DEFAULTS[entry.name] or (type(value) is FrozenDict and not value):
                 continue  # what the class says itself needs no check
-            if entry.per_foot:
+            if entry.per:
                 check_type(entry.name, value, Mapping[str, Any])
             object.__setattr__(self, entry.name, entry.checked(value))
         if type(self.ground) is not Ground:
@@ -163,20 +167,20 @@ class StandTask:
             for name, value in self.values().items()
             if isinstance(value, float | tuple)
         }
-        for entry, foot, value in self._asked():
-            told = {**values, "foot": foot, "value": entry.quantity(value)}
+        for entry, of, value in self._asked():
+            told = {**values, "of": of, "value": entry.quantity(value)}
             parts.append(fill_template(entry.words(language).said, told, language))
         return _COMMA[language].join(parts)
 
     def _asked(self) -> Iterator[tuple[Field, str, float | Point]]:
-        """Yields what is asked: field, foot (empty where it is of none), and value."""
+        """Yields what is asked: field, of which foot or joint (or empty), and value."""
         inside = self.com == "inside" or (self.offset is not None and self.com_margin != 0.0)
         for name, value in self.values().items():
             field = FIELDS[name]
             if not field.en.said or isinstance(value, str):
                 continue
-            if field.per_foot:
-                yield from ((field, foot, one) for foot, one in value.items())
+            if field.per:
+                yield from ((field, of, one) for of, one in value.items())
             elif name == "com_margin":  # of a com that is where it is asked to be, it is a check
                 if inside:
                     yield field, "", value

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.study.design import ENDS, NUMBERS, OFFSET
+from pupper_analysis.stance.fields import FIELDS
+from pupper_analysis.study.design import ENDS, NUMBERS, UNBOUNDED
 from pupper_analysis.study.metrics import METRICS
-from pupper_analysis.study.named import AXES
+from pupper_analysis.study.named import AXES, OF_JOINTS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -161,7 +162,9 @@ def split_panels(table: pd.DataFrame, variables: Sequence[str], x: str, y: str) 
 def unit_of(column: str) -> str:
     """Returns the unit of a metric or of a number that varies; empty of ratios and factors."""
     if column.partition(":")[0] in AXES:
-        return OFFSET.unit
+        return UNBOUNDED.unit
+    if column.partition(":")[0] in OF_JOINTS:
+        return FIELDS[column.partition(":")[0]].unit
     metric = METRICS.get(column.partition(".")[0])
     unit = metric.unit if metric else NUMBERS[column].unit if column in NUMBERS else ""
     return "" if unit in ("1", "-") else unit

@@ -30,7 +30,7 @@ from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.metrics import METRICS, Design, Metric
-from pupper_analysis.study.named import AXES, SERVOS, Named
+from pupper_analysis.study.named import ADDED, OF_JOINTS, SERVOS, Named
 from pupper_analysis.study.parameters import scale_robot, with_friction, with_gains
 from pupper_analysis.study.source import RobotSource
 
@@ -57,7 +57,7 @@ class DesignNumber:
 STANCE = {
     name: (known, axis)
     for known in FIELDS.values()
-    if not known.per_foot and not known.choices
+    if not known.per and not known.choices
     for axis, name in enumerate([f"{known.name}_{x}" for x in known.axes] or [known.name])
     if name not in METRICS
 }
@@ -74,8 +74,8 @@ NUMBERS = {
     for name, known in ({name: one for name, (one, _) in STANCE.items()} | MODEL).items()
 }
 
-OFFSET = DesignNumber(-math.inf, math.inf, "m")
-"""How far a centre of mass is moved."""
+UNBOUNDED = DesignNumber(-math.inf, math.inf, "m")
+"""How far a centre of mass is moved, or where a joint is, whose limits are the robot's."""
 
 KEPT = 8
 """So many robots and stands are remembered: neighbours in a product of lists share them."""
@@ -105,12 +105,12 @@ class Maker:
     Attributes:
         source: Of the robots.
         task: The stance, where a design does not say otherwise.
-        point: (3,) where a payload is, in the base's frame (m).
+        point: Where a payload is (m); see ``robot.tool.find_place``.
     """
 
     source: RobotSource
     task: StandTask
-    point: tuple[float, ...]
+    point: tuple[str | float, ...]
     _robots: Remembered = field(default_factory=Remembered)
     _loaded: Remembered = field(default_factory=Remembered)
     _stands: Remembered = field(default_factory=Remembered)
@@ -122,7 +122,7 @@ class Maker:
             PupperAnalysisError: If there is none; ``failure_kind`` says of which kind.
         """
         gains = {n: v for n, v in numbers.items() if servo_number(n)}
-        stance = {n: v for n, v in numbers.items() if n in STANCE}
+        stance = {n: v for n, v in numbers.items() if n in STANCE or of_joints(n)}
         model = {n: v for n, v in numbers.items() if n not in gains and n not in stance}
         for name in ("kp", "kd"):
             if name in gains:
@@ -157,6 +157,11 @@ def servo_number(name: str) -> bool:
     return name.partition(":")[0] in SERVOS
 
 
+def of_joints(name: str) -> bool:
+    """Whether a number is one of the stance, of joints: ``posture:JOINT``."""
+    return name.partition(":")[0] in OF_JOINTS
+
+
 def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
     """Returns a task with a design's numbers.
 
@@ -172,6 +177,9 @@ def task_of(task: StandTask, numbers: Mapping[str, float]) -> StandTask:
             changes[known.name] = tuple(point)
         elif name in numbers:
             changes[known.name] = numbers[name]
+    for name in filter(of_joints, numbers):
+        field, _, joint = name.partition(":")
+        changes[field] = {**changes.get(field, values[field]), joint: numbers[name]}
     return task.having(changes)
 
 
@@ -194,8 +202,8 @@ def check_range(name: str, low: float, high: float) -> None:
     """
     known = NUMBERS.get(name, DesignNumber(0.0, math.inf, "x", open=True))
     named = Named.of(name)
-    if named is not None and named.kind in AXES:
-        known = OFFSET
+    if named is not None and named.kind in ADDED:
+        known = UNBOUNDED
     elif named is not None:
         known = DesignNumber(
             0.0, math.inf, "x", open=name.partition(":")[0] in ("mass", "inertia", "kp")

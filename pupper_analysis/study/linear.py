@@ -13,6 +13,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tool import Place, find_place
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -49,7 +50,7 @@ def torque_derivatives(
     stand: Stand,
     numbers: Mapping[str, float],
     wanted: Sequence[str],
-    point: Sequence[float],
+    point: Place,
 ) -> dict[str, Array]:
     """Derives the motors' torques in a stand by masses, coms and payload, in closed form.
 
@@ -68,7 +69,7 @@ def torque_derivatives(
         stand: Its stand, on level ground, with the com over the centre.
         numbers: Of the design: {number: its value}.
         wanted: The numbers by which: ``mass:PATTERN``, ``com_x:PATTERN``, ``payload``.
-        point: (3,) where a payload is, in the base's frame (m).
+        point: Where a payload is (m); see ``find_place``.
 
     Returns:
         {number: (nu,) N m per factor, or per kg}.
@@ -126,21 +127,23 @@ def _gravity_regressor(config: Configuration) -> Array:
 
 
 def _inertial(
-    config: Configuration, name: str, numbers: Mapping[str, float], point: Sequence[float]
+    config: Configuration, name: str, numbers: Mapping[str, float], point: Place
 ) -> InertialRates:
     robot, named = config.robot, Named.of(name)
     model, data = robot.pin_model, robot.pin_model.createData()
     pin.forwardKinematics(model, data, robot.pin_convention.unit_q(config.qpos))
-    load = pin.Inertia(1.0, np.array(point, dtype=float), np.zeros((3, 3)))
+    tool = find_place(robot, point)
+    on = model.frames[model.getFrameId(tool.link, pin.FrameType.BODY)]
+    load = on.placement.act(pin.Inertia(1.0, tool.offset, np.zeros((3, 3))))
     grown: list[tuple[int, float, pin.Inertia]] = []  # body, how many times, what
     if name == "payload":
-        grown.append((_BASE, 1.0, load))
+        grown.append((on.parentJoint, 1.0, load))
     elif named is not None and named.kind == "mass":
         share = 1.0 / numbers[name]
         bodies = [model.getJointId(joint) if joint else _BASE for joint in joints_of(robot, named)]
         grown += [(body, share, model.inertias[body]) for body in bodies]
-        if _BASE in bodies:  # the payload is welded on when the factors have been applied
-            grown.append((_BASE, -share * numbers.get("payload", 0.0), load))
+        if on.parentJoint in bodies:  # the payload is welded on when the factors have been applied
+            grown.append((on.parentJoint, -share * numbers.get("payload", 0.0), load))
     elif named is None or named.kind not in ("inertia", *AXES):  # gravity sees no inertia
         raise ConfigurationError("vary", diagnose("no-derivative-of-torques", number=name))
     change = np.zeros((model.njoints - 1, 10))
@@ -150,8 +153,8 @@ def _inertial(
         for joint in joints_of(robot, named):
             body = model.getJointId(joint) if joint else _BASE
             own = float(model.inertias[body].mass)
-            # Of the base without the payload, which is welded on when its com has been moved.
-            own -= 0.0 if joint else numbers.get("payload", 0.0)
+            # Without the payload, which is welded on when coms have been moved.
+            own -= numbers.get("payload", 0.0) if body == on.parentJoint else 0.0
             turn = (
                 np.eye(3)
                 if joint

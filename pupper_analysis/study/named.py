@@ -11,6 +11,10 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.fields import FIELDS
+
+OF_JOINTS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
+"""Kinds that are fields of the stance, of each joint."""
 
 KINDS = {
     "mass": "mass and inertia of bodies",
@@ -24,6 +28,7 @@ KINDS = {
     "frictionloss": "dry friction of joints",
     "kp": "stiffness of servos",
     "kd": "damping of servos",
+    **dict.fromkeys(OF_JOINTS, "position of joints that carry no foot (rad, m)"),
 }
 """What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
 
@@ -32,6 +37,9 @@ EACH = "each"
 
 AXES = ("com_x", "com_y", "com_z")
 """Kinds that are added, along these axes (m), and are no factors."""
+
+ADDED = (*AXES, *OF_JOINTS)
+"""Kinds that are no factors of what the files say, and have no bounds."""
 
 BODIES = ("mass", "inertia", *AXES)
 SERVOS = ("kp", "kd")

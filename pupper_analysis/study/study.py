@@ -21,8 +21,9 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.robot.posture import placed_joints
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import check_point
+from pupper_analysis.robot.tool import check_point, find_place, split_place
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.study.design import STANCE, check_name, check_range
 from pupper_analysis.study.metrics import (
@@ -33,7 +34,7 @@ from pupper_analysis.study.metrics import (
     metric_text,
     modules_in,
 )
-from pupper_analysis.study.named import SERVOS, Named, groups_of, joints_of
+from pupper_analysis.study.named import OF_JOINTS, SERVOS, Named, groups_of, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
 from pupper_analysis.study.source import ModelFiles, RobotSource, digest_of
@@ -77,7 +78,7 @@ class DesignStudy:
         samples: int | None = None,
         seed: int = 0,
         stand: StandTask | None = None,
-        payload_point: Sequence[float] = (0.0, 0.0, 0.0),
+        payload_point: Sequence[float] | Sequence[str | float] = (0.0, 0.0, 0.0),
         time_limit: float | None = 60.0,
     ) -> None:
         """Checks all that can be checked before anything runs.
@@ -91,7 +92,8 @@ class DesignStudy:
                 of all lists.
             seed: Of the samples.
             stand: The stance, where the designs do not say otherwise.
-            payload_point: (3,) where a payload is, in the base's frame (m).
+            payload_point: (3,) where a payload is, in the base's frame (m), or (frame, x, y, z) in
+                that of a link, site or body.
             time_limit: Of one design (s); None: none. It ends the worker's process, and so holds
                 for processes and Dask, not for threads.
 
@@ -118,7 +120,9 @@ class DesignStudy:
         self.left_out: tuple[str, ...] = ()
         self._given = tuple(measure)
         self._points: Array | None = None
-        self.point = tuple(check_point(payload_point).tolist())
+        frame, point = split_place(payload_point)
+        self.point = (*filter(None, (frame,)), *check_point(point).tolist())
+        find_place(self.base, self.point)
         self.time_limit = None if time_limit is None else check_finite("time_limit", time_limit)
         if self.time_limit is not None and self.time_limit <= 0:
             told = diagnose("time-limit-not-positive", limit=self.time_limit)
@@ -154,6 +158,8 @@ class DesignStudy:
             named = Named.of(name)
             if named is not None:
                 joints_of(self.base, named)
+            if named is not None and named.kind in OF_JOINTS:
+                placed_joints(self.base, {named.pattern: 0.0})
         servos = {name for name in self.variables if name.partition(":")[0] in SERVOS}
         if servos:
             from pupper_analysis.robot.servos import servo_gains

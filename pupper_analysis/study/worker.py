@@ -48,7 +48,7 @@ class Work:
         metrics: Names and functions.
         variables: The names of the numbers of a design.
         task: The stance.
-        point: (3,) of payloads (m).
+        point: Of payloads (m); see ``robot.tool.find_place``.
         versions: Of the one who asks.
         limit: How long a design may take (s), where a worker can be ended; else None.
     """
@@ -57,7 +57,7 @@ class Work:
     metrics: tuple[str | Function, ...]
     variables: tuple[str, ...]
     task: StandTask
-    point: tuple[float, ...]
+    point: tuple[str | float, ...]
     versions: dict[str, str]
     limit: float | None
 

@@ -60,7 +60,7 @@ def torque_of(session: HeldSession, joint: str) -> float:
 
 def test_a_slider_moves_a_joint_and_its_torque_is_that_of_the_weight(session: HeldSession) -> None:
     """A weight of 2 kg, 0.2 m from the axis, and a pad at the axis."""
-    slider = session.sliders["shoulder"]
+    slider = session.joints.sliders["shoulder"]
     assert (slider.min, slider.max) == (-57.5, 85.5)  # deg, inside the joint's range
     for angle in (30.0, -45.0):
         slider.value = angle
@@ -74,13 +74,13 @@ def test_a_slider_moves_a_joint_and_its_torque_is_that_of_the_weight(session: He
 
 
 def test_a_slide_is_told_in_millimetres(session: HeldSession) -> None:
-    session.sliders["grip"].value = 30.0
-    assert session.positions() == {"grip": pytest.approx(0.03)}
+    session.joints.sliders["grip"].value = 30.0
+    assert session.joints.changed() == {"grip": pytest.approx(0.03)}
 
 
 @pytest.mark.slow
 def test_what_is_simulated_is_what_the_sliders_say(session: HeldSession) -> None:
-    session.sliders["shoulder"].value = 60.0
+    session.joints.sliders["shoulder"].value = 60.0
     session.simulate()
     wait_for(lambda: "HOLDS (from one file)" in session._result.content, "it does not hold")
 

@@ -104,7 +104,9 @@ numbers = st.floats(-1e4, 1e4)
         foot_offsets=st.dictionaries(st.text(min_size=1), st.tuples(numbers, numbers), max_size=3),
         swing=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
         heights=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
-        payload_at=st.tuples(numbers, numbers, numbers),
+        payload_at=st.tuples(numbers, numbers, numbers)
+        | st.tuples(st.text(min_size=1), numbers, numbers, numbers),
+        posture=st.dictionaries(st.text(min_size=1), numbers, max_size=3),
         kp=st.none() | numbers,
     )
 )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+import shlex
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -109,6 +111,31 @@ def test_the_last_of_many_quick_moves_is_what_is_shown(page: Open) -> None:
     for torque in pa.stance.stand_statics(load("v3"), stand).joint_torques:
         assert f">{torque:+.4f}<" in page.numbers
     assert page.session._panels._state.value == str(last)
+
+
+def test_a_joint_of_a_leg_shows_the_robot_held_and_no_stand(page: Open) -> None:
+    """A leg stretched out level: its motor holds its weight at its lever, and no ground does."""
+    wait_for(lambda: page.settled(), "it does not stand")
+    robot, controls = load("v3"), page.controls
+    standing = page.numbers
+    joint = robot.joint_names[2]
+    before = controls.legs.sliders[joint].value
+    controls.legs.sliders[joint].value = before + 20.0
+    page.session.changed(hangs=True)
+    wait_for(lambda: "Not a stand" in page.numbers, "it is not shown hanging")
+    held = load("v3", fixed_base=True)
+    assert set(controls.hanging[1]) == set(robot.joint_names)
+    qpos = [controls.hanging[1][name] for name in held.joint_names]
+    assert qpos[2] == pytest.approx(math.radians(before + 20.0), abs=1e-6)
+    for torque in pa.Configuration(held, qpos).gravity():
+        assert f">{torque:+.4f}<" in page.numbers
+    assert page.session.export() == (None, None)  # no stance to save, or to simulate
+    words = shlex.split(page.session._panels._command.value)
+    assert words[:3] == ["pupper-analysis", "hold", "v3"]
+    page.session.changed()
+    wait_for(lambda: page.settled(), "it does not stand again")
+    assert page.numbers == standing
+    assert controls.legs.sliders[joint].value == before
 
 
 def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPatch) -> None:

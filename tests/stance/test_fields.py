@@ -27,13 +27,13 @@ from pupper_analysis.study.design import task_of as task_of_numbers
 from pupper_analysis.study.metrics import METRICS
 from tests.support.variants import load
 
-NUMBERS = {"length": 0.0123, "angle": math.radians(7.5)}
+NUMBERS = {"length": 0.0123, "angle": math.radians(7.5), "position": 0.1309}
 
 
 def asked(field: Field) -> Any:
     """A value of a field that is not the usual one."""
     one = (0.0123, -0.0345) if field.axes or field.choices else NUMBERS[field.kind]
-    return {"FL": one} if field.per_foot else one
+    return {"FL": one} if field.per else one
 
 
 def numbers_of(value: Any) -> Any:
@@ -60,8 +60,8 @@ def said_of(field: Field) -> str:
     if field.axes or field.choices:
         text = "12.3mm,-3.45cm"
     else:
-        text = {"length": "12.3mm", "angle": "7.5deg"}[field.kind]
-    return f"FL={text}" if field.per_foot else text
+        text = {"length": "12.3mm", "angle": "7.5deg", "position": "130.9mm"}[field.kind]
+    return f"FL={text}" if field.per else text
 
 
 def test_the_table_has_all_that_a_task_and_its_ground_have() -> None:
@@ -108,9 +108,9 @@ def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
         wrong += [field.high + 0.01] * math.isfinite(field.high) + [field.low] * field.open
     for value in wrong:
         with pytest.raises(pa.ConfigurationError) as refused:
-            pa.StandTask().having({field.name: {"FL": value} if field.per_foot else value})
+            pa.StandTask().having({field.name: {"FL": value} if field.per else value})
         assert refused.value.field.startswith(field.name)
-    if field.per_foot:
+    if field.per:
         with pytest.raises(pa.ConfigurationError, match=field.name):
             pa.StandTask().having({field.name: 0.1})
 
@@ -118,7 +118,7 @@ def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
 @pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
 def test_the_example_of_each_option_is_a_value_that_it_takes(field: Field) -> None:
     context = cli.group.commands["stand"].make_context(
-        "stand", ["v3", f"--{field.option}", field.example]
+        "stand", ["v3", f"--{field.option}", field.example.strip("'")]
     )
     task = task_of({name: context.params[name] for name in TYPED})
     assert task.values()[field.name] != pa.StandTask().values()[field.name]
@@ -134,14 +134,14 @@ def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
     assert task_of({name: unasked.params[name] for name in TYPED}) == pa.StandTask()
 
 
-ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5)}
+ON_PAGE = {"length": 12.3, "angle": 7.5, "point": (12.3, -34.5), "position": 0.1309}
 SLIDING = {name: field for name, field in FIELDS.items() if field.slider}
 
 
 def state_with(field: Field) -> State:
     one = ON_PAGE[field.kind]
     place = "offset" if field.name == "offset" else "centre"
-    return State(place, **{field.name: {"FL": one} if field.per_foot else one})
+    return State(place, **{field.name: {"FL": one} if field.per else one})
 
 
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
@@ -152,7 +152,8 @@ def test_each_field_is_in_a_pages_state_and_its_address(field: Field) -> None:
     assert parse_state(str(state)) == state
     assert state.with_task(state.task()) == state
     half = halfway_state(State(place=state.place), state)
-    if not field.open:  # who is not lifted is not half lifted, and no height is the robot's own
+    # Who is not lifted is not half lifted; heights and positions are the robot's own.
+    if not field.open and field.nominal == "zero":
         assert half is not None
         assert half.having(**{field.name: getattr(state, field.name)}) == state
 
@@ -160,6 +161,9 @@ def test_each_field_is_in_a_pages_state_and_its_address(field: Field) -> None:
 @pytest.mark.parametrize("field", SLIDING.values(), ids=SLIDING)
 def test_each_field_has_sliders_with_words_and_a_range(field: Field) -> None:
     own = {name: control for name, control in CONTROLS.items() if control.field is field}
+    if field.per == "joint":
+        assert not own  # they are the robot's: live.joints
+        return
     assert len(own) == max(1, len(field.axes))
     ranges = ranges_of(load("v3"), {})
     for name, control in own.items():
@@ -190,7 +194,11 @@ def test_each_field_is_exported_as_python_and_as_a_command(field: Field) -> None
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> None:
     own = {name: axis for name, (known, axis) in STANCE.items() if known is field}
-    if field.per_foot or field.choices or field.name in METRICS:
+    if field.per == "joint":
+        made = task_of_numbers(task_with(field), {f"{field.name}:knee": 0.5})
+        assert made.values()[field.name] == {**asked(field), "knee": 0.5}
+        check_range(f"{field.name}:knee", -1.0, 1.0)
+    if field.per or field.choices or field.name in METRICS:
         assert not own  # a measure's column has the name
         return
     assert len(own) == max(1, len(field.axes))
@@ -229,12 +237,13 @@ def test_a_task_is_said_in_order_and_with_units() -> None:
         joint_margin=math.radians(11),
         ground_clearance=0.013,
         self_clearance=0.014,
+        posture={"*elbow*": 0.5236},
     )
     assert str(task) == (
         "height 0.1200 m, roll 1.5 deg, pitch 0.0 deg, yaw 0.0 deg, base (10, -20) mm from the "
         "centre, FR at (100, -200) mm, FL moved by (3, 4) mm, RL lifted 50 mm, slope 6.0 deg, "
         "rising towards 77 deg, RR on 8 mm, com in the support polygon (margin >= 9 mm), "
-        "joint-limit margin 11.0 deg, ground clearance 13 mm, links 14 mm apart"
+        "joint-limit margin 11.0 deg, ground clearance 13 mm, links 14 mm apart, *elbow* at 0.5236"
     )
     assert task.said("zh").startswith("高度 0.1200 m，横滚 1.5°，")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
@@ -12,7 +11,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool
+from pupper_analysis.robot.tool import Place
 from pupper_analysis.stance.optimize.search import EvaluatedStance, Objective, StanceSearch
 from pupper_analysis.stance.optimize.space import StanceSpace
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
@@ -64,7 +63,7 @@ def best_stance(
     objective: Objective = Objective.UTILISATION,
     *,
     task: StandTask | None = None,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
     distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
     kp: ArrayLike | None = None,
 ) -> BestStance:

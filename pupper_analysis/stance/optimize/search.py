@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -18,7 +17,7 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.robot.tool import Tool, find_place
+from pupper_analysis.robot.tool import Place, find_place
 from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
 from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.stand import Stand, stand_statics
@@ -89,7 +88,7 @@ class StanceSearch:
         robot: Robot,
         objective: Objective,
         task: StandTask | None = None,
-        point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+        point: Place = (0.0, 0.0, 0.0),
         distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
         kp: ArrayLike | None = None,
     ) -> None:

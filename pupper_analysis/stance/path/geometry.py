@@ -224,7 +224,7 @@ def _derivatives(
 
     The constraints: points of carrying feet that touch the ground stay (rolling), or their centres;
     swing feet, the base's height, and the com or the base's place move evenly; the base turns as
-    roll, pitch and yaw change evenly.
+    roll, pitch and yaw change evenly, and so do joints in a posture.
     """
     one, two = segment.start, segment.end
     angles = np.array([[key.task.roll, key.task.pitch, key.task.yaw] for key in (one, two)])
@@ -252,6 +252,9 @@ def _derivatives(
         rows.append(still.frame_jacobian(robot.contact_frames[foot], offset)[:3])
         moves = np.zeros(3) if foot in segment.stance_feet else two.feet[foot] - one.feet[foot]
         wanted.append(moves)
+    placed = segment.placed(robot)
+    rows.append(np.eye(robot.nv)[robot.nv - robot.nu :][placed])
+    wanted.append((two.joints - one.joints)[placed])
     jacobian = np.concatenate(rows)
     tangent: Array = np.linalg.lstsq(jacobian, np.concatenate(wanted))[0]
 
@@ -264,6 +267,7 @@ def _derivatives(
         point = accelerations[foot]
         # The offset is the ground's and does not turn with the foot.
         drift.append(point[:3] + np.cross(point[3:], offset))
+    drift.append(np.zeros(len(placed)))
     curvature: Array = np.linalg.lstsq(jacobian, -np.concatenate(drift))[0]
     return tangent, curvature
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from pupper_analysis.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.posture import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
@@ -25,6 +26,7 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T", float, NDArray[np.float64])
 
 _PLACES = ("base-height", "base-place", "com-place", "support-margin", "footholds")
 """Constraints whose numbers a path works out itself; all others' are between its stances'."""
@@ -42,12 +44,14 @@ class Key:
         base: (3,) place of the base (m).
         com: (3,) centre of mass (m).
         feet: {foot: (3,) centre of its sphere (m)}.
+        joints: (nu,) joint positions (rad, m).
     """
 
     task: StandTask
     base: Array
     com: Array
     feet: dict[str, Array]
+    joints: Array
 
     def margin(self, feet: Sequence[str]) -> float:
         """Returns how far inside these feet the com's projection is (m)."""
@@ -71,6 +75,12 @@ class Segment:
     stance_feet: tuple[str, ...]
     before: tuple[str, ...]
     after: tuple[str, ...]
+
+    def placed(self, robot: Robot) -> list[int]:
+        """Returns the numbers of the joints that one of the stances puts in their places."""
+        tasks = self.start.task, self.end.task
+        names = {joint for task in tasks for joint in placed_joints(robot, task.posture)}
+        return sorted(map(robot.joint_names.index, names))
 
 
 def segments_of(
@@ -98,7 +108,8 @@ def segments_of(
         except StanceUnreachableError as error:
             raise error.at(diagnose("of-stance", number=number)) from None
         com = Configuration(robot, solved[-1].qpos).center_of_mass()
-        keys.append(Key(solved[-1].task, solved[-1].qpos[:3], com, solved[-1].foot_targets))
+        base, joints = solved[-1].qpos[:3], solved[-1].joint_positions(robot)
+        keys.append(Key(solved[-1].task, base, com, solved[-1].foot_targets, joints))
     sets = []
     for number, (one, two) in enumerate(pairwise(keys), 1):
         swinging = one.task.swing.keys() | two.task.swing.keys()
@@ -146,7 +157,7 @@ def task_between(
     """
     one, two = segment.start.task, segment.end.task
 
-    def between(start: float, end: float) -> float:
+    def between(start: _T, end: _T) -> _T:
         return start + share * (end - start)
 
     ground, normal = one.ground, one.ground.normal()
@@ -184,8 +195,10 @@ def task_between(
     others: dict[str, Any] = {
         name: None if None in (first, last[name]) else between(first, last[name])
         for name, first in one.values().items()
-        if FIELDS[name].constraint not in _PLACES
+        if FIELDS[name].constraint not in _PLACES and not FIELDS[name].per
     }
+    joints = between(segment.start.joints, segment.end.joints).tolist()
+    posture = {robot.joint_names[index]: joints[index] for index in segment.placed(robot)}
     heights = {
         foot: between(one.swing.get(foot, 0.0), two.swing.get(foot, 0.0)) for foot in robot.feet
     }
@@ -198,6 +211,7 @@ def task_between(
         ground=ground,
         com="centre" if by_base else (float(com[0]), float(com[1])),
         com_margin=max(0.0, between(one.com_margin, two.com_margin) - 1e-9) if by_base else 0.0,
+        posture=posture,
         ik_seed=tuple(ik_seed),
         **others,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool, find_place
+from pupper_analysis.robot.tool import Place, Tool, find_place
 from pupper_analysis.stance.payload.first_order import Loads
 from pupper_analysis.stance.payload.servo_limit import (
     RESOLUTION,
@@ -102,7 +101,7 @@ class PayloadLimit(Result):
 def payload_limit(
     robot: Robot,
     stand: Stand,
-    point: Sequence[float] | Tool = (0.0, 0.0, 0.0),
+    point: Place = (0.0, 0.0, 0.0),
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -176,9 +175,7 @@ def payload_limit(
     )
 
 
-def motor_limit(
-    robot: Robot, stand: Stand, point: Sequence[float] | Tool, *, most: float = math.inf
-) -> Bound:
+def motor_limit(robot: Robot, stand: Stand, point: Place, *, most: float = math.inf) -> Bound:
     """Finds the greatest payload that the motors hold with the contact forces that last.
 
     On level ground these forces are linear in the mass for as long as every stance foot goes on
@@ -255,9 +252,7 @@ def _by_line(robot: Robot, stand: Stand, point: Tool) -> float | None:
     return None if lets_go else mass
 
 
-def _even(
-    robot: Robot, stand: Stand, point: Sequence[float] | Tool, mass: float
-) -> GravityCompensation | None:
+def _even(robot: Robot, stand: Stand, point: Place, mass: float) -> GravityCompensation | None:
     """Returns what lasts with a payload; None if no contact forces balance it."""
     try:
         loaded = with_payload(robot, mass, point)
@@ -270,7 +265,7 @@ def _names(robot: Robot, chosen: NDArray[np.bool_]) -> tuple[str, ...]:
     return tuple(robot.joint_names[index] for index in np.flatnonzero(chosen))
 
 
-def contact_limit(robot: Robot, stand: Stand, point: Sequence[float] | Tool) -> Bound:
+def contact_limit(robot: Robot, stand: Stand, point: Place) -> Bound:
     """Finds the greatest payload that friction and unilateral contact bear.
 
     With the mass m at a point whose Jacobian is J_p, balance of the base means, in its six rows,

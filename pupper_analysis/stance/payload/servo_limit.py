@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -20,7 +20,7 @@ from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos, own_servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.robot.tool import Tool, find_place
+from pupper_analysis.robot.tool import Place, Tool, find_place
 from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.payload.nudge import find_saturating_motors
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
@@ -125,7 +125,7 @@ class LoadedPose(Result):
 def servo_limit(
     robot: Robot,
     stand: Stand,
-    point: Sequence[float] | Tool,
+    point: Place,
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,
@@ -213,7 +213,7 @@ def find_loaded_pose(
     robot: Robot,
     stand: Stand,
     mass: float,
-    point: Sequence[float] | Tool,
+    point: Place,
     *,
     command: PayloadCommand = PayloadCommand.LOADED,
     kp: ArrayLike | None = None,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool, find_place
+from pupper_analysis.robot.tool import Place, find_place
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.contacts import make_contacts
 
@@ -35,7 +34,7 @@ class Sharing(Result):
     normal_forces: dict[str, float]
 
 
-def share_load(robot: Robot, stand: Stand, point: Sequence[float] | Tool) -> Sharing | None:
+def share_load(robot: Robot, stand: Stand, point: Place) -> Sharing | None:
     """Finds the greatest payload that motors bear with any sharing of the load among the feet.
 
     Without tangential forces, which creep away, the feet's normal forces n and the mass m obey

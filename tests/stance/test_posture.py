@@ -1,0 +1,55 @@
+"""Joints that carry no foot are where a task puts them, in stands, with payloads and on paths."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.robot.payload import with_payload
+from tests.support.random_legged import drawn, written
+
+
+@pytest.mark.slow
+def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
+    """Three legs and a tail, whose weight changes what the feet carry."""
+    pair = written(drawn(57), tmp_path)
+    robot = pa.load_robot(pair.urdf, pair.mjcf, self_check=False)
+    tail = next(name for name in robot.joint_names if "wag" in name)
+    index = robot.joint_names.index(tail)
+    forces = {}
+    for position in (-0.45, 0.4):
+        task = pa.StandTask(posture={"*wag*": position})
+        for loaded in (robot, with_payload(robot, 0.1)):
+            stand = pa.solve_stand(loaded, task)
+            assert stand.joint_positions(loaded)[index] == pytest.approx(position, abs=1e-9)
+        stand = pa.solve_stand(robot, task)
+        assert pa.verify_stand(robot, stand, duration=2.0, nudged=0.0).torque_error < 2e-2
+        forces[position] = pa.stance.stand_statics(robot, stand).joint_torques[index]
+    assert abs(forces[-0.45] - forces[0.4]) > 1e-3
+    # Nothing of it is left in the next stand, nor is it where a margin gives way.
+    assert abs(pa.solve_stand(robot).joint_positions(robot)[index]) < 0.1
+    with pytest.raises(pa.StanceUnreachableError) as refused:
+        pa.solve_stand(robot, pa.StandTask(height=5 * robot.stand_height, posture={tail: 0.3}))
+    nearest = refused.value.nearest
+    assert nearest is not None
+    assert nearest.joint_positions(robot)[index] == pytest.approx(0.3, abs=1e-9)
+    assert tail not in refused.value.at_limit
+    leg = next(name for name in robot.joint_names if name != tail)
+    for wrong, said in (
+        ({leg: 0.1}, "carries a foot"),
+        ({tail: 2.0}, "outside"),
+        ({"x": 0.0}, tail),
+    ):
+        with pytest.raises((pa.ConfigurationError, pa.UnknownNameError), match=said):
+            pa.solve_stand(robot, pa.StandTask(posture=wrong))
+    # On a path it goes evenly from one place to the next.
+    tasks = [pa.StandTask(posture={tail: -0.2}), pa.StandTask(posture={"*wag*": 0.4})]
+    path = pa.stance.stance_path(robot, tasks, 2.0)
+    angles, rates = path.qpos[:, 7 + index], path.qvel[:, 6 + index]
+    assert angles[[0, -1]] == pytest.approx([-0.2, 0.4], abs=1e-9)
+    assert np.diff(angles).min() > -1e-12
+    assert np.gradient(angles, path.time)[5:-5] == pytest.approx(rates[5:-5], abs=2e-3)
+    assert rates.max() == pytest.approx(0.6 / 2.0 * 15 / 8, rel=1e-6)  # of the minimum-jerk law
