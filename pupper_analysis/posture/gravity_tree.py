@@ -1,20 +1,22 @@
-"""The greatest gravity torque at each joint over all postures: a proven upper bound."""
+"""The greatest gravity torque of each motor over all postures: a proven upper bound."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.posture.looks import compensated
 from pupper_analysis.posture.support import Grid, Support
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.tool import Tool, carrying_link
+from pupper_analysis.robot.tool import Tool
 
 Array = NDArray[np.float64]
+
+_NO_SHARE = 1e-12
+"""A motor's part of a joint's torque that is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +65,8 @@ class GravityTree:
             moments=moments,
             gravity=robot.gravity,
         )
-        carried = robot.mj_model.body_gravcomp
-        for body in np.flatnonzero(carried).tolist():
-            link, place = carrying_link(robot, body, robot.mj_model.body_ipos[body])
-            mass = -float(carried[body] * robot.mj_model.body_mass[body])
-            tree = tree.with_mass(robot, Tool("", link, place, ()), mass)
+        for link, place, mass in compensated(robot):
+            tree = tree.with_mass(robot, Tool("", link, place, ()), -mass)
         return tree
 
     def with_mass(self, robot: Robot, tool: Tool, mass: float) -> GravityTree:
@@ -91,10 +90,13 @@ class GravityTree:
             self.gravity,
         )
 
-    def greatest(self) -> Array:
-        """Returns upper bounds (n, 2) of each joint's gravity torque, and of its negative (N m, N).
+    def greatest(self, shares: Array) -> Array:
+        """Returns upper bounds (m, 2) of motors' gravity torques, and of their negatives (N m, N).
 
         Over all positions of all joints within their ranges, each for itself.
+
+        Args:
+            shares: (m, n) what each motor holds of the joints' torques.
         """
         order = self.outwards()
         behind: dict[int, list[int]] = {joint: [] for joint in (-1, *order)}
@@ -102,14 +104,15 @@ class GravityTree:
             behind[self.parents[joint]].append(joint)
         made: dict[int, _Carried] = {}
         for joint in reversed(order):  # from the ends inwards
-            made[joint] = self._carried(joint, {other: made.pop(other) for other in behind[joint]})
+            others = {other: made.pop(other) for other in behind[joint]}
+            made[joint] = self._carried(joint, others, shares[:, joint])
         strength = float(np.linalg.norm(self.gravity))
-        most = np.zeros((len(order), 2))
+        most = np.zeros((len(shares), 2))
         up = -self.gravity / strength if strength else np.array([0.0, 0.0, 1.0])
         for joint in behind[-1]:
             there = made[joint].support.at(self.placements[joint].rotation.T @ up)
             for (which, sign), bound in zip(made[joint].torques, there[1:], strict=True):
-                most[which, sign] = strength * bound
+                most[which, sign] += strength * bound
         return most
 
     def outwards(self) -> list[int]:
@@ -122,35 +125,44 @@ class GravityTree:
             left = [joint for joint in left if joint not in ready]
         return done
 
-    def _carried(self, joint: int, others: dict[int, _Carried]) -> _Carried:
-        """Returns what a joint carries, from what the joints that it carries do."""
+    def _carried(self, joint: int, others: dict[int, _Carried], share: Array) -> _Carried:
+        """Returns what a joint carries, of whose torque motors hold a share (m,) each."""
         grid, mass = Grid.about(self.axes[joint]), float(self.masses[joint])
         moments, size = grid.directions @ self.moments[joint], np.linalg.norm(self.moments[joint])
-        torques, tables, sizes = list[tuple[int, int]](), list[Array](), list[float]()
+        torques = dict[tuple[int, int], Array]()  # of motors, and ways: as far as they are behind
+        sizes = dict[tuple[int, int], float]()
         for other, carried in others.items():
             place = self.placements[other]
             found = carried.support.at(grid.directions @ place.rotation)
             moments = moments + found[0] + carried.mass * (grid.directions @ place.translation)
             size += carried.support.sizes[0] + abs(carried.mass) * np.linalg.norm(place.translation)
             mass += carried.mass
-            torques += carried.torques
-            tables += list(found[1:])
-            sizes += carried.support.sizes[1:].tolist()
-        torques = [(joint, 0), (joint, 1), *torques]
+            for key, table, most in zip(
+                carried.torques, found[1:], carried.support.sizes[1:].tolist(), strict=True
+            ):
+                torques[key] = torques.get(key, 0.0) + table
+                sizes[key] = sizes.get(key, 0.0) + most
+        if self.slides[joint]:
+            along = mass * (grid.directions @ self.axes[joint])
+            low, high = self.ranges[joint]
+            with np.errstate(invalid="ignore"):
+                moments = moments + np.where(along == 0, 0.0, np.maximum(low * along, high * along))
+            own, reach = np.stack([along, -along]), abs(mass)
+        else:
+            own, reach = grid.across(moments), float(size)
+        for motor in np.flatnonzero(np.abs(share) > _NO_SHARE).tolist():
+            part = float(share[motor])
+            for sign, table in enumerate(own if part > 0 else own[::-1]):
+                key = motor, sign
+                torques[key] = torques.get(key, 0.0) + abs(part) * table
+                sizes[key] = sizes.get(key, 0.0) + abs(part) * reach
+        if self.slides[joint]:
+            size += abs(mass) * max(abs(low), abs(high))
+        values = np.stack([moments, *torques.values()])
+        support = Support(grid, values, np.array([size, *sizes.values()]))
         if not self.slides[joint]:
-            own = grid.across(moments)
-            values = np.stack([moments, *own, *tables])
-            support = Support(grid, values, np.array([size, size, size, *sizes]))
-            return _Carried(mass, torques, support.turned(*self.ranges[joint]))
-        along = mass * (grid.directions @ self.axes[joint])
-        low, high = self.ranges[joint]
-        with np.errstate(invalid="ignore"):
-            moments = moments + np.where(along == 0, 0.0, np.maximum(low * along, high * along))
-        size += abs(mass) * max(abs(low), abs(high))
-        values = np.stack([moments, along, -along, *tables])
-        return _Carried(
-            mass, torques, Support(grid, values, np.array([size, abs(mass), abs(mass), *sizes]))
-        )
+            support = support.turned(*self.ranges[joint])
+        return _Carried(mass, list(torques), support)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,27 +171,13 @@ class _Carried:
 
     Attributes:
         mass: kg.
-        torques: Which joint's torque, and which way, each table but the first bounds.
+        torques: Which motor's torque, and which way, each table but the first bounds.
         support: Of the first moments about the joint; then of torques, per |g|, by where up is.
     """
 
     mass: float
     torques: list[tuple[int, int]]
     support: Support
-
-
-def describes_load(
-    robot: Robot, tree: GravityTree, samples: Sequence[Array], tolerance: float
-) -> bool:
-    """Tells whether gravity on a tree is all that motors hold, at some configurations (nq,).
-
-    Springs, wind and loops are not; what is meant differs by no more than a tolerance (N m, N).
-    """
-    return all(
-        float(np.abs(tree_torques(tree, qpos) - Configuration(robot, qpos).load()).max())
-        <= tolerance
-        for qpos in samples
-    )
 
 
 def tree_torques(tree: GravityTree, qpos: Array) -> Array:

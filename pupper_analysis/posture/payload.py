@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.posture.posture import Posture, check_held
+from pupper_analysis.posture.ways import bound_together
 from pupper_analysis.posture.worst import WorstPostures, worst_postures
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
@@ -73,7 +74,7 @@ def tool_payload(robot: Robot, posture: Posture, tool: Tool, worst: WorstPosture
     most = min(most, UNLIMITED * robot.total_mass)
     loaded = worst
     for _ in range(_ROUNDS if most > 0 else 0):
-        loaded = worst_postures(robot, posture, tool, payload=most)
+        loaded = worst_postures(robot, posture, tool, payload=most, near=loaded)
         lower, name, at = _least(robot, tool, list(loaded.postures))
         if not lower < most:
             break
@@ -81,7 +82,7 @@ def tool_payload(robot: Robot, posture: Posture, tool: Tool, worst: WorstPosture
         most, weakest, place = lower, name, at
         if done:
             break
-    proven = _proven(worst, loaded, most)
+    proven = _proven(worst, loaded, _bearing(robot, posture, tool), most)
     return ToolPayload(
         mass=mass,
         joint=joint,
@@ -113,14 +114,29 @@ def _least(robot: Robot, tool: Tool, postures: list[Array]) -> tuple[float, str,
     return min(found, key=lambda one: one[0])
 
 
-def _proven(empty: WorstPostures, loaded: WorstPostures, most: float) -> float:
-    """Returns the mass (kg) up to which bounds, without and with ``most``, prove that all hold."""
-    if not np.isfinite(empty.bounds).all():
+def _proven(
+    empty: WorstPostures, loaded: WorstPostures, bears: NDArray[np.bool_], most: float
+) -> float:
+    """Returns the mass (kg) up to which bounds, without and with ``most``, prove that all hold.
+
+    A motor without a bound that bears none of it (of those that do, ``bears`` (nu,)) is none of
+    the payload's matter; nor is one without a limit.
+    """
+    known, limits = np.isfinite(loaded.bounds), empty.limits
+    if (~known & bears & np.isfinite(limits)).any():
         return math.nan
-    limits = empty.limits
-    if (empty.bounds > limits).any():
+    before, after, limits = empty.bounds[known], loaded.bounds[known], limits[known]
+    if (before > limits).any():
         return 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = (limits - empty.bounds) / (loaded.bounds - empty.bounds)
-    rising = loaded.bounds > limits
-    return most * float(np.min(share[rising], initial=1.0))
+        share = (limits - before) / (after - before)
+    return most * float(np.min(share[after > limits], initial=1.0))
+
+
+def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:
+    """Tells which motors (nu,) may bear a payload: those that move it, or what moves with them."""
+    bears = np.isin(robot.joint_names, tool.chain)
+    closure = robot.closure
+    for joints in [] if closure is None else bound_together(closure, posture.qpos):
+        bears[joints] |= bears[joints].any()
+    return bears

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.posture.posture import Posture, check_held
-from pupper_analysis.posture.worst import Ways
+from pupper_analysis.posture.ways import Ways
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -58,7 +58,7 @@ def reach_load(robot: Robot, posture: Posture, tool: Tool) -> ReachLoad:
     check_held(robot)
     found, limits = [], robot.effort_limits
     limited = np.isfinite(limits) & (limits > 0)
-    for qpos in Ways.of(robot, posture).random(_POSTURES):
+    for qpos in Ways(robot, posture).random(_POSTURES):
         config = Configuration(robot, qpos)
         place = tool.position(config)
         middle = config.joint_position(tool.chain[0]) if tool.chain else np.zeros(3)

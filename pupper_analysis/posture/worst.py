@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -13,14 +13,17 @@ from scipy import optimize
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.posture.gravity_tree import GravityTree, describes_load
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.posture.gravity_tree import GravityTree, tree_torques
+from pupper_analysis.posture.looks import ROUNDING, Looks
 from pupper_analysis.posture.posture import Posture, check_held, joint_ranges
+from pupper_analysis.posture.ways import Ways
 from pupper_analysis.results import Tabular
-from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 _STARTS = 12
 """Random postures that a search begins from, besides the one that is asked about."""
@@ -34,16 +37,21 @@ _AGREED = 3
 _SAME = 1e-9  # in parts of the torque
 
 _SWEEPS = 30
-_GAIN = 1e-12  # of a sweep, in parts of the torque: less is rounding
+_GAIN = 1e-10  # of a sweep, in parts of the torque: less is rounding
 
-_SAMPLES = 40
+_SAMPLES = 24
 """Looks along a joint that others follow, where torques are no single wave."""
+
+_PEAK = 1e-6
+"""How closely their greatest is then sought (rad, m): the torque at it is 1e-12 of it off."""
 
 _CHECKED = 8
 """Random postures in which gravity on the tree is compared with what motors and springs hold."""
 
-_ROUNDING = 1e-8
-"""N m per N of weight: by which both may differ there."""
+_NO_SHARE = 1e-12
+
+_NOTHING = 1e-14
+"""N m per N of weight: what joints about vertical axes hold is rounding."""
 
 
 class Everywhere(StrEnum):
@@ -91,41 +99,49 @@ class WorstPostures(Tabular):
 
 @check_arguments
 def worst_postures(
-    robot: Robot, posture: Posture, tool: Tool, *, payload: float = 0.0
+    robot: Robot,
+    posture: Posture,
+    tool: Tool,
+    *,
+    payload: float = 0.0,
+    near: WorstPostures | None = None,
 ) -> WorstPostures:
-    """Finds for each motor the posture in which gravity asks most of it.
+    """Finds for each motor the posture in which gravity, and springs of joints, ask most of it.
 
     A torque is a + b cos q + c sin q of each joint's angle q with the others where they are
-    (a + b q of a slide), so that three looks give its greatest along a joint in closed form; a
-    search goes from joint to joint, from several postures. That no posture exceeds what is found by
-    much says the bound of ``GravityTree.greatest``.
+    (a + b q of a slide; a spring at the joint adds k q), so that three looks give its greatest
+    along a joint in closed form; a search goes from joint to joint, from several postures. That no
+    posture exceeds what is found by much says the bound of ``GravityTree.greatest``.
 
     Args:
         robot: A robot whose base is held.
         posture: Where joints are that do not matter.
         tool: Where the payload is.
         payload: A mass at the tool (kg).
+        near: The worst postures for another payload: searches begin there.
 
     Raises:
         ConfigurationError: If the base is free.
     """
     check_held(robot)
-    ways = Ways.of(robot, posture)
-    unproven = ways.unproven
-    bounds = np.full((robot.nu, 2), math.inf)
-    if unproven is None:
-        bounds = torque_bounds(robot, ways, tool, payload)
-    search = _Search(robot, ways, tool, payload)
-    starts = ways.random(_STARTS)
+    ways = Ways(robot, posture)
+    starts = ways.random(max(_STARTS, _CHECKED))
+    looks = Looks(robot, starts[:_CHECKED])
+    bounds, unproven = torque_bounds(robot, ways, looks, tool, payload, starts[:_CHECKED])
+    search = _Search(robot, ways, looks.with_mass(tool, payload) if payload else looks)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     for joint in range(robot.nu):
+        begin = [posture.qpos, *starts[:_STARTS]]
+        if near is not None:
+            begin.insert(0, near.postures[joint])
         for column, sign in enumerate((1.0, -1.0)):
             goal = bounds[joint, column]
             if goal <= abs(torques[joint]):
                 continue
-            found, at = search.highest(joint, sign, [posture.qpos, *starts], goal)
+            found, at = search.highest(joint, sign, begin, goal)
             if found > abs(torques[joint]):
                 torques[joint], postures[joint] = sign * found, at
+    torques[np.abs(torques) <= _NOTHING * robot.total_mass * np.linalg.norm(robot.gravity)] = 0.0
     most, limits = np.abs(torques), robot.effort_limits
     either = np.maximum(bounds.max(axis=1), most)  # a bound is one up to rounding
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -149,110 +165,69 @@ def worst_postures(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Ways:
-    """The ways in which a robot's joints move: those that follow others, with them.
+def torque_bounds(
+    robot: Robot, ways: Ways, looks: Looks, tool: Tool, payload: float, samples: Sequence[Array]
+) -> tuple[Array, Diagnostic | None]:
+    """Finds what no posture exceeds: each motor's torque, and its negative (N m, N).
 
-    Attributes:
-        robot: The robot.
-        origin: (nu,) a posture.
-        free: Numbers of the joints that follow none.
-        steps: (nu, n) how all joints move with each of these.
-        ranges: (nu, 2) of the joints (rad, m); of those that turn freely, a turn.
-        shares: (nu, nu) what motors hold of each joint's load.
-        unproven: Why no bound over all postures can be had; None if it can.
+    Gravity's is bounded over all positions of all joints, each for itself; springs of joints add
+    what they do at the ends of ranges.
+
+    Args:
+        robot: A robot whose base is held.
+        ways: How its joints move.
+        looks: What it holds.
+        tool: Where a payload is.
+        payload: Its mass (kg).
+        samples: Postures (nu,) in which both are compared with the robot.
+
+    Returns:
+        The bounds (nu, 2), infinite where there is none; and why one motor has none.
     """
-
-    robot: Robot
-    origin: Array
-    free: tuple[int, ...]
-    steps: Array
-    ranges: Array
-    shares: Array
-    unproven: Diagnostic | None
-
-    @staticmethod
-    def of(robot: Robot, posture: Posture) -> Ways:
-        """Returns the ways of a robot, through a posture."""
-        ranges = joint_ranges(robot)
-        endless = ~np.isfinite(ranges)
-        tree = GravityTree.of(robot, ranges)
-        unproven = None
-        if (endless.any(axis=1) & tree.slides).any():
-            unproven = diagnose("slide-not-limited")
-        turns = np.where(endless, posture.qpos[:, None] + (-math.pi, math.pi), ranges)
-        steps, shares, free = np.eye(robot.nu), np.eye(robot.nu), tuple(range(robot.nu))
-        closure = robot.closure
-        if closure is not None:
-            rows, following = closure.rows(posture.qpos), closure.following
-            free = tuple(joint for joint in free if joint not in following)
-            steps = steps[:, list(free)]
-            steps[following] = -np.linalg.lstsq(
-                rows[:, following], rows[:, list(free)], rcond=None
-            )[0]
-            shares = shares - closure.push(posture.qpos)
-        ways = Ways(robot, posture.qpos, free, steps, turns, shares, unproven)
-        return replace(ways, unproven=unproven or ways._why_not(tree))
-
-    def random(self, count: int) -> list[Array]:
-        """Returns random postures (nu,): the same ones each time."""
-        random, found = np.random.default_rng(0), []
-        for _ in range(count):
-            qpos = self.origin.copy()
-            for way in range(len(self.free)):
-                low, high = self.span(qpos, way)
-                qpos = self.along(qpos, way, float(random.uniform(low, high)))
-            found.append(qpos)
-        return found
-
-    def span(self, qpos: Array, way: int) -> tuple[float, float]:
-        """Returns how far (rad, m) joints can go along a way from a posture, back and forth."""
-        step = self.steps[:, way]
-        moving = np.abs(step) > 1e-9
-        ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
-        ends.sort(axis=1)
-        return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
-
-    def along(self, qpos: Array, way: int, length: float) -> Array:
-        """Returns the posture (nu,) that is so far along a way (rad, m)."""
-        moved: Array = qpos + length * self.steps[:, way]
-        return moved
-
-    def _why_not(self, tree: GravityTree) -> Diagnostic | None:
-        """Says why torques are not those of gravity on a tree of joints that move as they do."""
-        closure, samples = self.robot.closure, [self.origin, *self.random(_CHECKED)]
-        if closure is not None:
-            for qpos in samples:
-                if closure.open_by(qpos) > 1e-6:
-                    return diagnose("loops-bend-ways")
-                if np.abs(np.eye(len(qpos)) - closure.push(qpos) - self.shares).max() > 1e-6:
-                    return diagnose("loops-bend-ways")
-        weight = self.robot.total_mass * float(np.linalg.norm(self.robot.gravity))
-        if not describes_load(self.robot, tree, samples, _ROUNDING * weight):
-            return diagnose("springs-act-at-rest")
-        return None
-
-
-def torque_bounds(robot: Robot, ways: Ways, tool: Tool, payload: float) -> Array:
-    """Returns what no posture exceeds (nu, 2): each motor's torque, and its negative (N m, N)."""
-    tree = GravityTree.of(robot, joint_ranges(robot)).with_mass(robot, tool, payload)
-    most = tree.greatest()
-    ahead, back = np.maximum(ways.shares, 0.0), np.maximum(-ways.shares, 0.0)
-    return np.column_stack(
-        [ahead @ most[:, 0] + back @ most[:, 1], ahead @ most[:, 1] + back @ most[:, 0]]
-    )
+    bounds = np.full((robot.nu, 2), math.inf)
+    if ways.endless:
+        return bounds, diagnose("slide-not-limited")
+    tree = GravityTree.of(robot, joint_ranges(robot))
+    off = [
+        tree_torques(tree, qpos) + looks.spring_load(qpos) - looks.load(qpos) for qpos in samples
+    ]
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    told = np.all(np.abs(off) <= ROUNDING * weight, axis=0)
+    holds = np.abs(ways.shares) > _NO_SHARE
+    bounded = ways.constant & ~(holds & ~told).any(axis=1)
+    shares = ways.shares[bounded]
+    most = tree.with_mass(robot, tool, payload).greatest(shares)
+    if looks.stiffness.any():
+        here = shares @ looks.spring_load(ways.origin)
+        rates = shares * looks.stiffness @ ways.steps
+        # A spring at a joint that turns freely has no greatest torque.
+        endless = np.argwhere(~np.isfinite(joint_ranges(robot)))[:, 0]
+        for way, moved in enumerate(ways.moved):
+            turns = np.isin(moved, endless).any()
+            low, high = (-math.inf, math.inf) if turns else ways.span(ways.origin, way)
+            rate = rates[:, [way]]
+            with np.errstate(invalid="ignore"):
+                ends = np.where(rate == 0, 0.0, rate * np.array([low, high]))
+            most += np.column_stack([ends.max(axis=1), -ends.min(axis=1)])
+        most += np.column_stack([here, -here])
+    bounds[bounded] = most
+    if not told.all():
+        return bounds, diagnose("springs-act-at-rest")
+    if not bounded.all():
+        return bounds, diagnose("loops-bend-ways")
+    return bounds, None if np.isfinite(most).all() else diagnose("springs-turn-freely")
 
 
 class _Search:
     """Climbs from posture to posture to where a motor holds most."""
 
-    def __init__(self, robot: Robot, ways: Ways, tool: Tool, payload: float) -> None:
-        self._robot, self._ways, self._tool, self._payload = robot, ways, tool, payload
+    def __init__(self, robot: Robot, ways: Ways, looks: Looks) -> None:
+        self._robot, self._ways, self._looks = robot, ways, looks
         self._slides = GravityTree.of(robot, ways.ranges).slides
         model = robot.structure.model
         numbers = [robot.structure.joints[name] for name in robot.joint_names]
         carried = np.array([[other in model.supports[one] for other in numbers] for one in numbers])
-        self._matters = carried | carried.T
+        self._matters = carried | carried.T | (not looks.springs_alone)
 
     def highest(
         self, joint: int, sign: float, starts: list[Array], goal: float
@@ -273,61 +248,80 @@ class _Search:
     def climb(self, joint: int, sign: float, qpos: Array) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
         ways, best = self._ways, self._torque(joint, sign, qpos)
-        loads = np.abs(ways.shares[joint]) > 1e-12
+        loads = np.abs(ways.shares[joint]) > _NO_SHARE
         for _ in range(_SWEEPS):
             before = best
-            for way, step in enumerate(ways.steps.T):
-                moved = np.flatnonzero(np.abs(step) > 1e-9)
+            for way, moved in enumerate(ways.moved):
                 if not self._matters[np.ix_(loads, moved)].any():
                     continue
-                low, high = ways.span(qpos, way)
-
-                def at(length: float, way: int = way, qpos: Array = qpos) -> float:
-                    return self._torque(joint, sign, ways.along(qpos, way, length))
-
-                length = self._highest(at, moved, best, low, high)
-                found = at(length)
-                if found > best:
-                    best, qpos = found, ways.along(qpos, way, length)
+                if ways.bent[way]:
+                    there = ways.places(qpos, way)
+                else:
+                    there = [ways.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
+                for place in there:
+                    found = self._torque(joint, sign, place)
+                    if found > best:
+                        best, qpos = found, place
             if best - before <= _GAIN * abs(best):
                 break
         return best, qpos
 
-    def _highest(
-        self,
-        at: Callable[[float], float],
-        moved: NDArray[np.int64],
-        here: float,
-        low: float,
-        high: float,
-    ) -> float:
-        """Returns where along a way a torque is greatest."""
-        if len(moved) > 1:
-            looks = np.linspace(low, high, _SAMPLES)
-            top = int(np.argmax([at(look) for look in looks]))
-            ends = looks[max(top - 1, 0)], looks[min(top + 1, _SAMPLES - 1)]
-            if ends[1] - ends[0] < 1e-12:
-                return float(looks[top])
-            found = optimize.minimize_scalar(
-                lambda length: -at(length), bounds=ends, method="bounded", options={"xatol": 1e-10}
-            )
-            return float(max((found.x, looks[top]), key=at))
+    def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
+        """Returns where along a way, which does not bend, a torque is greatest (rad, m)."""
+        ways = self._ways
+        low, high = ways.span(qpos, way)
+
+        def at(length: float) -> float:
+            return self._torque(joint, sign, ways.along(qpos, way, length))
+
+        moved = ways.moved[way]
+        if len(moved) > 1 or not self._looks.springs_alone:
+            return _sampled(at, low, high)
         if self._slides[moved[0]]:
             return max((low, high), key=at)
+        spring = sign * float(ways.shares[joint, moved[0]] * self._looks.stiffness[moved[0]])
         third = 2 * math.pi / 3
-        ahead, behind = at(third), at(-third)
+        ahead, behind = at(third) - spring * third, at(-third) + spring * third
         mean = (here + ahead + behind) / 3
-        peak = math.atan2((ahead - behind) / math.sqrt(3), here - mean)
-        turns = [peak + turn for turn in (-2 * math.pi, 0.0, 2 * math.pi)]
-        inside = [turn for turn in turns if low <= turn <= high]
-        return inside[0] if inside else max((low, high), key=at)
+        sine, cosine = (ahead - behind) / math.sqrt(3), here - mean
+        return _crest(cosine, sine, spring, low, high)
 
     def _torque(self, joint: int, sign: float, qpos: Array) -> float:
-        config = Configuration(self._robot, qpos)
-        load = config.load()
-        if self._payload:
-            pull = self._payload * self._robot.gravity
-            load = load - self._tool.jacobian(config).T @ pull
-        if self._ways.unproven is None:  # then the shares are the same everywhere
+        load = self._looks.load(qpos)
+        if self._ways.constant[joint]:
             return sign * float(self._ways.shares[joint] @ load)
-        return sign * float(config.by_motors(load)[joint])
+        closure = self._robot.closure
+        assert closure is not None
+        try:
+            pushed = closure.push(qpos)[joint]
+        except ConfigurationError:  # at a dead point nothing holds the loop
+            return -math.inf
+        return sign * float(load[joint] - pushed @ load)
+
+
+def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> float:
+    """Returns where in [low, high] a cos x + b sin x + r x is greatest."""
+    ends, size = [low, high], math.hypot(cosine, sine)
+    if abs(rate) <= size and size > 0:
+        # b cos x - a sin x + r = 0; of its two solutions in a turn one is a crest.
+        first, swing = math.atan2(sine, cosine), math.asin(rate / size)
+        base = first + swing
+        turns = range(
+            math.floor((low - base) / (2 * math.pi)) + 1,
+            math.floor((high - base) / (2 * math.pi)) + 1,
+        )
+        ends += [base + 2 * math.pi * turn for turn in turns]
+    return max(ends, key=lambda x: cosine * math.cos(x) + sine * math.sin(x) + rate * x)
+
+
+def _sampled(at: Callable[[float], float], low: float, high: float) -> float:
+    """Returns where in [low, high] a function is greatest that is no single wave."""
+    looks = np.linspace(low, high, _SAMPLES)
+    top = int(np.argmax([at(look) for look in looks]))
+    ends = looks[max(top - 1, 0)], looks[min(top + 1, _SAMPLES - 1)]
+    if ends[1] - ends[0] < 1e-12:
+        return float(looks[top])
+    found = optimize.minimize_scalar(
+        lambda length: -at(length), bounds=ends, method="bounded", options={"xatol": _PEAK}
+    )
+    return float(max((found.x, looks[top]), key=at))

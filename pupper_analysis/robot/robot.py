@@ -330,7 +330,7 @@ def lend(robot: Robot, make: Callable[[Robot], _T]) -> Iterator[_T]:
     own = None
     with _lock:
         for number, (whose, maker, spare) in enumerate(_spare):
-            if whose is robot and maker is make:
+            if whose is robot and maker == make:  # a bound method is another object each time
                 own = spare
                 del _spare[number]
                 break

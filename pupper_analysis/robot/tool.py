@@ -193,7 +193,8 @@ def _carrier(robot: Robot, body: int) -> str:
         body = int(model.body_parentid[body])
     if not body:
         return robot.base
-    joint = robot.structure.joints[model.joint(int(model.body_jntadr[body])).name]
+    last = int(model.body_jntadr[body] + model.body_jntnum[body]) - 1  # of several at one body
+    joint = robot.structure.joints[model.joint(last).name]
     frames = robot.structure.model.frames
     return str(next(f.name for n, f in _links(robot) if frames[n].parentJoint == joint))
 

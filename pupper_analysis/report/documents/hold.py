@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -69,8 +70,8 @@ def hold_document(hold: Hold, robot: Robot | None = None) -> doc.Document:
 
 def _torques(hold: Hold, limits: list[float]) -> doc.Table:
     """Returns what every motor holds, and how far its joint sags."""
-    none = [float("nan")] * len(limits)
-    sag = none if hold.sagged is None else hold.sagged.joint_sag.tolist()
+    sag: list[float | None] = [None] * len(limits)
+    sag = sag if hold.sagged is None else hold.sagged.joint_sag.tolist()
     simulated = (hold.sagging.joint_positions - hold.posture.qpos).tolist()
     table = torque_table(
         hold.statics,
@@ -148,7 +149,11 @@ def _payload(hold: Hold) -> doc.Table:
         ("payload-somewhere", payload.somewhere, payload.weakest),
     )
     rows = tuple(
-        (text(name), doc.number_cell(mass, ".4g"), doc.Name(joint or "-"))
+        (
+            text(name),
+            doc.number_cell(None if math.isnan(mass) else mass, ".4g"),
+            doc.Name(joint or "-"),
+        )
         for name, mass, joint in known
     )
     columns = (

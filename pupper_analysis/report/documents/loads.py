@@ -86,7 +86,7 @@ def load_blocks(
 def torque_table(
     statics: GravityCompensation,
     limits: Sequence[float],
-    more: Mapping[doc.Column, Sequence[float]] = NOTHING,
+    more: Mapping[doc.Column, Sequence[float | None]] = NOTHING,
 ) -> doc.Table:
     """Returns what every motor holds, of which limit.
 

@@ -1,0 +1,189 @@
+"""How the joints of a robot whose base is held move: alone, with others, or in loops."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.posture.posture import Posture, joint_ranges
+from pupper_analysis.robot.closure import Closure
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_OPEN = 1e-6
+"""Joints that follow in proportion leave their loop open by no more, wherever they are (m, rad)."""
+
+_UNMOVED = 1e-9
+"""A joint that moves by less of what leads it does not follow it (rad/rad)."""
+
+_SHARES = (0.29, 0.71, 1.0)
+"""Parts of a range, either way, at which it is seen whether joints follow in proportion."""
+
+_PLACES = 25
+"""Positions of a joint that leads a loop, in which this is closed, once for all searches: between
+two of them, 3 degrees apart for a gripper, a torque is off its peak by some 1e-4."""
+
+_FEWER = 9
+"""Of each of several joints that lead one loop, which is closed at their combinations."""
+
+_BEYOND = 1e-6
+"""How far joints of a closed loop may be beyond their limits, by rounding (rad, m)."""
+
+
+class Ways:
+    """The ways in which a robot's joints move: those that follow others, with them.
+
+    Args:
+        robot: A robot whose base is held.
+        posture: One of its postures.
+
+    Attributes:
+        origin: (nu,) the posture.
+        free: Numbers of the joints that follow none; there is a way for each of these.
+        steps: (nu, n) how all joints move with each, near the posture.
+        moved: Numbers of the joints that move with each.
+        bent: (n,) whether joints follow it otherwise than in proportion: in a loop.
+        ranges: (nu, 2) of the joints (rad, m); of those that turn freely, a turn.
+        shares: (nu, nu) what motors hold of each joint's load, in the posture.
+        constant: (nu,) whether that is the same in every posture.
+        endless: Whether a joint slides without limits.
+    """
+
+    def __init__(self, robot: Robot, posture: Posture) -> None:
+        self.origin, self._closure = posture.qpos, robot.closure
+        ranges, count = joint_ranges(robot), robot.nu
+        unlimited = ~np.isfinite(ranges)
+        self.ranges = np.where(unlimited, self.origin[:, None] + (-math.pi, math.pi), ranges)
+        model = robot.mj_model
+        kinds = np.array([model.joint(name).type[0] for name in robot.joint_names])
+        slides = kinds == mujoco.mjtJoint.mjJNT_SLIDE.value
+        self.endless = bool((unlimited.any(axis=1) & slides).any())
+        self.free = tuple(range(count))
+        self.steps = self.shares = np.eye(count)
+        self.constant = np.ones(count, dtype=bool)
+        self.bent = np.zeros(count, dtype=bool)
+        self.moved = [np.array([joint]) for joint in self.free]
+        self._loop = [np.zeros(0, dtype=np.int64) for _ in self.free]
+        self._closed: dict[tuple[float, ...], Array | None] = {}
+        if self._closure is not None:
+            self._bind(self._closure)
+
+    def random(self, count: int) -> list[Array]:
+        """Returns random postures (nu,), their loops closed: the same ones each time."""
+        random, found = np.random.default_rng(0), []
+        for _ in range(count):
+            qpos = self.origin.copy()
+            for way, bends in enumerate(self.bent):
+                share = random.uniform()
+                if bends:
+                    place = self._place(qpos, way, round(share * (self._places(way) - 1)))
+                    qpos = qpos if place is None else place
+                else:
+                    low, high = self.span(qpos, way)
+                    qpos = self.along(qpos, way, low + share * (high - low))
+            found.append(qpos)
+        return found
+
+    def span(self, qpos: Array, way: int) -> tuple[float, float]:
+        """Returns how far (rad, m) joints can go along a way from a posture, back and forth."""
+        step = self.steps[:, way]
+        moving = np.abs(step) > _UNMOVED
+        ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
+        ends.sort(axis=1)
+        return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
+
+    def along(self, qpos: Array, way: int, length: float) -> Array:
+        """Returns the posture (nu,) that is so far along a way, which does not bend (rad, m)."""
+        moved: Array = qpos + length * self.steps[:, way]
+        return moved
+
+    def places(self, qpos: Array, way: int) -> list[Array]:
+        """Returns postures (nu,) along a way that bends, over its range, with loops closed."""
+        found = [self._place(qpos, way, number) for number in range(self._places(way))]
+        return [place for place in found if place is not None]
+
+    def _place(self, qpos: Array, way: int, number: int) -> Array | None:
+        """Returns the posture in which a joint is at one of its places; None if no loop closes."""
+        loop, lead, moved = self._loop[way], self.free[way], qpos.copy()
+        low, high = self.ranges[lead]
+        moved[lead] = low + (high - low) * number / (self._places(way) - 1)
+        leading = np.setdiff1d(loop, self._following)
+        key = tuple(np.concatenate([leading, moved[leading].round(9)]).tolist())
+        followers = np.intersect1d(loop, self._following)
+        if key not in self._closed:
+            assert self._closure is not None
+            closed = self._closure.closed(
+                moved, np.isin(np.arange(len(qpos)), followers).astype(np.float64)
+            )
+            within = (
+                closed is not None
+                and (
+                    (closed > self.ranges[:, 0] - _BEYOND) & (closed < self.ranges[:, 1] + _BEYOND)
+                )[followers].all()
+            )
+            self._closed[key] = closed[followers] if closed is not None and within else None
+        own = self._closed[key]
+        if own is None:
+            return None
+        moved[followers] = np.clip(own, *self.ranges[followers].T)
+        return moved
+
+    def _places(self, way: int) -> int:
+        """Returns at how many positions of the joint of a way its loop is closed."""
+        return _PLACES if len(np.intersect1d(self._loop[way], self.free)) == 1 else _FEWER
+
+    @property
+    def _following(self) -> IntArray:
+        return np.setdiff1d(np.arange(len(self.origin)), self.free)
+
+    def _bind(self, closure: Closure) -> None:
+        """Takes loops and couplings into account."""
+        count, following = len(self.origin), closure.following
+        rows = closure.rows(self.origin)
+        self.free = tuple(joint for joint in range(count) if joint not in following)
+        self.steps = np.eye(count)[:, list(self.free)]
+        held = np.linalg.lstsq(rows[:, following], rows[:, list(self.free)], rcond=None)[0]
+        self.steps[following] = np.where(np.abs(held) > _UNMOVED, -held, 0.0)
+        self.shares = np.eye(count) - closure.push(self.origin)
+        self.bent = np.zeros(len(self.free), dtype=bool)
+        loops = bound_together(closure, self.origin)
+        self._loop = [
+            next((one for one in loops if lead in one), np.array([lead])) for lead in self.free
+        ]
+        for way, loop in enumerate(self._loop):
+            if len(loop) > 1 and self._opens(closure, way):
+                self.bent |= [lead in loop for lead in self.free]
+                self.constant[loop] = False
+        self.moved = [
+            self._loop[way] if bends else np.flatnonzero(np.abs(self.steps[:, way]) > _UNMOVED)
+            for way, bends in enumerate(self.bent)
+        ]
+
+    def _opens(self, closure: Closure, way: int) -> bool:
+        """Tells whether joints that follow a way in proportion leave its loop open somewhere."""
+        ends = np.array(self.span(self.origin, way))
+        return any(
+            closure.open_by(self.along(self.origin, way, float(share * end))) > _OPEN
+            for share in _SHARES
+            for end in ends
+        )
+
+
+def bound_together(closure: Closure, qpos: Array) -> list[IntArray]:
+    """Returns the joints that loops and couplings bind to each other near a posture, by sets."""
+    random, count = np.random.default_rng(0), len(qpos)
+    near = [qpos, *(qpos + random.uniform(-0.1, 0.1, count) for _ in range(2))]
+    binds = np.any([np.abs(closure.rows(one)) > _UNMOVED for one in near], axis=0)
+    sets: list[set[int]] = []
+    for equation in binds:
+        joints = set(np.flatnonzero(equation).tolist())
+        for other in [one for one in sets if one & joints]:
+            sets.remove(other)
+            joints |= other
+        sets += [joints] if joints else []
+    return [np.array(sorted(one)) for one in sets]
