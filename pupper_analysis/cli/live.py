@@ -11,13 +11,13 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
-    FilesGiven,
     RobotOptions,
     add_options,
     print_notes,
     robot_argument,
     with_robot,
 )
+from pupper_analysis.convert.files import FileSource, RobotFiles
 
 if TYPE_CHECKING:
     from pupper_analysis.live.source import LiveSource
@@ -80,7 +80,7 @@ def live_command(
     from pupper_analysis.live.door import is_loopback
     from pupper_analysis.live.held import HeldPage
     from pupper_analysis.live.server import Page, serve
-    from pupper_analysis.live.source import LoadedFiles
+    from pupper_analysis.live.source import load_source
     from pupper_analysis.live.state import parse_state
     from pupper_analysis.live.viser_parts import import_viser
 
@@ -88,9 +88,9 @@ def live_command(
     begin = parse_state(state)
     meant = which.one(words) or "v3"
     source: LiveSource
-    if isinstance(meant, FilesGiven):
+    if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            source = LoadedFiles.of(*meant.models, **meant.said)
+            source = load_source(RobotFiles.of(*meant.models, **meant.options))
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.live import LiveVariants
@@ -99,7 +99,7 @@ def live_command(
         source = LiveVariants(variant_spec(meant))
     with shared.show_progress("making the page"):
         page: Page | HeldPage
-        if isinstance(source, LoadedFiles) and not source.loaded.floating:
+        if isinstance(source, FileSource) and not source.loaded.floating:
             page = HeldPage(source, language=language, host=host, port=port)
         else:
             page = Page(source, begin, language=language, host=host, port=port)

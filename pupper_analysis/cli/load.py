@@ -10,13 +10,13 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
     FOUND,
-    FilesGiven,
     RobotOptions,
     add_options,
     robot_argument,
     with_robot,
 )
 from pupper_analysis.cli.stance_options import AS_IS
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -70,9 +70,9 @@ def load(
 
     shared.check_outputs(json_path)
     meant = which.one(words)
-    if not isinstance(meant, FilesGiven):
+    if not isinstance(meant, RobotFiles):
         raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))
-    said = meant.said
+    said = meant.options
     with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
         request = Request(
             feet=feet_frames(said["feet"]) if "feet" in said else None,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -109,7 +110,7 @@ class RobotOptions:
             **{one.name: values.pop(one.name, None) for one in fields(RobotOptions)}
         )
 
-    def one(self, words: tuple[str, ...]) -> str | VariantSpec | FilesGiven | None:
+    def one(self, words: tuple[str, ...]) -> str | VariantSpec | RobotFiles | None:
         """Returns the robot that is meant; None if none is.
 
         Raises:
@@ -125,7 +126,7 @@ class RobotOptions:
         given = self._given(ways)
         return given[0] if given else None
 
-    def all(self, words: tuple[str, ...]) -> list[str | VariantSpec | FilesGiven]:
+    def all(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
         """Returns the robots that are meant, each word another.
 
         Raises:
@@ -139,11 +140,11 @@ class RobotOptions:
 
     def _given(
         self, ways: list[str | tuple[str, ...] | VariantSpec]
-    ) -> list[str | VariantSpec | FilesGiven]:
+    ) -> list[str | VariantSpec | RobotFiles]:
         """Returns robots with what is said of their files."""
         if self._said and not any(isinstance(way, tuple) for way in ways):
             raise ConfigurationError("ROBOT", diagnose("options-of-files-alone"))
-        return [FilesGiven(way, self._said) if isinstance(way, tuple) else way for way in ways]
+        return [RobotFiles(way, self._said) if isinstance(way, tuple) else way for way in ways]
 
     @property
     def _derived(self) -> VariantSpec | None:
@@ -183,35 +184,14 @@ class RobotOptions:
         return {name: value for name, value in said.items() if value}
 
 
-@dataclass(frozen=True)
-class FilesGiven:
-    """A robot that is given by files.
-
-    Attributes:
-        models: Their names: one, or a URDF's and an MJCF's.
-        said: What else ``load_robot`` is given.
-    """
-
-    models: tuple[str, ...]
-    said: dict[str, Any]
-
-    def __str__(self) -> str:
-        return "+".join(Path(model).name for model in self.models)
-
-    def load(self, **more: Any) -> Robot:
-        """Loads the robot; notes are left to the caller.
-
-        Raises:
-            ModelError: If a file cannot be read, or no robot can be made of it.
-        """
-        from pupper_analysis.convert.load import load_robot
-
-        with shared.show_progress("preparing the robot: feet, start pose, servos"):
-            return load_robot(*self.models, **self.said, **more)
+def load_files(files: RobotFiles, **more: Any) -> Robot:
+    """Loads the robot of files, and shows that it takes a while; notes are left to the caller."""
+    with shared.show_progress("preparing the robot: feet, start pose, servos"):
+        return files.load(**more)
 
 
 def robot_from(
-    meant: str | VariantSpec | FilesGiven, *, fixed_base: bool = False, **more: bool
+    meant: str | VariantSpec | RobotFiles, *, fixed_base: bool = False, **more: bool
 ) -> Robot:
     """Loads a robot that is meant.
 
@@ -220,8 +200,8 @@ def robot_from(
         fixed_base: Fix its base.
         **more: What else ``load_robot`` is given of files, and matters to no variant.
     """
-    if isinstance(meant, FilesGiven):
-        return meant.load(fixed_base=fixed_base, **more)
+    if isinstance(meant, RobotFiles):
+        return load_files(meant, fixed_base=fixed_base, **more)
     from pupper_analysis.pupper.load import load_variant
 
     return load_variant(meant, fixed_base=fixed_base)

@@ -14,7 +14,6 @@ from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
     Command,
-    FilesGiven,
     RobotOptions,
     add_options,
     print_notes,
@@ -22,6 +21,7 @@ from pupper_analysis.cli.robots import (
 )
 from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of
 from pupper_analysis.cli.stance_file import stance_option
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
@@ -107,11 +107,11 @@ class RobotAndTask:
         """Returns the robots that are meant, each word another."""
         return [self._loaded(meant) for meant in self.which.all(words) or default]
 
-    def _loaded(self, meant: str | VariantSpec | FilesGiven) -> Robot:
+    def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
         """Returns a robot as it was asked for; of one of files it is told what was assumed."""
         checks = {"as_is": self.as_is, "self_check": self.self_check}
         robot = robot_from(meant, fixed_base=self.fixed_base, **checks)
-        if isinstance(meant, FilesGiven) and self.style == "text":  # Markdown has them in its page
+        if isinstance(meant, RobotFiles) and self.style == "text":  # Markdown has them in its page
             print_notes(robot, everything=self.everything)
         return self._as_asked(robot)
 

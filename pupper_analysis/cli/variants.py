@@ -11,7 +11,6 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
-    FilesGiven,
     RobotOptions,
     add_options,
     robot_from,
@@ -19,6 +18,7 @@ from pupper_analysis.cli.robots import (
     with_robot,
 )
 from pupper_analysis.cli.stance_fields import options_of, task_of
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -102,10 +102,10 @@ def analyze(
     if everything and quiet:
         raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
     meant = [
-        robot if isinstance(robot, FilesGiven) else variant_spec(robot)
+        robot if isinstance(robot, RobotFiles) else variant_spec(robot)
         for robot in which.all(words) or VARIANTS.values()
     ]
-    specs = [robot for robot in meant if not isinstance(robot, FilesGiven)]
+    specs = [robot for robot in meant if not isinstance(robot, RobotFiles)]
     if list_only:
         _print_list(specs)
         return
@@ -140,7 +140,7 @@ def analyze(
 
 
 def _analyze_all(
-    meant: list[VariantSpec | FilesGiven], task: StandTask, *, everything: bool, shown: bool
+    meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyses robots and prints each as it is done."""
     from pupper_analysis.analysis.robot import analyze_variant
@@ -167,7 +167,7 @@ def _named(analyses: list[Analysis]) -> list[tuple[str, Analysis]]:
 
 
 def _compared(
-    meant: list[VariantSpec | FilesGiven], analyses: list[Analysis]
+    meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
     """Puts each variant beside the base model that it is made of; files have none."""
     from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
@@ -181,7 +181,7 @@ def _compared(
         references[name] = comparison.RatioReference(
             robot.total_mass, leg_lengths(robot)[0], thigh_shape_length(robot)
         )
-    bases = [str(one) if isinstance(one, FilesGiven) else one.base for one in meant]
+    bases = [str(one) if isinstance(one, RobotFiles) else one.base for one in meant]
     return [
         comparison.compare_with_base(analysis, base, references.get(base))
         for base, analysis in zip(bases, analyses, strict=True)

@@ -11,7 +11,6 @@ from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
-    FilesGiven,
     RobotOptions,
     add_options,
     print_notes,
@@ -19,6 +18,7 @@ from pupper_analysis.cli.robots import (
     robot_from,
     with_robot,
 )
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -112,9 +112,9 @@ def drop(
         click.get_current_context().exit(shared.FAILED)
 
 
-def _robot(meant: str | VariantSpec | FilesGiven, **more: bool) -> str | VariantSpec | Robot:
+def _robot(meant: str | VariantSpec | RobotFiles, **more: bool) -> str | VariantSpec | Robot:
     """Returns a variant as it is, and the robot of files, of which it is told what was assumed."""
-    if not isinstance(meant, FilesGiven):
+    if not isinstance(meant, RobotFiles):
         return meant
     robot = robot_from(meant, self_check=False, **more)
     print_notes(robot)

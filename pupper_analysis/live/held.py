@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.analysis.hold import hold_posture
+from pupper_analysis.convert.files import FileSource
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.live import render, viser_parts
 from pupper_analysis.live.colour import colour_of
@@ -24,7 +25,6 @@ from pupper_analysis.live.language import Language
 from pupper_analysis.live.scene import Figure, joint_text, quaternion_along
 from pupper_analysis.live.server import LOOPBACK, Served
 from pupper_analysis.live.shapes import parts_of
-from pupper_analysis.live.source import LoadedFiles
 from pupper_analysis.posture.posture import Posture, find_posture
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.formats import escape_control
@@ -51,7 +51,7 @@ class HeldSession:
         say: The page's language.
     """
 
-    def __init__(self, client: Any, source: LoadedFiles, say: Language) -> None:
+    def __init__(self, client: Any, source: FileSource, say: Language) -> None:
         self._client, self._source, self._say = client, source, say
         self._robot = robot = source.loaded
         self._asked, self._closed = threading.Event(), threading.Event()
@@ -164,7 +164,7 @@ class HeldPage(Served):
 
     def __init__(
         self,
-        source: LoadedFiles,
+        source: FileSource,
         *,
         language: str = "en",
         host: str = LOOPBACK,

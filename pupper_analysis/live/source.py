@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-from pupper_analysis.convert.load import load_robot
+from pupper_analysis.convert.files import FileSource, RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.models.published import find_file
 from pupper_analysis.robot.robot import Robot
 
 
@@ -39,73 +37,17 @@ class LiveSource(Protocol):
         """Returns the arguments of a command that name it."""
 
 
-@dataclass(frozen=True, eq=False)
-class LoadedFiles:
-    """The robot of a URDF, an MJCF or both.
+def load_source(files: RobotFiles) -> FileSource:
+    """Loads the robot of a page.
 
-    Attributes:
-        models: Paths of its files, absolute.
-        options: What else ``load_robot`` was given.
-        loaded: The robot.
+    Raises:
+        ConfigurationError: If its base is free, and it has no feet.
+        ModelError: As ``load_robot``.
     """
-
-    models: tuple[str, ...]
-    options: Mapping[str, Any]
-    loaded: Robot
-
-    @staticmethod
-    def of(*models: str, **options: Any) -> LoadedFiles:
-        """Loads it.
-
-        Args:
-            *models: Its files.
-            **options: What else ``load_robot`` is given.
-
-        Raises:
-            ConfigurationError: If its base is free, and it has no feet.
-            ModelError: As ``load_robot``.
-        """
-        robot = load_robot(*models, **options)
-        if robot.floating and not robot.contact_points:
-            raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
-        paths = tuple(str(find_file(model).absolute()) for model in models)
-        return LoadedFiles(paths, options, robot)
-
-    @property
-    def scales(self) -> Mapping[str, float]:
-        """It has none."""
-        return {}
-
-    def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Returns the robot.
-
-        Raises:
-            ConfigurationError: If it is to be scaled.
-        """
-        if scales:
-            name = next(iter(scales))
-            raise ConfigurationError(name, diagnose("robot-not-scaled", robot=self.loaded.name))
-        return self.loaded
-
-    def python(self, scales: Mapping[str, float]) -> str:  # noqa: ARG002 - it has none
-        """Returns the call of ``load_robot``."""
-        given = [*map(repr, self.models)]
-        given += [f"{name}={value!r}" for name, value in self.options.items()]
-        return f"pa.load_robot({', '.join(given)})"
-
-    def arguments(self, scales: Mapping[str, float]) -> list[str]:  # noqa: ARG002 - it has none
-        """Returns the words and options that the command line takes."""
-        words = [*self.models]
-        for foot, frame in self.options.get("feet", {}).items():
-            words += ["--foot", f"{foot}={frame if isinstance(frame, str) else ':'.join(frame)}"]
-        for one, other in self.options.get("joints", {}).items():
-            words += ["--map", f"{one}={other}"]
-        for package, folder in self.options.get("packages", {}).items():
-            words += ["--package", f"{package}={folder}"]
-        for name in ("keyframe", "take", "body"):
-            if name in self.options:
-                words += [f"--{name}", self.options[name]]
-        return words
+    robot = files.load()
+    if robot.floating and not robot.contact_points:
+        raise ConfigurationError("robot", diagnose("robot-without-feet", robot=robot.name))
+    return FileSource(files, robot)
 
 
 def quote_words(words: list[str]) -> str:

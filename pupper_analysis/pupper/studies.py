@@ -16,7 +16,7 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study import study
 from pupper_analysis.study.parameters import without_visuals
-from pupper_analysis.study.source import ModelFiles, RobotSource
+from pupper_analysis.study.source import RobotSource, load_source
 
 
 class Variants(Scaled):
@@ -41,19 +41,24 @@ class Study(study.DesignStudy):
     """Designs of a robot that are measured alike.
 
     Its ``robot`` may also be a file, two files with a plus between them, a variant's name, a
-    ``VariantSpec``, or {``base``, ``leg_scale``, ``torso_mass_scale``}; of variants ``leg_scale``
-    and ``torso_mass_scale`` can be varied, too.
+    ``VariantSpec``, or {``base``, ``leg_scale``, ``torso_mass_scale``}, where ``base`` may be files
+    as well, with other arguments of ``load_robot``; of variants ``leg_scale`` and
+    ``torso_mass_scale`` can be varied, too.
     """
 
     def _source(self, robot: Any) -> RobotSource:
         if isinstance(robot, str):
             meant = split_word(robot)
             if isinstance(meant, tuple):
-                return ModelFiles.of_files(meant)
+                return load_source({"models": meant})
             return Variants(variant_spec(meant))
         if isinstance(robot, VariantSpec):
             return Variants(robot)
         if isinstance(robot, Mapping) and "base" in robot:
+            base, others = robot["base"], {n: one for n, one in robot.items() if n != "base"}
+            meant = split_word(base) if isinstance(base, str) else base
+            if isinstance(meant, tuple):
+                return load_source({"models": meant, **others})
             known = [field.name for field in fields(VariantSpec)]
             unknown = [name for name in robot if name not in known]
             if unknown:

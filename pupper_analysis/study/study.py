@@ -37,7 +37,7 @@ from pupper_analysis.study.metrics import (
 from pupper_analysis.study.named import OF_JOINTS, SERVOS, Named, groups_of, joints_of
 from pupper_analysis.study.running import Progress, Run, Settings
 from pupper_analysis.study.sampling import BLOCK, Sampling
-from pupper_analysis.study.source import ModelFiles, RobotSource, digest_of
+from pupper_analysis.study.source import RobotSource, digest_of, load_source
 from pupper_analysis.study.store import Store, require_library
 from pupper_analysis.study.table import names_of, order_rows
 from pupper_analysis.study.variables import Variable, make_variable
@@ -137,7 +137,7 @@ class DesignStudy:
     def _source(self, robot: Any) -> RobotSource:
         """Returns the source of a robot that is given in one of several ways."""
         if isinstance(robot, Mapping):
-            return ModelFiles.of(robot)
+            return load_source(robot)
         if hasattr(robot, "robot") and hasattr(robot, "scales"):
             source: RobotSource = robot
             return source
@@ -291,9 +291,10 @@ class DesignStudy:
             for name in ("urdf", "mjcf"):
                 if isinstance(robot.get(name), str):
                     robot[name] = str(path.parent / robot[name])
-        if isinstance(robot, str):  # files beside this one; what is none is a name
-            there = [(path.parent / part, part) for part in robot.split("+")]
-            given["robot"] = "+".join(str(file) if file.is_file() else part for file, part in there)
+            if isinstance(robot.get("base"), str):
+                robot["base"] = _beside(path, robot["base"])
+        if isinstance(robot, str):
+            given["robot"] = _beside(path, robot)
         metrics = given.get("measure")
         folder = str(path.parent.absolute())
         own = modules_in(metrics)
@@ -385,3 +386,9 @@ class DesignStudy:
             for name in names:
                 order.setdefault(name, len(order))
         return order_rows(store.table(), order)
+
+
+def _beside(path: Path, word: str) -> str:
+    """Returns files that are beside a study's with their folder; what is none is a name."""
+    there = [(path.parent / part, part) for part in word.split("+")]
+    return "+".join(str(file) if file.is_file() else part for file, part in there)

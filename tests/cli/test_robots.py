@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.cli.robots import FilesGiven, RobotOptions
+from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.commands import check_refusal, run_command
@@ -32,7 +33,7 @@ NOTHING = RobotOptions.taken_from({})
 )
 def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
     found = NOTHING.one(words)
-    assert (found.models if isinstance(found, FilesGiven) else found) == meant
+    assert (found.models if isinstance(found, RobotFiles) else found) == meant
 
 
 def test_where_several_are_named_each_word_is_one() -> None:

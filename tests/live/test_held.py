@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from pupper_analysis.convert.files import FileSource, RobotFiles
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.live import viser_parts
 from pupper_analysis.live.held import HeldPage, HeldSession
 from pupper_analysis.live.language import Language
-from pupper_analysis.live.source import LoadedFiles
+from pupper_analysis.live.source import load_source
 from pupper_analysis.pupper.variants import model_folder
 from tests.live.test_session import PATIENCE, Browser, wait_for
 
@@ -34,14 +35,14 @@ ARM = f"""<robot name="arm"><link name="base"/>
 
 
 @pytest.fixture
-def source(tmp_path: Path) -> LoadedFiles:
+def source(tmp_path: Path) -> FileSource:
     file = tmp_path / "arm.urdf"
     file.write_text(ARM)
-    return LoadedFiles.of(str(file))
+    return load_source(RobotFiles.of(str(file)))
 
 
 @pytest.fixture
-def session(source: LoadedFiles) -> Iterator[HeldSession]:
+def session(source: FileSource) -> Iterator[HeldSession]:
     host = "127.0.0.1"
     server = viser_parts.start_server(host, viser_parts.free_port(host, None), "test")
     one = HeldSession(Browser(server), source, Language("en"))
@@ -85,9 +86,9 @@ def test_what_is_simulated_is_what_the_sliders_say(session: HeldSession) -> None
     wait_for(lambda: "HOLDS (from one file)" in session._result.content, "it does not hold")
 
 
-def test_a_page_is_served_and_ends(source: LoadedFiles) -> None:
+def test_a_page_is_served_and_ends(source: FileSource) -> None:
     page = HeldPage(source)
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", page.address)
     page.close()
     with pytest.raises(ConfigurationError, match="has a free base"):
-        HeldPage(LoadedFiles.of(str(model_folder("mjcf") / "pupper_v3.xml")))
+        HeldPage(load_source(RobotFiles.of(str(model_folder("mjcf") / "pupper_v3.xml"))))

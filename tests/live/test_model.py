@@ -20,6 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
+from pupper_analysis.convert.files import FileSource, RobotFiles
 from pupper_analysis.live import export, viser_parts
 from pupper_analysis.live.colour import BEYOND, SCALE, UNLIMITED, colour_of, to_css
 from pupper_analysis.live.documents import (
@@ -41,7 +42,7 @@ from pupper_analysis.live.model import (
 from pupper_analysis.live.render import render_brief, render_panel
 from pupper_analysis.live.shapes import mesh_of_primitive, parts_of
 from pupper_analysis.live.sliders import fine_step, ranges_of, round_up
-from pupper_analysis.live.source import LoadedFiles
+from pupper_analysis.live.source import load_source
 from pupper_analysis.live.state import State, parse_length, parse_state
 from pupper_analysis.pupper.live import LiveVariants
 from pupper_analysis.simulation.verdict import VerdictCode
@@ -269,14 +270,14 @@ def run_python(script: str, folder: Path) -> str:
     return done.stdout
 
 
-def own_pair(folder: Path) -> LoadedFiles:
+def own_pair(folder: Path) -> FileSource:
     urdf, mjcf = pa.pupper.write_variant("v3-heavy", folder)
     feet = {leg: f"leg_{place}_3_foot_site" for leg, place in
             {"FR": "front_r", "FL": "front_l", "RR": "back_r", "RL": "back_l"}.items()}  # fmt: skip
-    return LoadedFiles.of(str(urdf), str(mjcf), feet=feet)
+    return load_source(RobotFiles.of(str(urdf), str(mjcf), feet=feet))
 
 
-SOURCES: dict[str, Callable[[Path], LiveVariants | LoadedFiles]] = {
+SOURCES: dict[str, Callable[[Path], LiveVariants | FileSource]] = {
     "variant": lambda _: LiveVariants(pa.VARIANTS["v3"]),
     "own": own_pair,
 }
