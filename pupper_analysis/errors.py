@@ -331,3 +331,15 @@ class MeasurementError(PupperAnalysisError):
         self.cause = as_diagnostic(problem)
         told = diagnose("measurements-unusable", source=self.source, problem=problem)
         super().__init__(told)
+
+
+class FitError(PupperAnalysisError):
+    """A fit to measurements cannot be made: they contradict the robot, or lead nowhere.
+
+    Attributes:
+        problem: What is wrong, and what would help.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = str(problem)
+        super().__init__(problem)

@@ -1,0 +1,229 @@
+"""What is estimated: numbers of a robot and its surroundings, with what is known of them before."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ParameterKind:
+    """A kind of number that measurements may tell.
+
+    Attributes:
+        name: Of the kind.
+        unit: Of its values, in SI.
+        share: Standard deviation of what is known before, in parts of the stated value.
+        width: The same in the kind's unit; the larger of the two counts.
+        positive: Whether a value below zero means nothing.
+    """
+
+    name: str
+    unit: str
+    share: float = 0.0
+    width: float = 0.0
+    positive: bool = False
+
+
+KINDS: Mapping[str, ParameterKind] = {
+    kind.name: kind
+    for kind in (
+        # Published masses are off by half (stretch's base weighs 7 times what its file said).
+        ParameterKind("mass", "kg", share=0.5, positive=True),
+        # A battery that is mounted elsewhere, a payload plate: centimetres.
+        ParameterKind("com", "m", width=0.03),
+        # Encoders are zeroed by hand, or against a mechanical stop.
+        ParameterKind("offset", "rad", width=math.radians(2.0)),
+        # Gains of servos are asked for in units of their driver: current, not torque.
+        ParameterKind("kp", "N m/rad", share=0.3, positive=True),
+        ParameterKind("kd", "N m s/rad", share=0.5, positive=True),
+        # Gearboxes of small servos: Pupper's upstream model with play has 12 times the other's.
+        ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
+        ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True),
+        ParameterKind("armature", "kg m^2", share=1.0, width=0.002, positive=True),
+        ParameterKind("inertia", "kg m^2", share=0.5, width=1e-5),
+        ParameterKind("delay", "s", width=0.01, positive=True),
+        # What a spirit level, or a good floor, leaves.
+        ParameterKind("slope", "rad", width=math.radians(0.25)),
+        # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which
+        # is as far away as twice as soft a one.
+        ParameterKind("softness", "1", width=0.5),
+        # How an IMU is glued to its base.
+        ParameterKind("imu", "rad", width=math.radians(1.0)),
+    )
+}
+"""The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
+
+OF_SURROUNDINGS = ("slope", "softness", "imu")
+"""Kinds that are no number of the robot's files."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that is estimated.
+
+    Attributes:
+        kind: One of ``KINDS``.
+        subject: The link or joint; ``floor`` or ``imu`` of the surroundings.
+        component: ``x``, ``y`` or ``z``, or ``roll`` or ``pitch``; empty of a scalar.
+        stated: The model's value, about which the prior is (in the kind's unit).
+        width: The prior's standard deviation (likewise).
+    """
+
+    kind: str
+    subject: str
+    component: str
+    stated: float
+    width: float
+
+    @property
+    def name(self) -> str:
+        """As it is written in tables: ``com.x base``."""
+        kind = f"{self.kind}.{self.component}" if self.component else self.kind
+        return f"{kind} {self.subject}"
+
+    @property
+    def unit(self) -> str:
+        """Of ``stated`` and ``width``."""
+        return KINDS[self.kind].unit
+
+
+@dataclass(frozen=True)
+class Prior:
+    """What is known of some parameters before: ``mass=50%``, ``com:base=5mm``, ``kp=0``.
+
+    Attributes:
+        kind: One of ``KINDS``.
+        subject: A link or joint, or a pattern of several (``*knee*``); all by default.
+        share: Standard deviation in parts of the stated value; NaN if it is a width.
+        width: Standard deviation in the kind's unit; NaN if it is a share.
+    """
+
+    kind: str
+    subject: str = "*"
+    share: float = math.nan
+    width: float = math.nan
+
+    def of(self, stated: float) -> float:
+        """Returns the standard deviation for a stated value."""
+        return self.share * abs(stated) if math.isnan(self.width) else self.width
+
+
+_UNITS: Mapping[str, tuple[str, float]] = {
+    "kg": ("kg", 1.0),
+    "g": ("kg", 1e-3),
+    "m": ("m", 1.0),
+    "cm": ("m", 1e-2),
+    "mm": ("m", 1e-3),
+    "rad": ("rad", 1.0),
+    "mrad": ("rad", 1e-3),
+    "deg": ("rad", math.pi / 180),
+    "s": ("s", 1.0),
+    "ms": ("s", 1e-3),
+}
+
+_PRIOR = re.compile(r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[^=%a-zA-Z]+)(?P<unit>.*)")
+
+
+def parse_prior(text: str) -> Prior:
+    """Reads ``KIND[:SUBJECT]=WIDTH``, as ``mass=50%``, ``com:base=5mm`` or ``kp=0``.
+
+    Raises:
+        ConfigurationError: If it says nothing.
+    """
+    found = _PRIOR.fullmatch(text.strip())
+    kind = found and KINDS.get(found["kind"])
+    if not found or kind is None:
+        raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
+    unit, subject = found["unit"].strip(), found["subject"] or "*"
+    try:
+        value = float(found["value"])
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
+    if unit == "%":
+        return Prior(kind.name, subject, share=value / 100)
+    dimension, factor = _UNITS.get(unit, (kind.unit, 1.0) if unit in ("", kind.unit) else ("", 0.0))
+    if dimension != kind.unit:
+        told = diagnose("prior-unit", text=text, unit=unit, wanted=kind.unit)
+        raise ConfigurationError("prior", told)
+    return Prior(kind.name, subject, width=value * factor)
+
+
+def give_widths(
+    stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
+) -> tuple[Parameter, ...]:
+    """Returns parameters with the width that the last prior which means them gives, or their kind.
+
+    What has no width (``kp=0``, a mass of nothing) is known, and no parameter.
+
+    Args:
+        stated: Kind, subject, component and stated value of each.
+        priors: What is said of them.
+
+    Raises:
+        ConfigurationError: If a prior means none of them.
+    """
+    wanted, given, used = list(stated), tuple(priors), set()
+    found = []
+    for kind, subject, component, value in wanted:
+        own = KINDS[kind]
+        width = max(own.share * abs(value), own.width)
+        for prior in given:
+            if prior.kind == kind and fnmatchcase(subject, prior.subject):
+                width = prior.of(value)
+                used.add(prior)
+        if width > 0:
+            found.append(Parameter(kind, subject, component, float(value), float(width)))
+    for prior in given:
+        if prior not in used:
+            known = tuple(dict.fromkeys(one[1] for one in wanted if one[0] == prior.kind))
+            told = diagnose("prior-of-nothing", kind=prior.kind, pattern=prior.subject, known=known)
+            raise ConfigurationError("prior", told)
+    return tuple(found)
+
+
+class ParameterTable:
+    """Parameters by kind and subject, and where each stands in a vector.
+
+    Args:
+        parameters: In the vector's order.
+    """
+
+    def __init__(self, parameters: Iterable[Parameter]) -> None:
+        self.parameters = tuple(parameters)
+        self.stated = np.array([one.stated for one in self.parameters])
+        self.width = np.array([one.width for one in self.parameters])
+        self._at = {
+            (one.kind, one.subject, one.component): place
+            for place, one in enumerate(self.parameters)
+        }
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        return iter(self.parameters)
+
+    def place(self, kind: str, subject: str, component: str = "") -> int | None:
+        """Returns where a parameter is in the vector; None if it is known."""
+        return self._at.get((kind, subject, component))
+
+    def value(
+        self, vector: Array, kind: str, subject: str, component: str, otherwise: float
+    ) -> float:
+        """Returns a parameter's value in a vector, or another if it is known."""
+        place = self._at.get((kind, subject, component))
+        return otherwise if place is None else float(vector[place])
