@@ -1,24 +1,33 @@
 """Robots of one file: do they stand as predicted, and are they the robots of both files?
 
-    python benchmarks/one_file.py --folder ROBOTS
+    python benchmarks/one_file.py --folder ROBOTS --each
+    python benchmarks/one_file.py --folder ROBOTS --pairs
 
 Each URDF and MJCF below the folder that has legs is loaded alone, and stood for 12 s. Where a URDF
-and an MJCF agree (crosscheck), mass, com and gravity torques of the robots of one file are compared
-with those of both, at random configurations. Times are the processor's.
+and an MJCF agree (crosscheck), com and gravity torques of the robots of one file are compared with
+those of both, at random configurations, and the verdicts of their stands. The pairs are Pupper's
+variants, those of `corpus.py`, and URDFs of its with the MJCF that MuJoCo makes of them. Times are
+the processor's.
 """
 
 from __future__ import annotations
 
+import math
+import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import numpy as np
+from corpus import CONVERTED, DATA, PAIRS, converted
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.loading import kind_of
+from pupper_analysis.pupper.variant_files import write_variant
 from pupper_analysis.report.verdict import verdict_word
+from pupper_analysis.stance.footholds import nominal_feet
 
 CONFIGURATIONS = 100
 
@@ -42,19 +51,40 @@ def stood(model: Path) -> str:
     )
 
 
+def verdict_of(robot: pa.Robot, like: pa.Robot) -> str:
+    """Returns the verdict of a robot on the feet of another one's nominal stand, and its peak."""
+    places, own = nominal_feet(like), nominal_feet(robot)
+    nearest = {
+        foot: min(places.values(), key=lambda p: math.dist(p, at)) for foot, at in own.items()
+    }
+    feet = {foot: (float(place[0]), float(place[1])) for foot, place in nearest.items()}
+    try:
+        result = study_stance(robot, pa.StandTask(height=like.stand_height, feet=feet))
+    except pa.PupperAnalysisError as error:
+        return f"{type(error).__name__}: {str(error)[:60]}"
+    peak = float(np.abs(result.statics.joint_torques).max())
+    return f"{verdict_word(result.verdict).en}: {peak:.5g} N m"
+
+
 def apart(urdf: Path, mjcf: Path, seed: int) -> str:
     """Compares the robots of one file with that of both; returns a row of a table."""
-    found = pa.compare_models(urdf, mjcf)
+    try:
+        found = pa.compare_models(urdf, mjcf)
+    except pa.PupperAnalysisError as error:
+        return f"| {urdf.name} | {mjcf.name} | refused: {str(error)[:60]} | | | | | | |"
     if not found.agree:
-        return f"| {urdf.name} | {mjcf.name} | disagree | | | |"
+        return f"| {urdf.name} | {mjcf.name} | disagree | | | | | | |"
     both = pa.load_robot(urdf, mjcf, self_check=False)
+    if not (both.floating and both.feet):
+        return f"| {urdf.name} | {mjcf.name} | agree, fixed base or no feet | | | | | | |"
     rng = np.random.default_rng(seed)
-    worst = []
+    worst, verdicts = [], [verdict_of(both, both)]
     for one in (pa.load_robot(urdf), pa.load_robot(mjcf, self_check=False)):
+        verdicts.append(verdict_of(one, both))
         named = dict(zip(found.joints, found.joints, strict=True))
         names = [named.get(name, name) for name in both.joint_names]
-        if not set(names) <= set(one.joint_names):
-            return f"| {urdf.name} | {mjcf.name} | agree, by other names | | | |"
+        if not (set(names) <= set(one.joint_names) and one.floating):
+            return f"| {urdf.name} | {mjcf.name} | agree, by other names | | | | | | |"
         order = [one.joint_names.index(name) for name in names]
         off = 0.0
         for _ in range(CONFIGURATIONS):
@@ -68,26 +98,56 @@ def apart(urdf: Path, mjcf: Path, seed: int) -> str:
             torques = theirs.gravity()[6:][order]
             off = max(off, float(np.abs(mine.gravity()[6:] - torques).max()))
         worst.append(f"{off:.1e}")
-    return f"| {urdf.name} | {mjcf.name} | agree | {both.total_mass:.3f} | {' | '.join(worst)} |"
+    numbers = " | ".join((f"{both.total_mass:.3f}", *worst, *verdicts))
+    return f"| {urdf.name} | {mjcf.name} | agree | {numbers} |"
+
+
+def pairs_of(folder: Path, written: Path) -> Iterator[tuple[Path, Path]]:
+    """Yields pairs of files: Pupper's, the corpus's, and URDFs with MuJoCo's own MJCF of them."""
+    for name in pa.VARIANTS:
+        yield write_variant(name, written / name)
+    yield from ((folder / urdf, folder / mjcf) for urdf, mjcf in PAIRS.values())
+    for place in CONVERTED.values():
+        urdf = folder / DATA / place
+        try:
+            yield urdf, converted(urdf, (folder / DATA).parents[1], written)
+        except (ValueError, OSError):
+            print(f"| {urdf.name} | MuJoCo's own | not compiled | | | | | | |")
 
 
 @click.command()
 @click.option("--folder", type=click.Path(path_type=Path, exists=True), required=True)
+@click.option("--each", is_flag=True, help="Stand each robot of one file.")
+@click.option("--pairs", is_flag=True, help="Compare the robots of one file with those of both.")
 @click.option("--match", default="", help="Only files whose path has this in it.")
-@click.option("--pair", type=(Path, Path), multiple=True, help="A URDF and an MJCF to compare.")
 @click.option("--seed", default=0, show_default=True)
-def main(folder: Path, match: str, pair: tuple[tuple[Path, Path], ...], seed: int) -> None:
-    """Prints both tables as Markdown."""
+def main(folder: Path, each: bool, pairs: bool, match: str, seed: int) -> None:
+    """Prints the tables as Markdown."""
+    if each:
+        print_each(folder, match)
+    if pairs:
+        print_pairs(folder, match, seed)
+
+
+def print_each(folder: Path, match: str) -> None:
+    """Prints what becomes of each file alone."""
     print("| file | mass (kg) | verdict | load (s) | with 12 s (s) | torques | forces |")
     print("|---|---|---|---|---|---|---|")
     for model in sorted(path for path in folder.rglob("*") if path.suffix in (".urdf", ".xml")):
         if match in str(model) and kind_of(model):
             print(stood(model), flush=True)
-    if pair:
-        print("\n| URDF | MJCF | crosscheck | mass (kg) | URDF alone | MJCF alone |")
-        print("|---|---|---|---|---|---|")
-    for urdf, mjcf in pair:
-        print(apart(urdf, mjcf, seed), flush=True)
+
+
+def print_pairs(folder: Path, match: str, seed: int) -> None:
+    """Prints how far robots of one file are from those of both."""
+    print(
+        "\n| URDF | MJCF | crosscheck | mass (kg) | URDF alone | MJCF alone | both | URDF | MJCF |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as written:
+        for urdf, mjcf in pairs_of(folder, Path(written)):
+            if match in f"{urdf} {mjcf}":
+                print(apart(urdf, mjcf, seed), flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import mujoco
@@ -110,12 +110,24 @@ def add_position_servos(
     trial = rebuild_robot(robot, mjcf=spec, efforts=stated)
     timestep = float(trial.mj_model.opt.timestep)
 
+    seen: dict[tuple[int, bool], bool] = {}
+
+    def rests(number: int, *, fed: bool) -> bool:
+        """Tells whether it comes to rest with a candidate, which is looked at once."""
+        parts, kp, kd = candidates[number]
+        trial.mj_model.opt.timestep = timestep / parts
+        if (number, fed) not in seen:
+            seen[number, fed] = comes_to_rest(trial, stand, feedforward=fed, kp=kp, kd=kd)
+        return seen[number, fed]
+
     def first(*ways: bool) -> Iterator[tuple[int, Array, Array]]:
-        """Yields the candidates with which it comes to rest, fed forward or not."""
-        for parts, kp, kd in candidates:
-            trial.mj_model.opt.timestep = timestep / parts
-            if _rests(trial, stand, kp, kd, ways):
-                yield parts, kp, kd
+        """Yields the candidates with which it comes to rest, fed forward or not.
+
+        Most that fall do so without feed-forward, within a second or two: that comes first.
+        """
+        for number, candidate in enumerate(candidates):
+            if all(rests(number, fed=way) for way in sorted(ways)):
+                yield candidate
 
     resting = None
     for parts, kp, kd in first(False, True):
@@ -203,7 +215,7 @@ def suggest_servos(robot: Robot, stand: Stand) -> Diagnostic | None:
         kp, kd = (
             np.full(robot.nu, gains.min()) for gains in suggested_gains(robot, stand, torques, sag)
         )
-        if _rests(robot, stand, kp, kd, ways=(True,)):
+        if comes_to_rest(robot, stand, kp=kp, kd=kd):
             return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=kp[0], kd=kd[0])
     return diagnose("own-servos-let-it-fall", stiffness=stiffness, kp=None, kd=None)
 
@@ -216,14 +228,6 @@ def _kept(
     both = np.array([own.get(name, (stiffness, damping)) for name, stiffness, damping in given])
     both[following_joints(robot)] = 0.0
     return both[:, 0], both[:, 1]
-
-
-def _rests(robot: Robot, stand: Stand, kp: Array, kd: Array, ways: Sequence[bool]) -> bool:
-    """Tells whether a robot comes to rest where it stands, with feed-forward (True) or without.
-
-    Most that fall do so without feed-forward, within a second or two: that comes first.
-    """
-    return all(comes_to_rest(robot, stand, feedforward=way, kp=kp, kd=kd) for way in sorted(ways))
 
 
 def _falls(seen: StandVerification) -> bool:

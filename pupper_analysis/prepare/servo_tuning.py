@@ -100,9 +100,12 @@ class Requirement:
         if robot.closure is not None:
             # The solver shares a servo's damping out before the implicit step makes it less: what
             # it would stop in less than a step throws what follows (a finger's end by 33 mrad, at a
-            # nudge of 1e-3 rad/s). A joint that leads is no stiffer, unless its load asks for it.
+            # nudge of 1e-3 rad/s). It acts on the joint's own inertia first, without what follows:
+            # of a hand that leads 11 fingers' joints a twelfth. A joint that leads is no stiffer,
+            # unless its load asks for it.
             leading = robot.closure.leading
-            calm[leading] = (inertia / (_DAMPING_TIME * timestep))[leading]
+            alone = 1 / np.diag(np.linalg.inv(Configuration(robot, qpos).mass_matrix()))
+            calm[leading] = alone[robot.nv - robot.nu :][leading] / (_DAMPING_TIME * timestep)
         return cls(
             torques=np.full(robot.nu, most),
             own=np.abs(torques),

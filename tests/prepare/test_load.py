@@ -647,14 +647,12 @@ def test_servos_that_hold_with_feed_forward_alone_are_taken_if_none_do_without(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As HyQ's, whose feet slide by 5 mm and more as it sags."""
-    rests = drives._rests
+    rests = drives.comes_to_rest
 
-    def slides(
-        robot: Robot, stand: pa.Stand, kp: np.ndarray, kd: np.ndarray, ways: tuple[bool, ...]
-    ) -> bool:
-        return False not in ways and rests(robot, stand, kp, kd, ways)
+    def slides(robot: Robot, stand: pa.Stand, *, feedforward: bool, **gains: np.ndarray) -> bool:
+        return feedforward and rests(robot, stand, feedforward=True, **gains)
 
-    monkeypatch.setattr(drives, "_rests", slides)
+    monkeypatch.setattr(drives, "comes_to_rest", slides)
     robot = load(quadruped(tmp_path))
     assert any(n.code == "rests-with-feed-forward-alone" for n in robot.notes)
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
