@@ -13,7 +13,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place
 from pupper_analysis.stance.optimize.search import EvaluatedStance, Objective, StanceSearch
-from pupper_analysis.stance.optimize.space import StanceSpace
+from pupper_analysis.stance.optimize.space import JOINT_RESERVE, StanceSpace
 from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
@@ -21,7 +21,7 @@ from pupper_analysis.stance.workspace import Interval
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 _AT_BOUND = 1e-2  # of the bounds' distance
-_AT_LIMIT = 1e-2  # rad
+_AT_LIMIT = 1.05 * JOINT_RESERVE  # rad
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from pupper_analysis.errors import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
-from pupper_analysis.stance.optimize.space import JOINT_RESERVE, Room, StanceSpace
+from pupper_analysis.stance.optimize.space import STEP_OVER, Room, StanceSpace
 from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -155,7 +155,7 @@ class StanceSearch:
         left = room.less(_INSIDE)
         allowed = bool(
             room.singular_values.min() >= 0
-            and room.joints.min() >= -JOINT_RESERVE
+            and room.joints.min() >= -STEP_OVER
             and room.edges.min() >= 0
             and room.touching >= 0
         )
