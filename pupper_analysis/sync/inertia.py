@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+Part = TypeVar("Part", bound=Hashable)
 
 _TRIANGLE = 1e-6
 """By how much of itself a principal moment may exceed the sum of the others, for rounding."""
@@ -21,6 +24,34 @@ def without_parts(whole: pin.Inertia, parts: Sequence[pin.Inertia]) -> pin.Inert
     if not whole.mass > sum(part.mass for part in parts):
         return None if parts else whole
     return functools.reduce(operator.sub, parts, whole)
+
+
+def spread_alike(
+    parts: Mapping[Part, pin.Inertia], wanted: pin.Inertia
+) -> dict[Part, pin.Inertia] | None:
+    """Returns parts of a body that all are as much heavier, and moved by one step.
+
+    Their sum is a body of the same density pattern: its inertia about the com is in proportion to
+    its mass.
+
+    Args:
+        parts: The parts, in one frame.
+        wanted: Their sum, as it shall be.
+
+    Returns:
+        {part: as it shall be}; None if the wanted body is of another pattern, or has no mass.
+    """
+    now = functools.reduce(operator.add, parts.values(), pin.Inertia.Zero())
+    if not (now.mass > 0 and wanted.mass > 0):
+        return None
+    factor, step = wanted.mass / now.mass, wanted.lever - now.lever
+    alike = pin.Inertia(wanted.mass, wanted.lever, factor * np.array(now.inertia))
+    if not is_same_body(alike, wanted, 1e-10):
+        return None
+    return {
+        name: pin.Inertia(factor * part.mass, part.lever + step, factor * np.array(part.inertia))
+        for name, part in parts.items()
+    }
 
 
 def is_physical(body: pin.Inertia) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -20,7 +21,13 @@ from pupper_analysis.models.orientation import AngleUnits, orientation_change, s
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.inertia import is_physical, is_same_body, turned_like, without_parts
+from pupper_analysis.sync.inertia import (
+    is_physical,
+    is_same_body,
+    spread_alike,
+    turned_like,
+    without_parts,
+)
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.mjcf_side import MjcfSide
@@ -63,17 +70,41 @@ def write_inertial(side: MjcfSide, mover: str, keys: list[Key]) -> None:
         inside = _pose(side, body).actInv(left)
         plans += _plans(side, body, element, inside)
     if not plans:
-        reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
-        side.left.update(dict.fromkeys(keys, reason))
+        alike = spread_alike({body: placed[body] for body in heavy}, wanted)
+        spread = [] if alike is None else list(_spread(side, alike))
+        if not spread or None in spread:
+            reason = diagnose("body-is-a-copy" if copied else "no-body-to-change")
+            side.left.update(dict.fromkeys(keys, reason))
+            return
+        for plan in spread:
+            _write(side, plan)
+        told = diagnose("bodies-changed-alike", bodies=len(spread))
+        side.notes.update(dict.fromkeys(keys, told))
         return
-    _, element, changes, how = min(plans, key=lambda plan: plan[0])
-    if element.start < 0 and element.parent is not None:
-        element.parent.children.insert(0, element)
-    side.elements.write_all(element, changes)
+    best = min(plans, key=lambda plan: plan[0])
+    _write(side, best)
+    how = best[3]
     if len(heavy) > 1:
         how = diagnose("one-body-changed", how=how, bodies=len(heavy))
     if how is not None:
         side.notes.update(dict.fromkeys(keys, how))
+
+
+def _spread(side: MjcfSide, alike: Mapping[int, pin.Inertia]) -> Iterator[_Plan | None]:
+    """Yields how each of several bodies gets its own mass; None where one cannot."""
+    for body, part in alike.items():
+        element = side.elements.body(str(side.model.body(body).name))
+        inside = _pose(side, body).actInv(part)
+        plans = [] if element is None else _plans(side, body, element, inside)
+        yield min(plans, key=lambda plan: plan[0], default=None)
+
+
+def _write(side: MjcfSide, plan: _Plan | None) -> None:
+    assert plan is not None
+    _, element, changes, _ = plan
+    if element.start < 0 and element.parent is not None:
+        element.parent.children.insert(0, element)
+    side.elements.write_all(element, changes)
 
 
 def _pose(side: MjcfSide, body: int) -> pin.SE3:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Source, diagnose
-from pupper_analysis.models.conversion import joint_damping
+from pupper_analysis.models.conversion import joint_armature, joint_damping
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
@@ -22,6 +22,7 @@ from pupper_analysis.models.xml_text import SAME
 from pupper_analysis.sync.frames import Key, Side
 from pupper_analysis.sync.mjcf_effort import write_effort
 from pupper_analysis.sync.mjcf_inertials import write_inertial
+from pupper_analysis.sync.mjcf_servos import write_gains
 
 Array = NDArray[np.float64]
 
@@ -35,10 +36,12 @@ class MjcfSide(Side):
     Attributes:
         file: The file.
         elements: Its elements.
+        gains: {("kp" or "kd", joint): of its position servo, at the joint (N m/rad, N m s/rad)}.
     """
 
     file: MjcfFile
     elements: MjcfInPlace
+    gains: Mapping[Key, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.robot = self.sides.matched.robot
@@ -68,6 +71,10 @@ class MjcfSide(Side):
             elif kind == "friction":
                 value = self.wanted.joints[name].friction
                 self._number(key, "frictionloss", [value])
+            elif kind == "armature":
+                self._armature(key)
+        for name in dict.fromkeys(joint for _, joint in self.gains):
+            write_gains(self, name, {key: k for key, k in self.gains.items() if key[1] == name})
         for name in dict.fromkeys(e for k, e in taken if k in ("mass", "com", "inertia")):
             write_inertial(self, name, [key for key in taken if key[1] == name])
 
@@ -237,6 +244,17 @@ class MjcfSide(Side):
         stated = ([] if element is None else (element.get("damping") or "").split())[1:]
         higher = [float(word) for word in stated]
         self._number(key, "damping", [wanted, *higher])
+
+    def _armature(self, key: Key) -> None:
+        index = self.model.joint(key[1]).id
+        dof = int(self.model.jnt_dofadr[index])
+        of_joint = float(self.model.dof_armature[dof])
+        of_motors = float(joint_armature(self.model)[dof]) - of_joint
+        wanted = self.wanted.joints[key[1]].armature - of_motors
+        if wanted < 0:
+            self.left[key] = diagnose("motors-weigh-more")
+            return
+        self._number(key, "armature", [wanted])
 
     def _base_damping(self, key: Key) -> None:
         bodies = [self.model.body(i).name for i in range(self.model.nbody)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -119,12 +119,14 @@ class Plan:
 
     def edits(self) -> tuple[Edit, ...]:
         """Returns what is written, file by file."""
-        return tuple(
-            edit
-            for document in self.documents()
-            for element in document.elements
-            for edit in _edits(element)
-        )
+        return edits_of(self.documents())
+
+
+def edits_of(documents: Iterable[XmlDocument]) -> tuple[Edit, ...]:
+    """Returns what is written into documents, one by one."""
+    return tuple(
+        edit for document in documents for element in document.elements for edit in _edits(element)
+    )
 
 
 def make_plan(

@@ -19,7 +19,13 @@ from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME, Digits
 from pupper_analysis.sync.frames import Key, Side
-from pupper_analysis.sync.inertia import is_physical, is_same_body, turned_like, without_parts
+from pupper_analysis.sync.inertia import (
+    is_physical,
+    is_same_body,
+    spread_alike,
+    turned_like,
+    without_parts,
+)
 
 Array = NDArray[np.float64]
 
@@ -198,16 +204,28 @@ class UrdfSide(Side):
             inside = self._pose(link).actInv(left)
             found.append((link, inertial_changes(self._links[link].element, inside, self.digits)))
         if not found:
-            for key in keys:
-                self.left[key] = diagnose("no-link-to-change")
+            spread = spread_alike(placed, wanted)
+            if spread is None:
+                self.left.update(dict.fromkeys(keys, diagnose("no-link-to-change")))
+                return
+            for link, part in spread.items():
+                inside = self._pose(link).actInv(part)
+                element = self._links[link].element
+                self._write(link, inertial_changes(element, inside, self.digits))
+            told = diagnose("links-changed-alike", links=len(spread))
+            self.notes.update(dict.fromkeys(keys, told))
             return
         link, changes = min(found, key=lambda one: len(one[1]))
-        for (path, attribute), text in changes.items():
-            element = self._links[link].element.ensure("inertial")
-            element.ensure(path).set(attribute, text)
+        self._write(link, changes)
         if len(heavy) > 1:
             told = diagnose("one-link-changed", links=len(heavy), link=link)
             self.notes.update(dict.fromkeys(keys, told))
+
+    def _write(self, link: str, changes: Changes) -> None:
+        """Notes changes of a link's inertial."""
+        for (path, attribute), text in changes.items():
+            element = self._links[link].element.ensure("inertial")
+            element.ensure(path).set(attribute, text)
 
 
 def inertial_changes(link: Element, wanted: pin.Inertia, digits: Digits) -> Changes:
