@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import mujoco
@@ -22,6 +22,8 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_text import add_element, free_name
+
+_PACKAGE = "package://"
 
 
 class Meshes:
@@ -51,7 +53,17 @@ class Meshes:
     @property
     def notes(self) -> list[Diagnostic]:
         """What was left out, by reason."""
-        return [diagnose("meshes-left", files=files, why=why) for why, files in self._left.items()]
+        return [
+            diagnose("meshes-left", files=files, why=why, package=self._package_of(why, files))
+            for why, files in self._left.items()
+        ]
+
+    @staticmethod
+    def _package_of(why: Diagnostic, files: Sequence[str]) -> str:
+        """Returns the first ROS package of which files are not there; empty if none is."""
+        there_not = files if why.code == "no-such-mesh-file" else ()
+        named = (file.removeprefix(_PACKAGE) for file in there_not if file.startswith(_PACKAGE))
+        return next(named, "").partition("/")[0]
 
     @property
     def lost(self) -> list[Diagnostic]:

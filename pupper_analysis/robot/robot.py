@@ -255,7 +255,9 @@ class Robot:
             ConfigurationError: If it is fixed.
         """
         if not self.floating:
-            raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name))
+            kept = (note for note in self.notes if note.code == "base-kept-in-the-world")
+            why = next((note.values["why"] for note in kept), None)
+            raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name, why=why))
 
     def check_foot(self, foot: str) -> str:
         """Returns the name of a foot, if it is one.
