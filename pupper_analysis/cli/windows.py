@@ -90,6 +90,11 @@ def drop(
     a foot. Every sample of the path is a whole-body stand in balance.
 
     \b
+    Examples:
+      pupper-analysis drop v3 --demo squat
+      pupper-analysis drop go2.urdf --headless
+
+    \b
     Exit status: 0 the robot stands or follows the path, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
     robot = _robot(which.one(words) or "v3")
