@@ -13,6 +13,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import NoEquilibriumError
 from pupper_analysis.models.efforts import EffortStatement
+from pupper_analysis.models.joint_kinds import has_free_joint
 from pupper_analysis.posture.force import ToolForce, tool_force
 from pupper_analysis.posture.payload import ToolPayload, tool_payload
 from pupper_analysis.posture.posture import Posture, find_posture, joint_units
@@ -41,6 +42,7 @@ class Hold(Tabular):
 
     Attributes:
         name: The robot's name.
+        hangs: Whether its base, which is held, is free in the MJCF; the ground touches nothing.
         posture: Where it is told to be.
         units: (nu,) of the joints' positions: rad, or m of one that slides; of its motor, N for
             N m.
@@ -64,6 +66,7 @@ class Hold(Tabular):
     """
 
     name: str
+    hangs: bool
     posture: Posture
     units: tuple[str, ...]
     tool: Tool
@@ -146,6 +149,7 @@ def hold_posture(
         trial = verify_posture(loaded, posture, find_tool(loaded, point.name), kp=kp, kd=kd)
     return Hold(
         name=robot.name,
+        hangs=has_free_joint(robot.description.mjcf),
         posture=posture,
         units=joint_units(robot),
         tool=point,

@@ -32,7 +32,7 @@ _CLOSE = 2e-3
 """A search ends when it is so near to what cannot be exceeded, in parts of it."""
 
 _AGREED = 3
-"""Searches that end at the same torque, and then no other is begun."""
+"""Searches that end at the same torque, and then no other is begun, where there is no bound."""
 
 _SAME = 1e-9  # in parts of the torque
 
@@ -234,14 +234,14 @@ class _Search:
     ) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, from some postures.
 
-        A search of it ends near what no posture exceeds, or where several end alike.
+        They end near what no posture exceeds, or, where that is not known, if several end alike.
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
             ends.append(self.climb(joint, sign, start))
             best = max(ends, key=lambda end: end[0])
             alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
-            if best[0] >= (1 - _CLOSE) * goal or alike >= _AGREED:
+            if best[0] >= (1 - _CLOSE) * goal or (alike >= _AGREED and not math.isfinite(goal)):
                 break
         return best
 

@@ -31,7 +31,7 @@ from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
-from pupper_analysis.robot.floor import floor_of
+from pupper_analysis.robot.floor import floor_of, leave_ground
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -44,7 +44,8 @@ def build_robot(
 
     Args:
         description: Both files' contents.
-        fixed_base: Fix the base in the world, at the pose that the MJCF gives it.
+        fixed_base: Fix the base in the world, at the pose that the MJCF gives it; if it was free,
+            the ground touches nothing then.
         foot_depth: How far below the hips the nominal stand has its feet (m); by default the lowest
             foot of the keyframe ``home`` touches the ground.
 
@@ -221,6 +222,7 @@ def _mujoco_model(
     if fixed_base:
         for element in (*free, *spec.keys):
             spec.delete(element)
+        added += leave_ground(spec) if free else []  # which it hangs above, or through
     elif free and not floor_of(spec):
         SpecTree(spec).add_floor()
         added.append(diagnose("ground-added"))

@@ -23,6 +23,21 @@ def floor_of(spec: mujoco.MjSpec) -> mujoco.MjsGeom | None:
     return next((geom for geom in spec.worldbody.geoms if geom.type == plane), None)
 
 
+def leave_ground(spec: mujoco.MjSpec) -> list[Diagnostic]:
+    """Lets planes and height fields of the world touch nothing, in place: a robot hangs there.
+
+    Returns:
+        What was done.
+    """
+    ground = mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD
+    left = [geom for geom in spec.worldbody.geoms if geom.type in ground]
+    for geom in left:
+        geom.contype = geom.conaffinity = 0
+        for pair in [one for one in spec.pairs if geom.name in (one.geomname1, one.geomname2)]:
+            spec.delete(pair)
+    return [diagnose("ground-touches-nothing")] if left else []
+
+
 def turn_floor(floor: mujoco.MjsGeom, quat: Array) -> None:
     """Gives a floor an orientation (w, x, y, z), in place of the Euler angles, say, that it has."""
     floor.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT

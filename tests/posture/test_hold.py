@@ -146,6 +146,15 @@ def test_a_joint_that_follows_is_held_by_the_one_that_leads(
     assert np.isfinite(held.worst.bounds).all() == straight
 
 
+def test_a_robot_that_is_held_by_its_base_hangs() -> None:
+    """What it would stand on touches nothing, and its legs are held in the air."""
+    robot = pa.load_variant("v3", fixed_base=True)
+    posture = find_posture(robot)
+    held = verify_posture(robot, posture, find_tool(robot), duration=3.0)
+    assert held.passed
+    assert "ground-touches-nothing" in {note.code for note in robot.notes}
+
+
 def test_robots_with_a_free_base_are_sent_elsewhere_and_those_without_feet_here() -> None:
     with pytest.raises(pa.ConfigurationError, match="fixed_base"):
         pa.hold_posture(pa.load_variant("v3"))

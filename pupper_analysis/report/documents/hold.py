@@ -241,6 +241,8 @@ def _posture(hold: Hold) -> doc.Words:
         where = text("posture-of-keyframe", keyframe=hold.posture.keyframe, given=given)
     else:
         where = text("posture-of-middle", given=given)
+    if hold.hangs:
+        where = text("posture-hanging", where=where)
     if not hold.carried:
         return where
     return text("posture-with-payload", where=where, mass=f"{hold.carried:g}")

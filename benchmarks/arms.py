@@ -1,0 +1,177 @@
+"""Robots whose base is held: torques, worst postures, payloads and forces, proven otherwise.
+
+    python benchmarks/arms.py panda.urdf shadow_hand/right_hand.xml ...
+
+For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
+
+- apart: gravity torques of both engines at 100 postures, in parts of the largest;
+- beyond: 10^5 postures' torques by MuJoCo, the most of any joint in parts of what the search for
+  its worst posture found (1 or less, but for rounding), and that in parts of its bound;
+- 0.98, 1.02: whether MuJoCo holds such parts of the payload in its posture, on its servos;
+- force: the polytope's edge in 50 directions, in parts by which it differs from linear
+  programmes with MuJoCo's Jacobian and torques; then its least against the least of their nearest
+  faces.
+
+Times are the processor's: of loading, and of the whole of ``hold``.
+"""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linprog
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.hold import Hold, hold_posture
+from pupper_analysis.posture.force import withstood
+from pupper_analysis.posture.verify import verify_posture
+from pupper_analysis.posture.ways import Ways
+from pupper_analysis.report.verdict import verdict_word
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+POSTURES, SAMPLES, BOUND, DIRECTIONS = 100, 100_000, 5_000, 50
+SETTLED = 4.0  # s of simulation
+
+
+class ByMujoco:
+    """What MuJoCo says of a robot at rest."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.data = robot, mujoco.MjData(robot.mj_model)
+
+    def load(self, qpos: Array) -> Array:
+        """Returns what is held (nu,)."""
+        self.robot.mj_convention.set_state(self.data, qpos)
+        mujoco.mj_fwdPosition(self.robot.mj_model, self.data)
+        mujoco.mj_fwdVelocity(self.robot.mj_model, self.data)
+        held = self.data.qfrc_bias - self.data.qfrc_passive
+        return np.array(held[self.robot.mj_convention.qvel_index])
+
+    def jacobian(self, held: Hold) -> Array:
+        """Returns that of the tool (3, nu), at the posture."""
+        model, rows = self.robot.mj_model, np.zeros((3, self.robot.mj_model.nv))
+        self.load(held.posture.qpos)
+        body, place = held.tool.in_mjcf(self.robot)
+        number = model.body(body).id
+        point = self.data.xpos[number] + self.data.xmat[number].reshape(3, 3) @ place
+        mujoco.mj_jac(model, self.data, rows, None, point, number)
+        return np.array(rows[:, self.robot.mj_convention.qvel_index])
+
+
+def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
+    """Returns what motors hold of forces, of which loops and couplings carry the rest."""
+    return Configuration(robot, qpos).by_motors(forces)
+
+
+def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
+    """Returns the most of random postures' torques, and of what was found, in parts."""
+    ways = Ways(robot, held.posture)
+    rng = np.random.default_rng(1)
+    if robot.closure is None:
+        postures = rng.uniform(*ways.ranges.T, size=(SAMPLES, robot.nu))
+    else:
+        postures = np.array(ways.random(BOUND))
+    most = np.zeros(robot.nu)
+    for qpos in postures:
+        load = own.load(qpos)
+        most = np.maximum(
+            most, np.abs(load if robot.closure is None else by_motors(robot, qpos, load))
+        )
+    found, bounds = np.abs(held.worst.joint_torques), held.worst.bounds
+    scale = 1e-9 * max(float(found.max()), 1e-300)
+    bounded = np.isfinite(bounds) & (found > scale)
+    tight = (found[bounded] / bounds[bounded]).min(initial=1.0)
+    return float((most / np.maximum(found, scale)).max()), float(tight)
+
+
+def carried(robot: Robot, held: Hold, share: float) -> str:
+    """Tells whether a part of the payload is held in simulation."""
+    mass = share * held.payload.mass
+    if not 0 < mass < np.inf:
+        return "-"
+    loaded = with_payload(robot, mass, held.tool)
+    return (
+        "holds"
+        if verify_posture(loaded, held.posture, held.tool, duration=SETTLED).passed
+        else "fails"
+    )
+
+
+def pushed(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
+    """Returns by how much edges, and the weakest force, differ from linear programmes, in parts."""
+    qpos, limits = held.posture.qpos, robot.effort_limits
+    limited = np.isfinite(limits)
+    load = by_motors(robot, qpos, own.load(qpos))
+    rows = by_motors(robot, qpos, own.jacobian(held).T)
+    faces = np.concatenate([rows[limited], -rows[limited]])
+    room = np.concatenate([(limits + load)[limited], (limits - load)[limited]])
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(DIRECTIONS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    found, _ = withstood(robot, held.posture, held.tool, directions)
+    off = 0.0
+    for way, most in zip(directions, found, strict=True):
+        programme = linprog([-1.0], A_ub=(faces @ way)[:, None], b_ub=room, bounds=(0, None))
+        edge = float(programme.x[0]) if programme.status == 0 else np.inf
+        off = max(off, 0.0 if edge == most else abs(edge - most) / max(edge, 1e-9))
+    # The nearest face is the greatest ball's: centred at the origin, its radius by a programme.
+    lengths = np.linalg.norm(faces, axis=1)
+    feels = lengths > 1e-9
+    ball = linprog([-1.0], A_ub=lengths[feels][:, None], b_ub=room[feels], bounds=(0, None))
+    least = float(ball.x[0]) if ball.status == 0 else np.inf
+    weakest = held.force.weakest
+    return off, 0.0 if least == weakest else abs(least - weakest) / max(least, 1e-9)
+
+
+def row(files: str) -> str:
+    """Returns a robot's row of the table."""
+    models, name = [Path(one) for one in files.split(",")], files.split(",")[0]
+    name = "/".join(Path(name).parts[-2:])
+    begin = time.process_time()
+    try:
+        robot = pa.load_robot(*models)
+        robot = pa.load_robot(*models, fixed_base=True) if robot.floating else robot
+        loaded = time.process_time() - begin
+        held = hold_posture(robot)
+    except pa.PupperAnalysisError as error:
+        return f"| {name} | | {type(error).__name__}: {str(error)[:110]} |"
+    took, own = time.process_time() - begin, ByMujoco(robot)
+    postures = Ways(robot, held.posture).random(POSTURES)
+    both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
+    scale = max(float(np.abs(both).max()), 1e-300)
+    apart = max(float(np.abs(one - other).max()) for one, other in both) / scale
+    beyond, tight = sampled(robot, held, own)
+    edge, least = pushed(robot, held, own)
+    lasts, breaks = carried(robot, held, 0.98), carried(robot, held, 1.02)
+    return (
+        f"| {name} | {robot.nu} | {verdict_word(held.verdict).en} | {loaded:.1f} | {took:.1f} "
+        f"| {apart:.0e} | {beyond:.6f} | {tight:.4f} | {held.payload.mass:.3g} | {lasts} "
+        f"| {breaks} | {edge:.0e} | {least:.0e} |"
+    )
+
+
+@click.command()
+@click.argument("files", nargs=-1, required=True)
+def main(files: tuple[str, ...]) -> None:
+    """Prints a row of a Markdown table for each of FILES."""
+    columns = (
+        *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond", "found / bound"),
+        *("payload (kg)", "0.98", "1.02", "edges", "weakest"),
+    )
+    print(f"| {' | '.join(columns)} |")
+    print("|" + "---|" * len(columns))
+    for one in files:
+        print(row(one), flush=True)
+
+
+if __name__ == "__main__":
+    main()
