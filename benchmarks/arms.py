@@ -7,7 +7,8 @@ For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
 - apart: gravity torques of both engines at 100 postures, in parts of the largest;
 - beyond: 10^5 postures' torques by MuJoCo, the most of any joint in parts of what the search for
   its worst posture found (1 or less, but for rounding), and that in parts of its bound;
-- 0.98, 1.02: whether MuJoCo holds such parts of the payload in its posture, on its servos;
+- motors, servos: what either hold at the tool in the posture; 0.98, 1.02: whether MuJoCo holds
+  such parts of the lesser; dry friction, where there is some, may hold more;
 - force: the polytope's edge in 50 directions, in parts by which it differs from linear
   programmes with MuJoCo's Jacobian and torques; then its least against the least of their nearest
   faces.
@@ -95,7 +96,7 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
 
 def carried(robot: Robot, held: Hold, share: float) -> str:
     """Tells whether a part of the payload is held in simulation."""
-    mass = share * held.payload.mass
+    mass = share * min(held.payload.mass, held.payload.servos)
     if not 0 < mass < np.inf:
         return "-"
     loaded = with_payload(robot, mass, held.tool)
@@ -152,10 +153,11 @@ def row(files: str) -> str:
     beyond, tight = sampled(robot, held, own)
     edge, least = pushed(robot, held, own)
     lasts, breaks = carried(robot, held, 0.98), carried(robot, held, 1.02)
+    payload = held.payload
     return (
         f"| {name} | {robot.nu} | {verdict_word(held.verdict).en} | {loaded:.1f} | {took:.1f} "
-        f"| {apart:.0e} | {beyond:.6f} | {tight:.4f} | {held.payload.mass:.3g} | {lasts} "
-        f"| {breaks} | {edge:.0e} | {least:.0e} |"
+        f"| {apart:.0e} | {beyond:.6f} | {tight:.4f} | {payload.mass:.3g} "
+        f"| {payload.servos:.3g} | {lasts} | {breaks} | {edge:.0e} | {least:.0e} |"
     )
 
 
@@ -165,7 +167,7 @@ def main(files: tuple[str, ...]) -> None:
     """Prints a row of a Markdown table for each of FILES."""
     columns = (
         *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond", "found / bound"),
-        *("payload (kg)", "0.98", "1.02", "edges", "weakest"),
+        *("motors (kg)", "servos (kg)", "0.98", "1.02", "edges", "weakest"),
     )
     print(f"| {' | '.join(columns)} |")
     print("|" + "---|" * len(columns))

@@ -33,7 +33,8 @@ from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_com
 Array = NDArray[np.float64]
 
 TRIED = 0.95
-"""Part of the payload that is simulated: at the limit rounding decides whether it holds."""
+"""Part of the payload that is simulated, the lesser of what motors and servos hold: at the
+limit rounding decides whether it holds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +143,11 @@ def hold_posture(
     fed = verify_posture(robot, posture, point, kp=kp, kd=kd)
     alone = verify_posture(robot, posture, point, sagged=sagged, feedforward=False, kp=kp, kd=kd)
     worst = worst_postures(robot, posture, point)
-    more = tool_payload(robot, posture, point, worst)
+    more = tool_payload(robot, posture, point, worst, kp=kp)
     trial = None
-    if 0 < more.mass < math.inf:
-        loaded = with_payload(robot, TRIED * more.mass, point)
+    most = min(more.mass, more.servos)
+    if 0 < most < math.inf:
+        loaded = with_payload(robot, TRIED * most, point)
         trial = verify_posture(loaded, posture, find_tool(loaded, point.name), kp=kp, kd=kd)
     return Hold(
         name=robot.name,

@@ -110,9 +110,10 @@ class GravityTree:
         most = np.zeros((len(shares), 2))
         up = -self.gravity / strength if strength else np.array([0.0, 0.0, 1.0])
         for joint in behind[-1]:
-            there = made[joint].support.at(self.placements[joint].rotation.T @ up)
-            for (which, sign), bound in zip(made[joint].torques, there[1:], strict=True):
-                most[which, sign] += strength * bound
+            # A torque is linear in where up is: its negative is bounded with up turned over.
+            for sign, there in enumerate((up, -up)):
+                found = made[joint].support.at(self.placements[joint].rotation.T @ there)
+                most[made[joint].motors, sign] += strength * found[1:]
         return most
 
     def outwards(self) -> list[int]:
@@ -129,19 +130,19 @@ class GravityTree:
         """Returns what a joint carries, of whose torque motors hold a share (m,) each."""
         grid, mass = Grid.about(self.axes[joint]), float(self.masses[joint])
         moments, size = grid.directions @ self.moments[joint], np.linalg.norm(self.moments[joint])
-        torques = dict[tuple[int, int], Array]()  # of motors, and ways: as far as they are behind
-        sizes = dict[tuple[int, int], float]()
+        torques = dict[int, Array]()  # of motors, as far as what they hold is behind
+        sizes = dict[int, float]()
         for other, carried in others.items():
             place = self.placements[other]
             found = carried.support.at(grid.directions @ place.rotation)
             moments = moments + found[0] + carried.mass * (grid.directions @ place.translation)
             size += carried.support.sizes[0] + abs(carried.mass) * np.linalg.norm(place.translation)
             mass += carried.mass
-            for key, table, most in zip(
-                carried.torques, found[1:], carried.support.sizes[1:].tolist(), strict=True
+            for motor, table, most in zip(
+                carried.motors, found[1:], carried.support.sizes[1:].tolist(), strict=True
             ):
-                torques[key] = torques.get(key, 0.0) + table
-                sizes[key] = sizes.get(key, 0.0) + most
+                torques[motor] = torques.get(motor, 0.0) + table
+                sizes[motor] = sizes.get(motor, 0.0) + most
         if self.slides[joint]:
             along = mass * (grid.directions @ self.axes[joint])
             low, high = self.ranges[joint]
@@ -152,10 +153,8 @@ class GravityTree:
             own, reach = grid.across(moments), float(size)
         for motor in np.flatnonzero(np.abs(share) > _NO_SHARE).tolist():
             part = float(share[motor])
-            for sign, table in enumerate(own if part > 0 else own[::-1]):
-                key = motor, sign
-                torques[key] = torques.get(key, 0.0) + abs(part) * table
-                sizes[key] = sizes.get(key, 0.0) + abs(part) * reach
+            torques[motor] = torques.get(motor, 0.0) + abs(part) * own[0 if part > 0 else 1]
+            sizes[motor] = sizes.get(motor, 0.0) + abs(part) * reach
         if self.slides[joint]:
             size += abs(mass) * max(abs(low), abs(high))
         values = np.stack([moments, *torques.values()])
@@ -171,12 +170,12 @@ class _Carried:
 
     Attributes:
         mass: kg.
-        torques: Which motor's torque, and which way, each table but the first bounds.
+        motors: Whose torque, or part of it, each table but the first bounds.
         support: Of the first moments about the joint; then of torques, per |g|, by where up is.
     """
 
     mass: float
-    torques: list[tuple[int, int]]
+    motors: list[int]
     support: Support
 
 

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.posture.posture import Posture, check_held
@@ -15,6 +16,7 @@ from pupper_analysis.posture.worst import WorstPostures, worst_postures
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.payload.first_order import borne_by_motors
 from pupper_analysis.stance.payload.limit import UNLIMITED
@@ -27,6 +29,12 @@ _ROUNDS = 6
 _SETTLED = 1e-4
 """A search ends where a payload changes by less of itself."""
 
+_STEP = 1e-6
+"""Of central differences (rad, m): levers of weights are sines."""
+
+_SOFTENS = 1e-6
+"""Less of the servos' stiffness that the robot's mass would take, at the tool, is rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class ToolPayload(Result):
@@ -35,6 +43,10 @@ class ToolPayload(Result):
     Attributes:
         mass: In the posture (kg); infinite if no motor that bears it has a limit.
         joint: Whose motor then is at its limit; "" if none is.
+        servos: The greatest that its servos hold in the posture (kg), whatever the motors do: with
+            more, gravity turns it over against their stiffness, or one is commanded beyond its
+            ``ctrlrange``. Infinite if no mass is too much.
+        servo: Whose command that is; "" if gravity turns it over.
         everywhere: In every posture (kg), by what bounds the torques: no motor is beyond its limit
             anywhere. Not a number where there is no bound.
         somewhere: With more than this, a posture was found that is not held (kg).
@@ -44,6 +56,8 @@ class ToolPayload(Result):
 
     mass: float
     joint: str
+    servos: float
+    servo: str
     everywhere: float
     somewhere: float
     weakest: str
@@ -51,7 +65,14 @@ class ToolPayload(Result):
 
 
 @check_arguments
-def tool_payload(robot: Robot, posture: Posture, tool: Tool, worst: WorstPostures) -> ToolPayload:
+def tool_payload(
+    robot: Robot,
+    posture: Posture,
+    tool: Tool,
+    worst: WorstPostures,
+    *,
+    kp: ArrayLike | None = None,
+) -> ToolPayload:
     """Finds the greatest point masses that the motors hold at a tool.
 
     In a posture torques are linear in the mass, and the limit is in closed form. In every posture
@@ -64,17 +85,20 @@ def tool_payload(robot: Robot, posture: Posture, tool: Tool, worst: WorstPosture
         posture: The posture.
         tool: Where the mass is.
         worst: The worst postures without it.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
 
     Raises:
         ConfigurationError: If the base is free.
+        ModelError: If the model has no position servos and no kp is given.
     """
     check_held(robot)
     mass, joint = posture_payload(robot, posture.qpos, tool)
+    servos, servo = servo_payload(robot, posture, tool, kp)
     most, weakest, place = _least(robot, tool, [posture.qpos, *worst.postures])
     most = min(most, UNLIMITED * robot.total_mass)
-    loaded = worst
+    loaded, bears = worst, _bearing(robot, posture, tool)
     for _ in range(_ROUNDS if most > 0 else 0):
-        loaded = worst_postures(robot, posture, tool, payload=most, near=loaded)
+        loaded = worst_postures(robot, posture, tool, payload=most, near=loaded, bearing=bears)
         lower, name, at = _least(robot, tool, list(loaded.postures))
         if not lower < most:
             break
@@ -82,10 +106,12 @@ def tool_payload(robot: Robot, posture: Posture, tool: Tool, worst: WorstPosture
         most, weakest, place = lower, name, at
         if done:
             break
-    proven = _proven(worst, loaded, _bearing(robot, posture, tool), most)
+    proven = _proven(worst, loaded, bears, most)
     return ToolPayload(
         mass=mass,
         joint=joint,
+        servos=servos,
+        servo=servo,
         everywhere=math.inf if proven >= most and not weakest else proven,
         somewhere=most if weakest else math.inf,
         weakest=weakest,
@@ -106,6 +132,44 @@ def posture_payload(robot: Robot, qpos: Array, tool: Tool) -> tuple[float, str]:
         return math.inf, ""
     left = np.where(np.isfinite(limits), limits - np.abs(empty + mass * rates), math.inf)
     return mass, robot.joint_names[int(np.argmin(left))]
+
+
+def servo_payload(
+    robot: Robot, posture: Posture, tool: Tool, kp: ArrayLike | None = None
+) -> tuple[float, str]:
+    """Returns the greatest mass (kg) at a tool that servos hold in a posture, and whose command.
+
+    The stiffness of servos and gravity together, in the velocities W that couplings allow, is
+    W^T (K + G_0 + m G_1) W, linear in the mass; it loses definiteness at the least m > 0 of a
+    generalised eigenvalue problem. What is fed forward, q + tau / kp, is linear in the mass, too.
+
+    Returns:
+        The mass, and the joint whose command is at the end of its range; "" if it is the stiffness.
+    """
+    config, closure = Configuration(robot, posture.qpos), robot.closure
+    ways = np.eye(robot.nu) if closure is None else closure.ways(posture.qpos)
+    gains = servo_gains(robot, kp, None if kp is None else 0.0).kp
+    held = ways.T @ (config.static_rates({}) + np.diag(gains)) @ ways
+    columns = []
+    for step in _STEP * np.eye(robot.nu):
+        ends = [Configuration(robot, posture.qpos + way * step) for way in (1, -1)]
+        ahead, behind = (tool.load_per_mass(end) for end in ends)
+        columns.append((ahead - behind) / (2 * _STEP))
+    added = ways.T @ np.array(columns).T @ ways
+    held, added = (held + held.T) / 2, (added + added.T) / 2
+    if linalg.eigvalsh(held)[0] <= 0:
+        return 0.0, ""
+    softening = float(linalg.eigh(-added, held, eigvals_only=True)[-1])
+    # What is left of a mass that stiffens it everywhere is rounding.
+    stable = 1 / softening if softening > _SOFTENS / robot.total_mass else math.inf
+    lead = command_lead(config.by_motors(config.load()), gains)
+    rates = command_lead(config.by_motors(tool.load_per_mass(config)), gains)
+    low, high = command_ranges(robot).T - posture.qpos
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = (np.where(rates > 0, high, low) - lead) / rates
+    room = np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)
+    first = int(np.argmin(room))
+    return (float(room[first]), robot.joint_names[first]) if room[first] < stable else (stable, "")
 
 
 def _least(robot: Robot, tool: Tool, postures: list[Array]) -> tuple[float, str, Array]:

@@ -16,7 +16,12 @@ from pupper_analysis.posture.sag import SaggedPosture
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, model_with_servos
+from pupper_analysis.robot.servos import (
+    Servos,
+    command_lead,
+    command_ranges,
+    model_with_servos,
+)
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.simulation import monitor
@@ -287,6 +292,12 @@ def _deviations(robot: Robot, found: PostureVerification, weight: float) -> list
     if off and full.size:
         names = [robot.joint_names[joint] for joint in full]
         off.append(diagnose("motors-give-all", joints=names, released=not found.feedforward))
+    low, high = command_ranges(robot).T
+    command = found.predicted_positions + command_lead(found.predicted_torques, found.kp)
+    cut = np.flatnonzero((command < low) | (command > high))
+    if off and found.feedforward and cut.size:
+        names = [robot.joint_names[joint] for joint in cut]
+        off.append(diagnose("commands-cut-off", joints=names))
     if off and found.mujoco_residual > ANOTHER_ROBOT * weight:
         mass = Quantity(robot.mj_model.body_subtreemass[0], "kg")
         off.append(

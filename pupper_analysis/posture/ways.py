@@ -91,8 +91,12 @@ class Ways:
 
     def span(self, qpos: Array, way: int) -> tuple[float, float]:
         """Returns how far (rad, m) joints can go along a way from a posture, back and forth."""
-        step = self.steps[:, way]
-        moving = np.abs(step) > _UNMOVED
+        step, lead = self.steps[:, way], self.free[way]
+        moving = self.moved[way]
+        if len(moving) == 1 and step[lead] == 1.0:
+            low, high = self.ranges[lead] - qpos[lead]
+            return min(float(low), 0.0), max(float(high), 0.0)
+        moving = moving[np.abs(step[moving]) > _UNMOVED]  # near the posture, of one that bends
         ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
         ends.sort(axis=1)
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
@@ -149,6 +153,7 @@ class Ways:
         self.steps = np.eye(count)[:, list(self.free)]
         held = np.linalg.lstsq(rows[:, following], rows[:, list(self.free)], rcond=None)[0]
         self.steps[following] = np.where(np.abs(held) > _UNMOVED, -held, 0.0)
+        self.moved = [np.flatnonzero(np.abs(step) > _UNMOVED) for step in self.steps.T]
         self.shares = np.eye(count) - closure.push(self.origin)
         self.bent = np.zeros(len(self.free), dtype=bool)
         loops = bound_together(closure, self.origin)
@@ -159,10 +164,8 @@ class Ways:
             if len(loop) > 1 and self._opens(closure, way):
                 self.bent |= [lead in loop for lead in self.free]
                 self.constant[loop] = False
-        self.moved = [
-            self._loop[way] if bends else np.flatnonzero(np.abs(self.steps[:, way]) > _UNMOVED)
-            for way, bends in enumerate(self.bent)
-        ]
+        for way in np.flatnonzero(self.bent).tolist():
+            self.moved[way] = self._loop[way]
 
     def _opens(self, closure: Closure, way: int) -> bool:
         """Tells whether joints that follow a way in proportion leave its loop open somewhere."""

@@ -105,6 +105,7 @@ def worst_postures(
     *,
     payload: float = 0.0,
     near: WorstPostures | None = None,
+    bearing: NDArray[np.bool_] | None = None,
 ) -> WorstPostures:
     """Finds for each motor the posture in which gravity, and springs of joints, ask most of it.
 
@@ -119,6 +120,7 @@ def worst_postures(
         tool: Where the payload is.
         payload: A mass at the tool (kg).
         near: The worst postures for another payload: searches begin there.
+        bearing: (nu,) which motors bear the payload, if that is known: all else is as ``near``.
 
     Raises:
         ConfigurationError: If the base is free.
@@ -127,10 +129,16 @@ def worst_postures(
     ways = Ways(robot, posture)
     starts = ways.random(max(_STARTS, _CHECKED))
     looks = Looks(robot, starts[:_CHECKED])
-    bounds, unproven = torque_bounds(robot, ways, looks, tool, payload, starts[:_CHECKED])
+    asked = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
+    bounds, unproven = torque_bounds(
+        robot, ways, looks, tool, payload, starts[:_CHECKED], asked=asked
+    )
     search = _Search(robot, ways, looks.with_mass(tool, payload) if payload else looks)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
-    for joint in range(robot.nu):
+    if near is not None:
+        torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
+        bounds[~asked] = near.bounds[~asked, None]
+    for joint in np.flatnonzero(asked).tolist():
         begin = [posture.qpos, *starts[:_STARTS]]
         if near is not None:
             begin.insert(0, near.postures[joint])
@@ -166,7 +174,14 @@ def worst_postures(
 
 
 def torque_bounds(
-    robot: Robot, ways: Ways, looks: Looks, tool: Tool, payload: float, samples: Sequence[Array]
+    robot: Robot,
+    ways: Ways,
+    looks: Looks,
+    tool: Tool,
+    payload: float,
+    samples: Sequence[Array],
+    *,
+    asked: NDArray[np.bool_],
 ) -> tuple[Array, Diagnostic | None]:
     """Finds what no posture exceeds: each motor's torque, and its negative (N m, N).
 
@@ -180,6 +195,7 @@ def torque_bounds(
         tool: Where a payload is.
         payload: Its mass (kg).
         samples: Postures (nu,) in which both are compared with the robot.
+        asked: (nu,) of which motors.
 
     Returns:
         The bounds (nu, 2), infinite where there is none; and why one motor has none.
@@ -194,7 +210,8 @@ def torque_bounds(
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     told = np.all(np.abs(off) <= ROUNDING * weight, axis=0)
     holds = np.abs(ways.shares) > _NO_SHARE
-    bounded = ways.constant & ~(holds & ~told).any(axis=1)
+    known = ways.constant & ~(holds & ~told).any(axis=1)
+    bounded = known & asked
     shares = ways.shares[bounded]
     most = tree.with_mass(robot, tool, payload).greatest(shares)
     if looks.stiffness.any():
@@ -213,7 +230,7 @@ def torque_bounds(
     bounds[bounded] = most
     if not told.all():
         return bounds, diagnose("springs-act-at-rest")
-    if not bounded.all():
+    if not known.all():
         return bounds, diagnose("loops-bend-ways")
     return bounds, None if np.isfinite(most).all() else diagnose("springs-turn-freely")
 
@@ -249,11 +266,11 @@ class _Search:
         """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
         ways, best = self._ways, self._torque(joint, sign, qpos)
         loads = np.abs(ways.shares[joint]) > _NO_SHARE
+        matter = self._matters[loads].any(axis=0)
+        chosen = [way for way, moved in enumerate(ways.moved) if matter[moved].any()]
         for _ in range(_SWEEPS):
             before = best
-            for way, moved in enumerate(ways.moved):
-                if not self._matters[np.ix_(loads, moved)].any():
-                    continue
+            for way in chosen:
                 if ways.bent[way]:
                     there = ways.places(qpos, way)
                 else:

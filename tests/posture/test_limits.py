@@ -14,7 +14,7 @@ from scipy import optimize, spatial
 import pupper_analysis as pa
 from pupper_analysis.posture.force import tool_force, withstood
 from pupper_analysis.posture.gravity_tree import GravityTree, tree_torques
-from pupper_analysis.posture.payload import posture_payload, tool_payload
+from pupper_analysis.posture.payload import posture_payload, servo_payload, tool_payload
 from pupper_analysis.posture.posture import find_posture, joint_ranges
 from pupper_analysis.posture.support import Grid, Support
 from pupper_analysis.posture.verify import verify_posture
@@ -187,3 +187,32 @@ def test_forces_at_the_tool_are_the_polytopes() -> None:
     pushed = load - rows @ (force.weakest * force.weakest_direction)
     assert (np.abs(pushed) / limits).max() == pytest.approx(1.0, rel=1e-6)
     assert force.weakest_joint == ORDER[int((np.abs(pushed) / limits).argmax())]
+
+
+def test_soft_servos_are_turned_over_by_less_than_motors_hold() -> None:
+    """With links that point up: in simulation a little less is stable, and a little more is not."""
+    robot, kd = arm(), 2.0
+    kp = np.array([{"elbow": 8.0, "shoulder": 22.0}.get(name, 500.0) for name in ORDER])
+    posture = find_posture(robot, {"a_turn": 0.0, "shoulder": -1.2, "elbow": 0.2, "b_slide": 0.0})
+    tool = find_tool(robot)
+    mass, joint = servo_payload(robot, posture, tool, kp)
+    assert joint == ""
+    assert 0.1 < mass < posture_payload(robot, posture.qpos, tool)[0]
+    for share, holds in ((0.97, True), (1.03, False)):
+        loaded = with_payload(robot, share * mass, tool)
+        found = verify_posture(loaded, posture, tool, kp=kp, kd=kd, duration=3.0)
+        codes = {one.code for one in found.failures}
+        assert ("mode-buckles" not in codes) is holds
+
+
+def test_a_servo_is_not_commanded_beyond_its_range(tmp_path: Path) -> None:
+    """The elbow's command for its torque is at the end of its ctrlrange with that mass."""
+    servo, kp = '<position joint="elbow"', by_hand.STIFFNESS["elbow"]
+    text = by_hand.MJCF.replace(servo, f'{servo} ctrlrange="0.98 3"')
+    robot = load_arm(tmp_path, mjcf=text)
+    posture = find_posture(robot, {"a_turn": 0.0, "shoulder": 0.0, "elbow": 1.0, "b_slide": 0.0})
+    tool = find_tool(robot)
+    mass, joint = servo_payload(robot, posture, tool)
+    loaded = Configuration(with_payload(robot, mass, tool), posture.qpos)
+    assert joint == "elbow"
+    assert loaded.load()[ORDER.index("elbow")] == pytest.approx(-0.02 * kp, rel=1e-9)

@@ -145,6 +145,7 @@ def _payload(hold: Hold) -> doc.Table:
     payload = hold.payload
     known = (
         ("payload-here", payload.mass, payload.joint),
+        ("payload-by-servos", payload.servos, payload.servo),
         ("payload-everywhere", payload.everywhere, ""),
         ("payload-somewhere", payload.somewhere, payload.weakest),
     )
@@ -289,6 +290,13 @@ def _told(hold: Hold) -> Iterable[doc.Words]:
     if not np.isfinite(hold.limits).any():
         yield text("no-motor-has-a-limit").marked("warn")
         return
+    if hold.payload.servos < hold.payload.mass:
+        yield text(
+            "servos-too-soft-for-payload",
+            tool=doc.Name(hold.tool.name),
+            mass=f"{hold.payload.servos:.3g}",
+            joint=hold.payload.servo,
+        ).marked("warn")
     yield text(
         "carries-and-withstands",
         tool=doc.Name(hold.tool.name),
