@@ -84,6 +84,8 @@ class StudyOutcome(Result):
 
     Attributes:
         robot: Whose it is, as it was asked.
+        converted: ``"urdf"`` or ``"mjcf"``: which of its models was made of the other one; empty if
+            each has a file.
         variables: {number: what it varies over, as a study's file says it}.
         table: One row per design that is there.
         designs: How many the study asks for.
@@ -101,6 +103,7 @@ class StudyOutcome(Result):
     """
 
     robot: str
+    converted: str
     variables: dict[str, dict[str, Any]]
     table: pd.DataFrame
     designs: int
@@ -156,6 +159,7 @@ def study_outcome(
     spread = spread_in(table, variables)
     return StudyOutcome(
         robot=_named(study.source.asked()),
+        converted=study.base.description.converted,
         variables={name: one.asked() for name, one in study.variables.items()},
         table=table,
         designs=len(study),
@@ -290,4 +294,5 @@ def _named(source: Any) -> str:
     if "base" in source:
         scales = [f"{n} {v:g}" for n, v in source.items() if n != "base" and v != 1.0]
         return ", ".join([str(source["base"]), *scales])
-    return f"{Path(source['urdf']).name}, {Path(source['mjcf']).name}"
+    named = (source[name] for name in ("urdf", "mjcf") if name in source)
+    return ", ".join(Path(file).name for file in (*source.get("models", ()), *named))

@@ -19,12 +19,15 @@ from matplotlib.image import imread
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.report.documents.registry import build_report
 from pupper_analysis.report.figures import study as figures
+from pupper_analysis.report.markdown import write_markdown
 from pupper_analysis.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.study.design import Maker
 from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.study.metrics import METRICS
-from pupper_analysis.study.outcome import main_effects
+from pupper_analysis.study.outcome import main_effects, study_outcome
 from pupper_analysis.study.pareto import pareto_front
 from pupper_analysis.study.randomisation import write_randomisation
 from pupper_analysis.study.search import optimise_study
@@ -237,6 +240,19 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
     )
     with pytest.raises(pa.ConfigurationError, match="level ground"):
         linear_shares(sloped, ["torque.leg_front_l_3"])
+
+
+@pytest.mark.slow
+def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> None:
+    study = pa.Study(
+        {"base": str(model_folder("mjcf") / "pupper_v3.xml"), "keyframe": "home"},
+        {"payload": [0.0, 0.5]},
+        ["peak_utilisation"],
+    )
+    study.run(tmp_path, executor=thread)
+    outcome = study_outcome(study, tmp_path)
+    assert (outcome.robot, outcome.converted) == ("pupper_v3.xml", "urdf")
+    assert "from one file" in write_markdown(build_report([("", outcome)], (), ()))
 
 
 # ----------------------------------------------------------------------------- Sobol's indices

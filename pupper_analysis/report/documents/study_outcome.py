@@ -44,6 +44,8 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     told: list[doc.Words] = [
         text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     ]
+    if outcome.converted:
+        told.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
         left = outcome.designs - len(outcome.table)
         told.append(text("count-more-are-not-measured", count=left))
