@@ -64,8 +64,22 @@ def write_randomisation(
         ConfigurationError: If a spread is none, or there is no such form.
         OutputError: If it cannot be written.
     """
-    check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
     check_type("path", path, str | Path)
+    text, left = randomisation_text(spreads, form)
+    with whole_file(Path(path)) as file:
+        file.write(text.encode())
+    return left
+
+
+def randomisation_text(
+    spreads: Mapping[str, Mapping[str, Any]], form: Form
+) -> tuple[str, tuple[str, ...]]:
+    """Returns what ``write_randomisation`` writes, and what it returns.
+
+    Raises:
+        ConfigurationError: If a spread is none, or there is no such form.
+    """
+    check_type("spreads", spreads, Mapping[str, Mapping[str, Any]])
     if form not in ("yaml", *_FRAMEWORKS):
         told = diagnose("none-of", value=form, known=("yaml", *_FRAMEWORKS))
         raise ConfigurationError("form", told)
@@ -78,9 +92,7 @@ def write_randomisation(
         lines = list(_yaml(spreads))
     else:
         lines, left = _terms(spreads, form)
-    with whole_file(Path(path)) as file:
-        file.write(("\n".join(lines) + "\n").encode())
-    return left
+    return "\n".join(lines) + "\n", left
 
 
 def _yaml(spreads: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:

@@ -1,0 +1,228 @@
+"""What a fit gives: corrected models, offsets of encoders, and all of it as data."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from glob import escape
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.fit.consistency import make_consistent
+from pupper_analysis.fit.estimate import Posterior
+from pupper_analysis.fit.parameters import Parameter
+from pupper_analysis.results import to_json
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.sync.frames import Key
+from pupper_analysis.sync.numbers import WrittenNumbers, write_numbers
+from pupper_analysis.sync.wanted import OF_BODIES, OF_JOINTS, OF_SERVOS
+
+Array = NDArray[np.float64]
+
+_NOTHING = 1e-3
+"""Of a standard deviation: an estimate that is so near to what the file says leaves it."""
+
+_DIGITS = 2
+"""Written beyond the first of a standard deviation: what is rounded away nobody knows."""
+
+_AXES = "xyz"
+
+_FACTORS = {
+    "mass": "mass",
+    "kp": "kp",
+    "kd": "kd",
+    "friction": "frictionloss",
+    "damping": "damping",
+    "armature": "armature",
+}
+"""{kind: what studies and policies call a factor on it}."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitFiles:
+    """What is to be written of a fit, tried and in memory.
+
+    Attributes:
+        models: The corrected URDF and MJCF.
+        vector: (n,) the parameters as they are written: consistent, and of as many digits as are
+            known.
+        contents: {name in the folder: content}: ``fit.json``, ``offsets.csv`` if there are any.
+        spreads: {factor of studies: {"normal": (mean, standard deviation)}}, on these models.
+        diagnostics: What holds estimates, and what is in no model.
+    """
+
+    models: WrittenNumbers
+    vector: Array
+    contents: Mapping[Path, bytes]
+    spreads: Mapping[str, Mapping[str, tuple[float, float]]]
+    diagnostics: tuple[Diagnostic, ...]
+
+
+def fit_files(
+    robot: Robot,
+    posterior: Posterior,
+    *,
+    fit: object = None,
+    files: tuple[Path | None, Path | None] | None = None,
+    packages: Mapping[str, Path] | None = None,
+) -> FitFiles:
+    """Makes the files of a fit, in memory.
+
+    Args:
+        robot: The robot, as its files have it.
+        posterior: What is known of its parameters.
+        fit: The result that is told in ``fit.json`` beside what is written.
+        files: The URDF and the MJCF, if they are not those that the robot was loaded from.
+        packages: {ROS package: its folder}, for ``package://`` paths.
+
+    Raises:
+        FitError: If no bodies can be near the estimate.
+        ModelError: If not all numbers can be written.
+    """
+    vector, held = make_consistent(robot, posterior)
+    vector = _rounded(vector, posterior)
+    numbers, left = _numbers(robot, posterior, vector)
+    models = write_numbers(robot, numbers, files=files, packages=packages)
+    told = (*held, *left, *models.notes)
+    contents = {Path("fit.json"): _json(posterior, vector, models, told, fit)}
+    offsets = [
+        (one.subject, value)
+        for one, value in zip(posterior.parameters, vector.tolist(), strict=True)
+        if one.kind == "offset"
+    ]
+    if offsets:
+        contents[Path("offsets.csv")] = _csv(offsets)
+    spreads = {
+        name: {"normal": spread}
+        for one, value, std in zip(
+            posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
+        )
+        for name, spread in _spread(one, value, std)
+    }
+    return FitFiles(models, vector, contents, spreads, told)
+
+
+def _rounded(vector: Array, posterior: Posterior) -> Array:
+    """Returns parameters of as many digits as are known; what has not moved is as it is stated."""
+    return np.array(
+        [
+            one.stated
+            if abs(value - one.stated) <= _NOTHING * std
+            else round(value, _DIGITS - math.floor(math.log10(std)))
+            for one, value, std in zip(
+                posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
+            )
+        ]
+    )
+
+
+def _numbers(
+    robot: Robot, posterior: Posterior, vector: Array
+) -> tuple[dict[Key, float | Array], list[Diagnostic]]:
+    """Returns the numbers of the files that change, and what else was estimated."""
+    numbers: dict[Key, float | Array] = {}
+    left: list[Diagnostic] = []
+    servos, added = own_servos(robot), {one.joint for one in robot.description.made_servos}
+    one_file = robot.description.converted == "mjcf"
+    for one, value, std in zip(
+        posterior.parameters, vector.tolist(), posterior.std.tolist(), strict=True
+    ):
+        stated = one.stated
+        if one.kind in OF_SERVOS:
+            stated = servos.get(one.subject, (math.nan, math.nan))[OF_SERVOS.index(one.kind)]
+        if abs(value - stated) <= _NOTHING * std:
+            continue
+        if (one.kind in OF_SERVOS and (math.isnan(stated) or one.subject in added)) or (
+            one_file and one.kind in (*OF_SERVOS, "armature")
+        ):
+            why = "mjcf-alone-states-it" if one_file else "servo-of-no-file"
+            left.append(diagnose("not-in-the-files", parameter=one.name, why=diagnose(why)))
+        elif one.kind in OF_BODIES and one.component:
+            _put_component(numbers, robot, one, value)
+        elif one.kind in (*OF_BODIES, *OF_JOINTS, *OF_SERVOS):
+            numbers[one.kind, one.subject] = value
+    return numbers, left
+
+
+def _put_component(
+    numbers: dict[Key, float | Array], robot: Robot, one: Parameter, value: float
+) -> None:
+    """Puts one entry of a com or an inertia among the numbers; the others are the file's."""
+    model = robot.pin_model
+    at = model.frames[model.getFrameId(one.subject, pin.FrameType.BODY)].parentJoint
+    inertia, key = model.inertias[at], (one.kind, one.subject)
+    if one.kind == "com":
+        com = np.array(numbers.get(key, inertia.lever))
+        com[_AXES.index(one.component)] = value
+        numbers[key] = com
+        return
+    entries = inertia_entries(np.array(numbers.get(key, inertia.inertia)))
+    entries[list(INERTIA_ENTRIES).index(f"i{one.component}")] = value
+    numbers[key] = inertia_tensor(entries)
+
+
+def _spread(one: Parameter, value: float, std: float) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yields how a number is spread about that of the corrected model, as studies say it."""
+    if one.kind == "com":
+        yield f"com_{one.component}:{escape(one.subject)}", (0.0, std)
+    elif one.kind in _FACTORS and value > 0:
+        yield f"{_FACTORS[one.kind]}:{escape(one.subject)}", (1.0, std / value)
+
+
+def _csv(offsets: list[tuple[str, float]]) -> bytes:
+    text = io.StringIO()
+    text.write("joint,offset_rad,offset_deg\n")
+    for joint, offset in offsets:
+        name = '"' + joint.replace('"', '""') + '"' if set(joint) & set(',"\n') else joint
+        text.write(f"{name},{offset:.9g},{math.degrees(offset):.7g}\n")
+    return text.getvalue().encode()
+
+
+def _json(
+    posterior: Posterior,
+    vector: Array,
+    models: WrittenNumbers,
+    told: tuple[Diagnostic, ...],
+    fit: object,
+) -> bytes:
+    rows = [
+        {
+            "name": one.name,
+            "kind": one.kind,
+            "subject": one.subject,
+            "component": one.component,
+            "unit": one.unit,
+            "stated": one.stated,
+            "mean": mean,
+            "std": std,
+            "low": low,
+            "high": high,
+            "written": value,
+        }
+        for one, mean, std, (low, high), value in zip(
+            posterior.parameters,
+            posterior.mean.tolist(),
+            posterior.std.tolist(),
+            posterior.interval.tolist(),
+            vector.tolist(),
+            strict=True,
+        )
+    ]
+    document = {
+        "urdf": None if models.urdf is None else str(models.urdf),
+        "mjcf": None if models.mjcf is None else str(models.mjcf),
+        "parameters": rows,
+        "covariance": posterior.covariance,
+        "edits": [replace(edit, file=Path(edit.file).name) for edit in models.edits],
+        "diagnostics": told,
+        **({} if fit is None else {"fit": fit}),
+    }
+    return to_json(document).encode() + b"\n"

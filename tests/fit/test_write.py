@@ -1,0 +1,108 @@
+"""What a fit writes is read by both engines and by studies, and is there whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.fit.estimate import Posterior
+from pupper_analysis.fit.parameters import Parameter
+from pupper_analysis.fit.write import FitFiles
+from pupper_analysis.study.fitted import write_fit
+from pupper_analysis.study.parameters import scale_robot, with_gains
+
+JOINT = "leg_front_r_2"
+
+WANTED = {  # parameter: stated, estimate, standard deviation; and what is written of it
+    ("mass", "base_link", ""): (1.506, 1.88251, 0.02, 1.8825),
+    ("com", "base_link", "x"): (0.025, 0.0371234, 0.001, 0.03712),
+    ("com", "leg_front_r_3", "z"): (0.01833, 0.01833 + 1e-7, 0.002, 0.01833),
+    ("kp", JOINT, ""): (5.0, 6.123, 0.1, 6.123),
+    ("friction", JOINT, ""): (0.01, 0.0432, 0.001, 0.0432),
+    ("offset", JOINT, ""): (0.0, -0.02, 0.001, -0.02),
+    ("offset", "leg_back_l_1", ""): (0.0, 0.035, 0.002, 0.035),
+    ("slope", "floor", "x"): (0.0, 0.001, 0.002, 0.001),
+}
+
+
+@pytest.fixture(scope="module")
+def v3() -> pa.Robot:
+    return pa.load_variant("v3")
+
+
+def estimated() -> Posterior:
+    parameters = tuple(Parameter(*name, row[0], 0.5) for name, row in WANTED.items())
+    mean = np.array([row[1] for row in WANTED.values()])
+    std = np.array([row[2] for row in WANTED.values()])
+    n = len(mean)
+    return Posterior(parameters, mean, np.diag(std**2), np.eye(n), 0.0, 0.0, 0, 1)
+
+
+@pytest.fixture(scope="module")
+def written(v3: pa.Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, FitFiles]:
+    folder = tmp_path_factory.mktemp("fitted")
+    return folder, write_fit(v3, estimated(), folder, fit={"stands": 30})
+
+
+def test_models_have_the_estimates_to_the_digits_that_are_known(
+    written: tuple[Path, FitFiles], v3: pa.Robot
+) -> None:
+    folder, made = written
+    np.testing.assert_allclose(made.vector, [row[3] for row in WANTED.values()], atol=1e-12)
+    urdf, mjcf = folder / "urdf" / "pupper_v3.urdf", folder / "mjcf" / "pupper_v3.xml"
+    model = pin.buildModelFromXML(urdf.read_text(), pin.JointModelFreeFlyer())
+    assert model.inertias[1].mass == pytest.approx(1.8825, abs=1e-12)
+    np.testing.assert_allclose(model.inertias[1].lever, (0.03712, 0.0, 0.015), atol=1e-12)
+    ratio = model.inertias[1].inertia / v3.pin_model.inertias[1].inertia.clip(1e-300)
+    assert ratio[2, 2] == pytest.approx(1.8825 / 1.506)
+    other = mujoco.MjModel.from_xml_path(str(mjcf))
+    assert other.body_mass.sum() - v3.mj_model.body_mass.sum() == pytest.approx(1.8825 - 1.506)
+    np.testing.assert_allclose(other.body("base_link").ipos, (0.03712, 0.0, 0.015), atol=1e-12)
+    actuator = int(np.flatnonzero(other.actuator_trnid[:, 0] == other.joint(JOINT).id)[0])
+    assert other.actuator_biasprm[actuator, 1] == -6.123
+    assert other.dof_frictionloss[other.joint(JOINT).dofadr[0]] == 0.0432
+    changed = {edit.element.split(" > ")[0] for edit in made.models.edits}
+    assert not any("leg_front_r_3" in name for name in changed)  # it has not moved
+
+
+def test_offsets_and_parameters_are_told(written: tuple[Path, FitFiles]) -> None:
+    folder, _ = written
+    with (folder / "offsets.csv").open() as file:
+        rows = {row["joint"]: row for row in csv.DictReader(file)}
+    assert float(rows[JOINT]["offset_rad"]) == -0.02
+    assert float(rows["leg_back_l_1"]["offset_deg"]) == pytest.approx(2.0053523, rel=1e-6)
+    told = json.loads((folder / "fit.json").read_text())
+    assert told["fit"] == {"stands": 30}
+    mass = told["parameters"][0]
+    assert (mass["name"], mass["written"]) == ("mass base_link", 1.8825)
+    assert mass["high"] - mass["mean"] == pytest.approx(1.96 * 0.02, rel=1e-3)
+
+
+def test_studies_understand_the_ranges(written: tuple[Path, FitFiles], v3: pa.Robot) -> None:
+    folder, made = written
+    text = (folder / "ranges.yaml").read_text()
+    spreads = {name: given["normal"] for name, given in made.spreads.items()}
+    assert all(f'- name: "{name}"' in text for name in spreads)
+    assert spreads["mass:base_link"] == pytest.approx((1.0, 0.02 / 1.8825))
+    assert spreads["com_x:base_link"] == (0.0, 0.001)
+    assert spreads[f"frictionloss:{JOINT}"] == pytest.approx((1.0, 0.001 / 0.0432))
+    one_off = {name: mean + std for name, (mean, std) in spreads.items()}
+    gains = {name: value for name, value in one_off.items() if name.startswith("kp")}
+    rest = {name: value for name, value in one_off.items() if name not in gains}
+    heavier = scale_robot(v3, rest)
+    assert heavier.total_mass - v3.total_mass == pytest.approx(1.506 * 0.02 / 1.8825)
+    assert with_gains(v3, None, None, gains) is not v3
+
+
+def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) -> None:
+    (tmp_path / "ranges.yaml").mkdir()
+    with pytest.raises(pa.OutputError):
+        write_fit(v3, estimated(), tmp_path)
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
