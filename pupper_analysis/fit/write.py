@@ -143,8 +143,8 @@ def _numbers(
         if (one.kind in OF_SERVOS and (math.isnan(stated) or one.subject in added)) or (
             one_file and one.kind in (*OF_SERVOS, "armature")
         ):
-            why = "mjcf-alone-states-it" if one_file else "servo-of-no-file"
-            left.append(diagnose("not-in-the-files", parameter=one.name, why=diagnose(why)))
+            why = diagnose("mjcf-alone-states-it" if one_file else "servo-of-no-file")
+            left.append(diagnose("not-in-the-files", parameter=one.name, why=why))
         elif one.kind in OF_BODIES and one.component:
             _put_component(numbers, robot, one, value)
         elif one.kind in (*OF_BODIES, *OF_JOINTS, *OF_SERVOS):
