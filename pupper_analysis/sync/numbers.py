@@ -141,8 +141,7 @@ def write_numbers(
     matched = match_models(urdf, mjcf, names=_names(robot, urdf), tolerances=tolerances)
     both = pair_robots(matched, align_robot(matched.robot, tolerances))
     changes = NumberChanges(both, resolve_numbers(matched, numbers))
-    if files is None:
-        check_own(robot, changes)
+    check_own(robot, changes)
     edited, layout = _Edited(), list[Copies]()
     if urdf_path is not None:
         _edit_urdf(edited, changes, urdf)

@@ -67,15 +67,19 @@ def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Ke
 def check_own(robot: Robot, changes: NumberChanges) -> None:
     """Checks that a robot's bodies are those that its files state, in the same frames.
 
+    All of them: where one is not, the files are another robot's, whatever is written.
+
     Raises:
-        ModelError: If one that gets other numbers is not: it was changed since.
+        ModelError: If one is not: it was changed since, or derived.
     """
     both = changes.both
     own, base = kinematic_trees(robot)[0], both.matched.robot.base
-    for mover in changes.movers:
+    for mover in both.matched.urdf_link:
         stated = both.urdf.bodies[mover]
         body = own.bodies.get(own.base if mover == base else mover, stated)
         size = max(float(np.abs(stated.inertia).max()), 1e-300)
+        if mover == base and not robot.floating:  # in the world's frame
+            body = replace(body, com=stated.com, inertia=stated.inertia)
         if (
             abs(body.mass - stated.mass) > _OWN * stated.mass
             or float(np.abs(body.com - stated.com).max()) > _OWN

@@ -157,7 +157,7 @@ def test_what_cannot_be_written_is_named_and_nothing_is(plain: Files, tmp_path: 
     heavier = robot_of(plain)
     plain.urdf.write_text(plain.urdf.read_text().replace('mass value="6.0"', 'mass value="6.5"'))
     with pytest.raises(pa.ModelError) as refused:
-        write_numbers(heavier, {("mass", "base"): 5.0})
+        write_numbers(heavier, {("friction", "knee1"): 0.05})  # these are another robot's files
     assert refused.value.cause.code == "robot-is-not-its-files"
 
 
