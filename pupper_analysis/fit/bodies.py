@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 
 AXES = ("x", "y", "z")
 
+_DEEP = 1e-3
+"""m: shapes that are in each other by less may be rounded otherwise."""
+
 
 class MovingBodies:
     """The bodies that a robot's joints move, each with those that are fixed to it.
@@ -43,6 +46,10 @@ class MovingBodies:
         self._names = robot.joint_names
         for body in dict.fromkeys(self._bodies.tolist()):
             self._gather(body)
+            # Coms that move are nowhere that MuJoCo could take them for their body's origin.
+            self.model.body_sameframe[body] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
+            self.model.body_simple[body] = 0
+        self.model.dof_simplenum[:] = 0
         self._to_link = list(_link_frames(robot, self.model, self._bodies))
         self.links = tuple(link_of(robot, name) for name in robot.joint_names)
         self.mass = self.model.body_mass[self._bodies].copy()
@@ -91,6 +98,25 @@ class MovingBodies:
             model.body_mass[body] = mass
             model.body_inertia[body] = self._inertia[number] * mass / self.mass[number]
             model.body_ipos[body] = self._to_link[number].actInv(np.array(com))
+
+    def touching(self, positions: Array) -> tuple[tuple[str, str], ...]:
+        """Returns the pairs of moving bodies that are in each other at joint positions (n, nu)."""
+        model, data = self.model, mujoco.MjData(self.model)
+        enabled = copy.copy(model)
+        enabled.opt.disableflags &= ~mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+        found: dict[tuple[str, str], None] = {}
+        for joints in positions:
+            data.qpos[model.jnt_qposadr[self._joints]] = joints
+            mujoco.mj_kinematics(enabled, data)
+            mujoco.mj_comPos(enabled, data)
+            mujoco.mj_collision(enabled, data)
+            for contact in data.contact:
+                bodies = model.geom_bodyid[contact.geom]
+                # With the world: a floor is not where a robot hangs.
+                if contact.dist < -_DEEP and model.body_weldid[bodies].all():
+                    one, other = sorted(model.body(int(body)).name for body in bodies)
+                    found[one, other] = None
+        return tuple(found)
 
     def groups(self, table: ParameterTable) -> list[tuple[list[int], list[int]]]:
         """Returns groups of joints that do not feel each other, with the parameters of each.

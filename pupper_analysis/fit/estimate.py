@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import FitError
-from pupper_analysis.fit.parameters import Parameter, ParameterTable
+from pupper_analysis.fit.parameters import KINDS, Parameter, ParameterTable
 
 Array = NDArray[np.float64]
 
@@ -21,11 +21,15 @@ _MOST_STEPS = 60
 _SETTLED = 1e-4
 """Of a prior's width: a step as short as that moves no estimate by what its interval shows."""
 
+_NO_GAIN = 1e-2
+"""Of the cost, whose unit is one standard deviation squared: a step that promises no more is one of
+a tenth of a standard deviation at most. Costs of simulations are no smoother than that."""
+
+_STALLED = 0.01
+"""Of a rough cost: where a step promises more and none gives it, derivatives are wrong."""
+
 _LEAST_DAMPING = 1e-9
 """Levenberg's, in parts of the diagonal: none to speak of."""
-
-_HARDLY_DAMPED = 1e-3
-"""A step that is damped no more than that is the whole one."""
 
 _MOST_DAMPING = 1e6
 """No step is left."""
@@ -145,58 +149,86 @@ def estimate_parameters(
     table: ParameterTable,
     linearise: Callable[[Array, Array], Linearised],
     start: Array | None = None,
+    rough: float = 0.0,
 ) -> Posterior:
     """Returns the parameters that measurements and priors make most probable.
 
     Minimises chi2(x) + |(x - stated) / width|^2 by Levenberg's damped Gauss-Newton steps. What
     noise does to residuals may depend on parameters (that of an encoder on a torque, by kp). It is
     taken as it is at the last parameters, and no derivative is taken of it: residuals would be
-    made small by parameters that make noise large.
+    made small by parameters that make noise large. What means nothing below zero stays above.
 
     Args:
         table: The parameters.
         linearise: Called with parameters, and those at which noise is taken: returns the
             measurements' residuals about the first.
         start: (n,) to begin with; the stated values by default.
+        rough: By what costs of near parameters differ for no reason, in parts of them: where
+            joints stick and slip, a simulation's have steps. Where they cannot be made less by
+            more than that, they are least.
 
     Raises:
         FitError: If it does not converge.
     """
     width, n = table.width, len(table)
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
-    damping = _LEAST_DAMPING
+    positive = np.array([KINDS[one.kind].positive for one in table], dtype=bool)
+    damping, stalled = _LEAST_DAMPING, 0
     for steps in range(1, _MOST_STEPS + 1):
         here = linearise(x, x)
         z = (x - table.stated) / width
+        cost = here.chi2 + z @ z
         information = width[:, None] * here.information * width
         downhill = -(width * here.gradient + z)
         if not np.isfinite(information).all() or not np.isfinite(downhill).all():
             break
         whole = information + np.eye(n)
-        while True:
-            step = cho_solve(cho_factor(whole + damping * np.diag(np.diag(whole))), downhill)
-            if np.abs(step).max(initial=0.0) < _SETTLED and damping <= _HARDLY_DAMPED:
-                covariance = np.linalg.inv(whole)
-                covariance = (covariance + covariance.T) / 2
-                return Posterior(
-                    parameters=table.parameters,
-                    mean=x,
-                    covariance=width[:, None] * covariance * width,
-                    information=information,
-                    chi2=here.chi2,
-                    prior_chi2=float(z @ z),
-                    rows=here.rows,
-                    steps=steps,
-                )
-            tried = x + width * step
+        covariance = np.linalg.inv(whole)
+        covariance = (covariance + covariance.T) / 2
+        # What is zero, and would be less, stays there.
+        free = ~(positive & (x <= 0) & (downhill < 0))
+        whole_step = _step(whole, downhill, free, 0.0)
+        promised, least = float(whole_step @ downhill), max(_NO_GAIN, rough * cost)
+        done = np.abs(whole_step).max(initial=0.0) < _SETTLED or promised < least
+        moved_on = False
+        while not done:
+            tried = x + width * _step(whole, downhill, free, damping)
+            tried[positive] = np.maximum(tried[positive], 0.0)
             there, moved = linearise(tried, x), (tried - table.stated) / width
-            if there.chi2 + moved @ moved <= (here.chi2 + z @ z) * (1 + _ROUNDING):
+            gain = cost - there.chi2 - moved @ moved
+            if gain >= -_ROUNDING * cost:
+                moved_on = True
                 break
             damping *= 10
             if damping > _MOST_DAMPING:
-                raise FitError(diagnose("fit-does-not-converge", steps=steps))
-        x, damping = tried, max(damping / 10, _LEAST_DAMPING)
-    raise FitError(diagnose("fit-does-not-converge", steps=_MOST_STEPS))
+                break
+        if __import__("os").environ.get("DBG"):
+            print("promised", promised, "cost", cost, "damp", damping, "ok", moved_on, flush=True)
+        if moved_on:
+            x, damping = tried, max(damping / 10, _LEAST_DAMPING)
+            stalled = stalled + 1 if gain < least else 0
+        if done or (rough > 0 and promised < _STALLED * cost and (not moved_on or stalled > 1)):
+            return Posterior(
+                parameters=table.parameters,
+                mean=x,
+                covariance=width[:, None] * covariance * width,
+                information=information,
+                chi2=here.chi2,
+                prior_chi2=float(z @ z),
+                rows=here.rows,
+                steps=steps,
+            )
+        if not moved_on:
+            break
+    raise FitError(diagnose("fit-does-not-converge", steps=steps))
+
+
+def _step(whole: Array, downhill: Array, free: NDArray[np.bool_], damping: float) -> Array:
+    """Returns Levenberg's step of those parameters that are free, and zero of others."""
+    step = np.zeros(len(downhill))
+    own = whole[np.ix_(free, free)]
+    step[free] = cho_solve(cho_factor(own + damping * np.diag(np.diag(own))), downhill[free])
+    return step
 
 
 _ROUNDING = 1e-9

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import FitError, MeasurementError
-from pupper_analysis.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.errors import MeasurementError
+from pupper_analysis.fit.estimate import Posterior
 from pupper_analysis.fit.log import Log
-from pupper_analysis.fit.log_quality import LogQuality, inspect_log
-from pupper_analysis.fit.noise import SeriesNoise
+from pupper_analysis.fit.log_quality import LogQuality, find_quantum, inspect_log
 from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths
+from pupper_analysis.fit.residuals import Motion, root_mean_square
 from pupper_analysis.fit.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
@@ -27,18 +26,11 @@ Array = NDArray[np.float64]
 HOLD_OUT = 0.2
 """Of each log, at its end: what is predicted, and not fitted."""
 
-_ROUNDS = 4
-"""Of fits, each with the noise that the one before has left; the last two differ by a hundredth."""
+_STEP_ERROR = 0.1
+"""What half the simulation's step changes, in parts of what is left: 0.5 % of its square."""
 
-_SAME_NOISE = 0.02
-"""Of deviations: what is left does not change by more when the noise is that of the round before."""
-
-_NEAR = 0.1
-"""Of the priors' widths: so far derivatives of a motion are the same within some percent. Steps with
-those converge to the same within so many percent of a standard deviation."""
-
-_GLANCE = 12.0
-"""s of motion that are fitted first: from there a step or two are left for all of it."""
+_LOOKS = 200
+"""Postures of a log in which parts are looked at that may touch."""
 
 _MISFIT = 2.0
 """What is left, in parts of an encoder's noise, from which a model does not explain a motion."""
@@ -129,6 +121,9 @@ def fit_motion(
     simulator = Simulator(robot, drive, table, interval)
     motion = Motion(simulator, runs)
     posterior = motion.fit()
+    while motion.step_error(posterior.mean) > _STEP_ERROR:
+        motion = motion.with_steps(2 * motion.simulator.steps)
+        posterior = motion.fit(posterior.mean)
     return _told(robot, drive, qualities, motion, posterior)
 
 
@@ -182,136 +177,6 @@ def _parameters(
     return ParameterTable(give_widths(wanted, priors))
 
 
-class Motion:
-    """Measured and simulated runs, and how far they are apart.
-
-    Args:
-        simulator: Simulates them.
-        runs: As they were measured.
-    """
-
-    def __init__(self, simulator: Simulator, runs: Sequence[Run]) -> None:
-        self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
-        self.fitted = tuple(run for run in runs if run.counts.any())
-        self._noise: tuple[SeriesNoise, ...] = ()
-        self._last: tuple[Array, list[Array]] | None = None
-        self._slopes: tuple[Array, list[dict[int, tuple[Array, Array]]]] | None = None
-
-    def residuals(self, x: Array) -> list[Array]:
-        """Returns predicted less measured positions (n, nu) of each run that is fitted (rad)."""
-        if self._last is None or not np.array_equal(self._last[0], x):
-            found = [
-                self.simulator.predict(run, [x])[0] - np.where(run.counts, run.position, np.nan)
-                for run in self.fitted
-            ]
-            self._last = x.copy(), found
-        return self._last[1]
-
-    def slopes(self, x: Array) -> list[dict[int, tuple[Array, Array]]]:
-        """Returns derivatives of predicted positions of each run, from parameters near by."""
-        width = self.table.width
-        if self._slopes is None or np.abs((x - self._slopes[0]) / width).max() > _NEAR:
-            found = []
-            for run, left in zip(self.fitted, self.residuals(x), strict=True):
-                measured = np.where(run.counts, run.position, 0.0)
-                here = np.where(run.counts, left + measured, np.nan)
-                here = self.simulator.predict(run, [x])[0] if np.isnan(here).any() else here
-                found.append(dict(self.simulator.jacobian(run, x, here)))
-            self._slopes = x.copy(), found
-        return self._slopes[1]
-
-    def linearise(self, x: Array, _about: Array) -> Linearised:
-        """Returns whitened residuals as sums; derivatives are made when they are asked for."""
-        return _Lazy(self, x.copy(), self._noise)  # type: ignore[return-value]
-
-    def fit(self) -> Posterior:
-        """Returns the parameters, with the noise that they leave.
-
-        Raises:
-            FitError: If it does not converge.
-        """
-        x = self._glance()
-        left = self.residuals(x)
-        # At first without memory, as what is left is no noise yet.
-        self._noise = tuple(
-            SeriesNoise.white(_rms([one[:, joint] for one in left]))
-            for joint in range(left[0].shape[1])
-        )
-        for _ in range(_ROUNDS):
-            posterior = estimate_parameters(self.table, self.linearise, x)
-            x = posterior.mean
-            before = np.array([one.deviation for one in self._noise])
-            left = self.residuals(x)
-            self._noise = tuple(
-                SeriesNoise.of([one[:, joint] for one in left]) for joint in range(len(before))
-            )
-            now = np.array([one.deviation for one in self._noise])
-            if np.abs(now / before - 1).max() < _SAME_NOISE:
-                return posterior
-        return estimate_parameters(self.table, self.linearise, x)
-
-
-    def _glance(self) -> Array:
-        """Returns parameters that suit the first seconds, where there are many more."""
-        left, first = _GLANCE, []
-        for run in self.fitted:
-            if left > 0:
-                first.append(run.until(left))
-                left -= float(first[-1].time[-1])
-        if sum(len(run.time) for run in first) > 0.7 * sum(len(run.time) for run in self.fitted):
-            return self.table.stated.copy()
-        if not any(run.counts.any() for run in first):
-            return self.table.stated.copy()
-        return Motion(self.simulator, first).fit().mean
-
-
-class _Lazy:
-    """What ``Linearised`` has, but derivatives are made where they are needed: not of a trial."""
-
-    log_noise = 0.0
-
-    def __init__(self, motion: Motion, x: Array, noise: tuple[SeriesNoise, ...]) -> None:
-        self._motion, self._x, self._noise = motion, x, noise
-        self._white = [
-            np.column_stack([one.whiten(left[:, joint]) for joint, one in enumerate(noise)])
-            for left in motion.residuals(x)
-        ]
-        told = [np.isfinite(white) for white in self._white]
-        self.rows = int(sum(one.sum() for one in told))
-        self.chi2 = float(sum((white[one] ** 2).sum() for white, one in zip(self._white, told)))  # noqa: B905
-
-    @cached_property
-    def _sums(self) -> tuple[Array, Array]:
-        size = len(self._motion.table)
-        information, gradient = np.zeros((size, size)), np.zeros(size)
-        groups = self._motion.simulator.groups
-        for white, slopes in zip(self._white, self._motion.slopes(self._x), strict=True):
-            for number, (places, by_places) in slopes.items():
-                for at, joint in enumerate(groups[number][0]):
-                    told = np.isfinite(white[:, joint])
-                    rows = self._noise[joint].whiten(by_places[:, at])[told]
-                    information[np.ix_(places, places)] += rows.T @ rows
-                    gradient[places] += rows.T @ white[told, joint]
-        return information, gradient
-
-    @property
-    def information(self) -> Array:
-        """(n, n) sum of A^T A."""
-        return self._sums[0]
-
-    @property
-    def gradient(self) -> Array:
-        """(n,) sum of A^T r."""
-        return self._sums[1]
-
-
-def _rms(series: Iterable[Array]) -> float:
-    """Returns the root mean square of what is not NaN; NaN of nothing."""
-    whole = np.concatenate([one.ravel() for one in series])
-    told = whole[np.isfinite(whole)]
-    return float(np.sqrt(np.mean(told**2))) if told.size else math.nan
-
-
 def _told(
     robot: Robot,
     drive: Servos,
@@ -328,40 +193,92 @@ def _told(
             for part in ("counts", "held_out")
         ]
     fitted, held_out = off["after"]
-    shown = held_out if np.isfinite(_rms(held_out)) else fitted
-    by_joint = np.array([_rms(one[:, joint] for one in shown) for joint in range(robot.nu)])
-    noise = np.array(
-        [_encoder_noise([run.position[:, joint] for run in motion.runs]) for joint in range(robot.nu)]
+    shown = held_out if np.isfinite(root_mean_square(held_out)) else fitted
+    by_joint = np.array(
+        [root_mean_square(one[:, joint] for one in shown) for joint in range(robot.nu)]
     )
-    whole = MotionFit(
+    noise = np.array(
+        [
+            _encoder_noise([run.position[:, joint] for run in motion.runs])
+            for joint in range(robot.nu)
+        ]
+    )
+    return MotionFit(
         robot=robot,
         drive=drive,
         qualities=qualities,
         posterior=posterior,
-        held_out=_rms(held_out),
-        held_out_before=_rms(off["before"][1]),
-        fitted=_rms(fitted),
-        fitted_before=_rms(off["before"][0]),
+        held_out=root_mean_square(held_out),
+        held_out_before=root_mean_square(off["before"][1]),
+        fitted=root_mean_square(fitted),
+        fitted_before=root_mean_square(off["before"][0]),
         repeatability=_repeatability(motion.runs),
         by_joint=by_joint,
         encoder_noise=noise,
         steps=motion.simulator.steps,
-        diagnostics=(),
+        diagnostics=(
+            *(one for quality in qualities for one in quality.diagnostics),
+            *_misfits(
+                robot,
+                motion,
+                by_joint,
+                noise,
+                root_mean_square(shown),
+                root_mean_square(off["before"][shown is held_out]),
+            ),
+        ),
     )
-    return whole
+
+
+def _misfits(
+    robot: Robot, motion: Motion, by_joint: Array, noise: Array, off: float, before: float
+) -> Iterator[Diagnostic]:
+    """Says what the fitted model does not explain."""
+    if off > before:
+        yield diagnose(
+            "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
+        )
+    share = by_joint / noise
+    if np.nanmedian(share) > _MISFIT:
+        worst = int(np.nanargmax(by_joint))
+        yield diagnose(
+            "motion-not-explained",
+            left=Quantity(off, "rad"),
+            noise=Quantity(float(np.nanmedian(noise)), "rad"),
+            worst=robot.joint_names[worst],
+            most=Quantity(by_joint[worst], "rad"),
+        )
+    there = np.concatenate([run.position for run in motion.runs])
+    there = there[np.isfinite(there).all(axis=1)]
+    looks = there[:: max(1, len(there) // _LOOKS)]
+    touching = motion.simulator.bodies.touching(looks)
+    if touching:
+        yield diagnose("log-parts-touch", bodies=touching)
 
 
 def _encoder_noise(series: Sequence[Array]) -> float:
     """Returns the standard deviation of what no motion is, by third differences.
 
-    Of noise without memory their variance is 20 times its own; a motion of some Hz has none.
+    Of noise without memory their variance is 20 times its own; a motion of some Hz has hardly any.
+    By their median, as joints that are kicked by a new command have for a moment; and no less than
+    the encoder's quantum makes.
     """
-    return _rms([np.diff(one, 3) for one in series]) / math.sqrt(20.0)
+    steps = np.concatenate([np.abs(np.diff(one, 3)) for one in series])
+    steps = steps[np.isfinite(steps)]
+    quantum = max(find_quantum(one) for one in series)
+    if not steps.size:
+        return math.nan
+    return max(float(np.median(steps)) / _MEDIAN / math.sqrt(20.0), quantum / math.sqrt(12.0))
+
+
+_MEDIAN = 0.6744897501960817
+"""Of the magnitude of a normal number of deviation 1."""
 
 
 def _repeatability(runs: Sequence[Run]) -> float:
     """Returns how far positions are from their mean over runs of the same commands (rad)."""
-    off, alike = [], []
+    off: list[Array] = []
+    alike: list[list[Run]] = []
     for run in runs:
         for group in alike:
             count = min(len(run.time), len(group[0].time))
@@ -377,7 +294,7 @@ def _repeatability(runs: Sequence[Run]) -> float:
             stacked = np.array([run.position[:count] for run in group])
             share = math.sqrt((len(group) - 1) / len(group))  # the mean is of the same runs
             off.append((stacked - stacked.mean(axis=0)) / share)
-    return _rms(off) if off else math.nan
+    return root_mean_square(off) if off else math.nan
 
 
 _SAME_COMMAND = 1e-6

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 
-_MOST_LAGS = 10
-"""50 ms at 200 Hz: what remembers longer is seen by its sum."""
+_MOST_LAGS = 20
+"""100 ms at 200 Hz: what remembers longer is seen by what it does in that time."""
 
 _LEAST = 1e-6
 """rad, m: no encoder's noise is less, and no weight is infinite."""
@@ -25,55 +28,64 @@ class SeriesNoise:
     """Noise of one joint: e_k = sum_i c_i e_(k-i) + w_k, with w of standard deviation s.
 
     Residuals of a motion follow each other: an encoder that is still says the same for long, and
-    what a model lacks lasts. Whitened by this, as many samples count as tell something. (The
-    method of generalised least squares with estimated autoregression: Prais and Winsten.)
+    what a model lacks lasts. A sum over many samples is as uncertain as that of independent ones of
+    the deviation s / (1 - sum c), its long-run deviation.
 
     Attributes:
         coefficients: (lags,) c.
-        deviation: s.
+        innovation: s.
+        deviation: Of e.
     """
 
     coefficients: Array
+    innovation: float
     deviation: float
 
     @staticmethod
     def white(deviation: float) -> SeriesNoise:
         """Returns noise without memory."""
-        return SeriesNoise(np.zeros(0), max(deviation, _LEAST))
+        deviation = max(deviation, _LEAST) if math.isfinite(deviation) else _LEAST
+        return SeriesNoise(np.zeros(0), deviation, deviation)
 
     @staticmethod
     def of(series: Sequence[Array]) -> SeriesNoise:
         """Returns the noise that some series (n,) are; NaN are missing.
 
-        So many lags as Schwarz's criterion has worth it.
+        By Yule's and Walker's equations, whose noise never grows; so many lags as Schwarz's
+        criterion has worth it.
         """
-        lagged = [_lagged(one, _MOST_LAGS) for one in series]
-        rows = np.concatenate([one[np.isfinite(one).all(axis=1)] for one in lagged])
-        if len(rows) < _SAMPLES_PER_LAG * _MOST_LAGS:
-            told = np.concatenate([one[np.isfinite(one)] for one in series] or [np.zeros(0)])
-            return SeriesNoise.white(float(np.sqrt(np.mean(told**2))) if told.size else _LEAST)
-        best = (np.inf, SeriesNoise.white(float(np.sqrt(np.mean(rows[:, 0] ** 2)))))
+        filled = [np.where(np.isfinite(one), one, 0.0) for one in series]
+        count = int(sum(np.isfinite(one).sum() for one in series))
+        if count == 0:
+            return SeriesNoise.white(_LEAST)
+        moments = np.array(
+            [sum(float(one[lag:] @ one[: len(one) - lag]) for one in filled) / count
+             for lag in range(_MOST_LAGS + 1)]
+        )  # fmt: skip
+        deviation = math.sqrt(moments[0])
+        best = SeriesNoise.white(deviation)
+        if count < _SAMPLES_PER_LAG * _MOST_LAGS or deviation <= _LEAST:
+            return best
+        least = math.inf
         for lags in range(_MOST_LAGS + 1):
-            before = rows[:, 1 : lags + 1]
-            given = np.linalg.lstsq(before, rows[:, 0], rcond=None)[0]
-            left = rows[:, 0] - before @ given
-            variance = max(float(left @ left) / (len(rows) - lags), _LEAST**2)
-            worth = len(rows) * np.log(variance) + lags * np.log(len(rows))
-            if worth < best[0]:
-                best = worth, SeriesNoise(given, float(np.sqrt(variance)))
-        return best[1]
+            given = solve_toeplitz(moments[:lags], moments[1 : lags + 1]) if lags else np.zeros(0)
+            variance = max(float(moments[0] - given @ moments[1 : lags + 1]), _LEAST**2)
+            worth = count * math.log(variance) + lags * math.log(count)
+            if worth < least:
+                least, best = worth, SeriesNoise(given, math.sqrt(variance), deviation)
+        return best
 
-    def whiten(self, series: Array) -> Array:
-        """Returns w / s (n, ...) of a series (n, ...); NaN where it or what it needs is missing."""
-        lags = len(self.coefficients)
-        white = series.copy()
-        for lag, share in enumerate(self.coefficients, 1):
-            white[lag:] -= share * series[:-lag]
-        white[:lags] = np.nan
-        white /= self.deviation
-        return white
+    @property
+    def long_run(self) -> float:
+        """Standard deviation of independent samples that tell as little; that of e at least."""
+        return max(self.innovation / (1 - float(self.coefficients.sum())), self.deviation)
 
+    def spread(self, weights: Array) -> Array:
+        """Returns B^T with B^T B the covariance of sums of the noise with weights (n, m): (m, n).
 
-def _lagged(series: Array, lags: int) -> Array:
-    """Returns a series (n,) with those before it as columns (n - lags, 1 + lags)."""
-    return np.column_stack([series[lags - lag : len(series) - lag] for lag in range(lags + 1)])
+        The noise is w through a filter; so its sums are those of w with the weights through the
+        filter backwards.
+        """
+        back = lfilter([self.innovation], [1.0, *-self.coefficients], weights[::-1], axis=0)
+        turned: Array = back.T
+        return turned

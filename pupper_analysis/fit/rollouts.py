@@ -6,6 +6,7 @@ import copy
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -19,6 +20,7 @@ from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.rollout import full_state, roll_out, settled_activations
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 SERVOS = "servos"
 """Subject of the delay between commands and what servos do: one for all of them."""
@@ -33,9 +35,12 @@ _STIFF = 0.5
 _FINEST = 20
 """Steps of the simulation between two samples, at most."""
 
-_STEP = 1e-3
-"""Of a parameter's width: by that it is changed for a derivative. Residuals are smooth on that
-scale, and a change of 1e-6 rad is far above rounding (1e-13)."""
+_STEP = 1e-2
+"""Of a parameter's width: by that it is changed for a derivative. Smaller changes see single joints
+begin to slip, and not the motion; by larger ones it bends."""
+
+_AT_ONCE = 8
+"""Simulations of a run whose states are kept: 25 MB each for a minute of twelve joints."""
 
 _FIRST = 9
 """Samples at a run's beginning through which a parabola gives where it begins, and how fast."""
@@ -84,7 +89,7 @@ def split_runs(log: Log, jumps: Sequence[int], rest: Array, hold_out: float) -> 
         hold_out: Of each run's duration, at its end, what is not fitted.
     """
     ends = [0, *(jump + 1 for jump in jumps), len(log.time)]
-    for first, last in zip(ends[:-1], ends[1:], strict=True):
+    for first, last in pairwise(ends):
         part = log.part(slice(first, last))
         time = part.time - part.time[0]
         if time[-1] < 4 * BURN_IN:
@@ -100,7 +105,7 @@ def split_runs(log: Log, jumps: Sequence[int], rest: Array, hold_out: float) -> 
 
 
 def _held(command: Array) -> Array:
-    """Returns commands in which one that is missing is that before; at the beginning, that after."""
+    """Returns commands in which one that is missing is that before, or else the first."""
     filled = command.copy()
     for column in filled.T:
         known = np.flatnonzero(np.isfinite(column))
@@ -172,12 +177,12 @@ class Simulator:
         interval = self._model.opt.timestep * self.steps
         return Simulator(self.robot, self.drive, self.table, interval, steps)
 
-    def predict(self, run: Run, vectors: Sequence[Array]) -> Array:
+    def predict(self, run: Run, vectors: Sequence[Array] | Array) -> Array:
         """Returns the encoders' positions (vectors, n, nu) that parameters predict for a run."""
         models = [self._with(vector) for vector in vectors]
         step = float(self._model.opt.timestep)
         count = int(np.ceil(run.time[-1] / step - 1e-9))
-        commands = _Integral(run.time, run.command).means(step * np.arange(count + 1))
+        commands = _Integral(run.time, run.command).means(step * np.arange(count + 1, dtype=float))
         offsets = [self._per_joint(vector, "offset", 0.0) for vector in vectors]
         controls, starts = [], []
         data = self._workers[0]
@@ -254,7 +259,9 @@ class Simulator:
         mujoco.mj_setConst(model, self._workers[-1])
         return model
 
-    def jacobian(self, run: Run, vector: Array, here: Array) -> Mapping[int, tuple[Array, Array]]:
+    def jacobian(
+        self, run: Run, vector: Array, here: Array, *, central: bool = False
+    ) -> Mapping[int, tuple[IntArray, Array]]:
         """Returns how predicted positions change with parameters.
 
         Joints that move no body of each other's are changed together, as they do not feel it.
@@ -263,34 +270,33 @@ class Simulator:
             run: The run.
             vector: (parameters,).
             here: (n, nu) what it predicts.
+            central: By differences to both sides, which a bend does not mislead.
 
         Returns:
             {group of joints: (numbers of the parameters that act on it, (n, joints, parameters))}.
         """
-        found: dict[int, tuple[Array, Array]] = {}
+        found: dict[int, tuple[IntArray, Array]] = {}
         turns = max(len(columns) for _, columns in self.groups)
         shared = self.bodies.shared(self.table)
         step = _STEP * self.table.width
-        vectors = []
-        for turn in range(turns):
-            changed = vector.copy()
-            for _, columns in self.groups:
-                if turn < len(columns):
-                    changed[columns[turn]] += step[columns[turn]]
-            vectors.append(changed)
-        for place in shared:
-            changed = vector.copy()
-            changed[place] += step[place]
-            vectors.append(changed)
-        moved = np.concatenate(
-            [self.predict(run, vectors[at : at + 8]) - here for at in range(0, len(vectors), 8)]
-        )
+        changes = np.zeros((turns + len(shared), len(vector)))
+        for _, columns in self.groups:
+            changes[np.arange(len(columns)), columns] = step[columns]
+        changes[turns + np.arange(len(shared)), shared] = step[shared]
+        moved = self._moved(run, vector + changes) - here
+        if central:
+            moved = (moved + here - self._moved(run, vector - changes)) / 2
         for number, (joints, columns) in enumerate(self.groups):
             rows = [*range(len(columns)), *range(turns, turns + len(shared))]
-            places = np.array([*columns, *shared], dtype=int)
+            places = np.array([*columns, *shared], dtype=np.int64)
             slopes = moved[rows][:, :, joints] / step[places][:, None, None]
             found[number] = places, np.moveaxis(slopes, 0, 2)
         return found
+
+    def _moved(self, run: Run, vectors: Array) -> Array:
+        """Returns predictions for many vectors, some at a time: states of all take much memory."""
+        parts = range(0, len(vectors), _AT_ONCE)
+        return np.concatenate([self.predict(run, vectors[at : at + _AT_ONCE]) for at in parts])
 
 
 class _Integral:

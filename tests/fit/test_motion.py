@@ -1,0 +1,147 @@
+"""A log of a bar on a servo, integrated by hand, tells its planted errors, and what it cannot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+
+from pupper_analysis.convert.load import load_robot
+from pupper_analysis.errors import MeasurementError, ModelError, UnknownNameError
+from pupper_analysis.fit.log import Log
+from pupper_analysis.fit.motion import MotionFit, fit_motion
+from pupper_analysis.fit.parameters import parse_prior
+from pupper_analysis.fit.told import Told, find_together, told_by
+from pupper_analysis.robot.robot import Robot
+
+TRUE = {"kp": 6.0, "damping": 0.13, "friction": 0.05, "armature": 0.006, "delay": 0.008}
+MASS, LEVER, TURNS, OFFSET = 0.5, 0.15, 0.001, 0.02  # kg, m, kg m^2, rad
+QUANTUM = 2 * np.pi / 4096
+INTERVAL, TICKS = 0.005, 50
+
+URDF = """<robot name="bar"><link name="base"/><link name="bar"><inertial>
+<origin xyz="0 0 -0.15"/><mass value="0.5"/>
+<inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="turn" type="revolute"><parent link="base"/><child link="bar"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="50" velocity="50"/></joint></robot>"""
+
+MJCF = """<mujoco model="bar"><compiler angle="radian"/><worldbody><body name="base">
+<body name="bar"><inertial pos="0 0 -0.15" mass="0.5" diaginertia="0.001 0.001 0.001"/>
+<joint name="turn" axis="0 1 0" range="-2 2" damping="0.1" armature="0.004" frictionloss="0.03"/>
+</body></body></worldbody><actuator><position name="turn" joint="turn" kp="5"/></actuator>
+</mujoco>"""
+
+
+@cache
+def bar() -> Robot:
+    """A bar that hangs from a joint about y, as its files have it."""
+    with TemporaryDirectory() as folder:
+        files = Path(folder) / "bar.urdf", Path(folder) / "bar.xml"
+        for file, text in zip(files, (URDF, MJCF), strict=True):
+            file.write_text(text, encoding="utf-8")
+        return load_robot(*files)
+
+
+def swing(command: np.ndarray) -> Iterator[float]:
+    """The bar's angles at the samples, in steps of 0.1 ms, with Coulomb's friction that sticks."""
+    step, late = INTERVAL / TICKS, round(TRUE["delay"] / INTERVAL * TICKS)
+    inertia = TURNS + TRUE["armature"] + MASS * LEVER**2
+    angle, rate = float(command[0]), 0.0
+    for tick in range(TICKS * len(command)):
+        if tick % TICKS == 0:
+            yield angle
+        asked = command[max(tick - late, 0) // TICKS]
+        pull = TRUE["kp"] * (asked - angle - OFFSET) - MASS * 9.81 * LEVER * math.sin(angle)
+        free = rate + step * (pull - TRUE["damping"] * rate) / inertia
+        rate = math.copysign(max(abs(free) - step * TRUE["friction"] / inertia, 0.0), free)
+        angle += step * rate
+
+
+@cache
+def log() -> Log:
+    time = np.arange(0, 12, INTERVAL)
+    command = 0.5 * np.sin(3 * time) + 0.3 * np.sin(11 * time + 1)
+    command[600:900], command[1500:1700] = 0.6, -0.4
+    random = np.random.default_rng(0)
+    seen = np.array(list(swing(command))) + OFFSET + 0.3 * QUANTUM * random.normal(size=len(time))
+    position = QUANTUM * np.round(seen / QUANTUM)
+    return Log("swing.csv", time, ("turn",), command[:, None], position[:, None])
+
+
+PRIORS = tuple(parse_prior(text) for text in ("mass=0", "com=0"))
+
+
+@cache
+def fitted() -> MotionFit:
+    return fit_motion(bar(), [log()], priors=PRIORS)
+
+
+@pytest.mark.longest
+def test_planted_errors_are_found_within_their_intervals() -> None:
+    posterior = fitted().posterior
+    found = {one.kind: place for place, one in enumerate(posterior.parameters)}
+    for kind, true in {**TRUE, "offset": OFFSET}.items():
+        place = found[kind]
+        off = posterior.mean[place] - true
+        assert abs(off) < 4 * posterior.std[place] + 0.01 * abs(true), kind
+        assert told_by(float(posterior.shares[place])) is Told.DATA, kind
+        assert abs(off) < 0.25 * abs(true), kind
+
+
+@pytest.mark.longest
+def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
+    noise = QUANTUM * math.hypot(0.3, 1 / math.sqrt(12))
+    # While the bar is still, quanta hide a part of it.
+    assert fitted().encoder_noise == pytest.approx(noise, rel=0.3)
+    assert fitted().held_out == pytest.approx(noise, rel=0.3)
+    assert fitted().held_out_before > 10 * fitted().held_out
+    assert math.isnan(fitted().repeatability)
+    assert fitted().diagnostics == ()
+
+
+@pytest.mark.longest
+def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
+    priors = [parse_prior(text) for text in ("com=0", "offset=0", "delay=0")]
+    found = fit_motion(bar(), [log()], priors=priors)
+    (together,) = find_together(found.posterior)
+    assert together.ratio
+    assert "mass bar" in together.names
+    assert len(together.names) > 1
+
+
+@pytest.mark.longest
+def test_what_no_servo_explains_is_said() -> None:
+    """A spring between the bar and its surroundings, of which the model knows nothing."""
+    odd = log().position + 0.02 * np.sin(17 * log().time)[:, None]
+    found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
+    assert "motion-not-explained" in {one.code for one in found.diagnostics}
+
+
+def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
+    with pytest.raises(UnknownNameError):
+        fit_motion(bar(), [replace(log(), joints=("knee",))])
+    measured = replace(log(), command=np.full((len(log().time), 1), np.nan), torque=log().command)
+    with pytest.raises(MeasurementError) as refused:
+        fit_motion(bar(), [measured])
+    assert refused.value.cause.code == "joint-without-servo"
+    with pytest.raises(MeasurementError) as refused:
+        fit_motion(bar(), [log().part(slice(0, 150))])
+    assert refused.value.cause.code == "nothing-to-fit"
+
+
+def test_a_motor_that_is_no_servo_needs_gains() -> None:
+    with TemporaryDirectory() as folder:
+        files = Path(folder) / "bar.urdf", Path(folder) / "bar.xml"
+        motor = MJCF.replace("position name", "motor name").replace(' kp="5"', "")
+        for file, text in zip(files, (URDF, motor), strict=True):
+            file.write_text(text, encoding="utf-8")
+        robot = load_robot(*files)
+    if not robot.description.made_servos:
+        with pytest.raises(ModelError):
+            fit_motion(robot, [log()])

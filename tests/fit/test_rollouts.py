@@ -1,0 +1,164 @@
+"""Robots simulated with other numbers, against Pinocchio, and step by step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+from pupper_analysis.fit.bodies import MovingBodies, link_of
+from pupper_analysis.fit.log import Log
+from pupper_analysis.fit.noise import SeriesNoise
+from pupper_analysis.fit.parameters import Parameter, ParameterTable
+from pupper_analysis.fit.rollouts import SERVOS, Run, Simulator, split_runs
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import model_with_servos
+from tests.support.arm import arm
+from tests.support.variants import load
+
+Array = NDArray[np.float64]
+
+MIDDLE = np.array([1.3, 0.1, -0.7, 0.2])  # of the arm, in actuator order
+
+
+def table(robot: Robot, joints: tuple[str, ...], damping: float = 2.0) -> ParameterTable:
+    """Mass and com of the joints' links, and what the joints have."""
+    links = MovingBodies(robot, robot.mj_model)
+    found = []
+    for name in joints:
+        at = robot.joint_names.index(name)
+        found.append(Parameter("mass", links.links[at], "", links.mass[at], 0.2))
+        for axis, own in zip("xyz", links.com[at], strict=True):
+            found.append(Parameter("com", links.links[at], axis, own, 0.01))
+        for kind, width in (
+            ("kp", 20),
+            ("damping", damping / 2),
+            ("friction", 0.2),
+            ("offset", 0.02),
+        ):
+            stated = {"kp": 300.0, "damping": damping}.get(kind, 0.0)
+            found.append(Parameter(kind, name, "", stated, width))
+    return ParameterTable((*found, Parameter("delay", SERVOS, "", 0.0, 0.01)))
+
+
+@pytest.mark.parametrize("name", ["arm", "v3"])
+def test_masses_and_coms_are_those_that_pinocchio_has_in_its_joints_frames(name: str) -> None:
+    robot = arm() if name == "arm" else load("v3", fixed_base=True)
+    random, bodies = np.random.default_rng(3), MovingBodies(robot, robot.mj_model)
+    parameters, by_pin = [], robot.pin_model.copy()
+    for joint, link in zip(robot.joint_names, bodies.links, strict=True):
+        number = by_pin.getJointId(joint)
+        own = by_pin.inertias[number]
+        mass, com = own.mass * random.uniform(0.6, 1.4), own.lever + 0.02 * random.normal(size=3)
+        by_pin.inertias[number] = pin.Inertia(mass, com, own.inertia * mass / own.mass)
+        parameters.append(Parameter("mass", link, "", mass, 1.0))
+        parameters += [
+            Parameter("com", link, axis, value, 1.0) for axis, value in zip("xyz", com, strict=True)
+        ]
+        assert link == link_of(robot, joint)
+    given = ParameterTable(parameters)
+    model = bodies.model
+    bodies.put(model, given, given.stated)
+    data, state = mujoco.MjData(model), random.uniform(-0.3, 0.3, (2, robot.nu))
+    robot.mj_convention.set_state(data, *state)
+    mujoco.mj_forward(model, data)
+    mass_matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass_matrix)
+    at, by = robot.mj_convention.qvel_index, robot.pin_convention.v_index
+    q, v = robot.pin_convention.q(state[0]), np.empty(by_pin.nv)
+    v[by] = state[1]
+    wanted = pin.crba(by_pin, by_pin.createData(), q)
+    wanted = np.triu(wanted) + np.triu(wanted, 1).T  # with armature
+    bias = pin.nonLinearEffects(by_pin, by_pin.createData(), q, v)
+    assert mass_matrix[np.ix_(at, at)] == pytest.approx(wanted[np.ix_(by, by)], abs=1e-9)
+    assert data.qfrc_bias[at] == pytest.approx(bias[by], abs=1e-9)
+
+
+def moving(seconds: float = 1.5, interval: float = 0.005) -> Log:
+    time = np.arange(0, seconds, interval)
+    command = MIDDLE + 0.2 * np.sin(np.outer(time, (5.0, 7.0, 4.0, 6.0))) * (1, 0.2, 1, 1)
+    command[len(time) // 2 :] += (0.1, 0.01, -0.1, 0.2)
+    return Log("moving", time, arm().joint_names, command, np.tile(MIDDLE, (len(time), 1)))
+
+
+def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_offsets() -> None:
+    """Another integrator, forty times finer; commands that are delayed by 13 ms."""
+    robot = arm()
+    drive, given = model_with_servos(robot), table(robot, ("elbow", "a_turn"))
+    x = given.stated + given.width * np.random.default_rng(1).uniform(0, 1, len(given))
+    x[-1] = 0.013
+    simulator = Simulator(robot, drive, given, 0.005)
+    (run,) = split_runs(moving(), (), MIDDLE, 0.2)
+    found = simulator.predict(run, [x])[0]
+
+    model, step = simulator._with(x), 1.25e-4
+    model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    offset = np.array([given.value(x, "offset", name, "", 0.0) for name in robot.joint_names])
+    data, seen = mujoco.MjData(model), []
+    robot.mj_convention.set_state(data, run.start[0] - offset, run.start[1])
+    for tick in range(round(run.time[-1] / step)):
+        if tick % 40 == 0:
+            seen.append(data.qpos[robot.mj_convention.qpos_index] + offset)
+        sample = max(int((tick * step - x[-1]) / 0.005 + 1e-9), 0)
+        data.ctrl[:] = run.command[sample] - offset  # in actuator order, of gear 1
+        mujoco.mj_step(model, data)
+    late = 50  # samples: until how it began is forgotten
+    assert found[late : len(seen)] == pytest.approx(np.array(seen)[late:], abs=2e-4)
+    assert np.ptp(found[late:, 0]) > 0.2
+
+
+def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_them() -> None:
+    robot = load("v3", fixed_base=True)
+    joints = ("leg_front_r_3", "leg_back_l_2")
+    drive, given = model_with_servos(robot), table(robot, joints, 0.05)
+    x = given.stated.copy()
+    x[[place for place, one in enumerate(given) if one.kind == "kp"]] = 5.0
+    time = np.arange(0, 1.05, 0.005)
+    command = robot.home + 0.3 * np.sin(6 * time)[:, None]
+    log = Log("v3", time, robot.joint_names, command, command)
+    (run,) = split_runs(log, (), robot.home, 0.0)
+    simulator = Simulator(robot, drive, given, 0.005)
+    here = simulator.predict(run, [x])[0]
+    whole = np.zeros((*here.shape, len(given)))
+    for number, (places, slopes) in simulator.jacobian(run, x, here).items():
+        whole[:, np.array(simulator.groups[number][0])[:, None], places] = slopes
+    for place in range(0, len(given), 2):  # of every other: they are many
+        one = given.parameters[place]
+        change = 1e-2 * one.width * np.eye(len(given))[place]
+        wanted = (simulator.predict(run, [x + change])[0] - here) / (1e-2 * one.width)
+        assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
+
+
+def test_runs_end_where_the_clock_jumps_and_missing_commands_stay() -> None:
+    log = moving(4.0)
+    command, position = log.command.copy(), log.position.copy()
+    command[100:110, 0], position[200:210, 1] = np.nan, np.nan
+    time = log.time + 5.0 * (np.arange(len(log.time)) > 399)
+    odd = replace(log, time=time, command=command, position=position)
+    runs: list[Run] = list(split_runs(odd, (399,), MIDDLE, 0.2))
+    assert [len(run.time) for run in runs] == [400, 400]
+    assert (runs[0].command[100:110, 0] == command[99, 0]).all()
+    assert not runs[0].counts[200:210, 1].any()
+    assert runs[0].counts[200:210, 0].all()
+    assert not (runs[0].counts & runs[0].held_out).any()
+    assert runs[0].held_out.sum() == pytest.approx(0.2 * 400 * 4, abs=8)
+
+
+def test_noise_that_remembers_makes_sums_as_uncertain_as_they_are() -> None:
+    """Sums over 400 series of the noise, by how they scatter."""
+    random, weights = np.random.default_rng(5), np.column_stack([np.ones(200), np.arange(200.0)])
+    kicks, series = 1e-3 * random.normal(size=(300, 400)), np.zeros((300, 400))
+    for at, kick in enumerate(kicks):
+        series[at] = 0.8 * series[at - 1] - 0.2 * series[at - 2] + kick
+    whole = np.concatenate(series.T[:20])
+    whole[300] = np.nan
+    found = SeriesNoise.of([whole])
+    assert found.coefficients[:2] == pytest.approx([0.8, -0.2], abs=0.05)
+    assert found.innovation == pytest.approx(1e-3, rel=0.03)
+    assert found.long_run == pytest.approx(1e-3 / 0.4, rel=0.1)
+    spread = found.spread(weights)
+    assert spread @ spread.T == pytest.approx(np.cov(weights.T @ series[100:]), rel=0.25)
