@@ -2,6 +2,10 @@ from .estimate import Posterior as Posterior
 from .estimate import estimate_parameters as estimate_parameters
 from .log import Log as Log
 from .log import read_log as read_log
+from .log_quality import LogQuality as LogQuality
+from .log_quality import inspect_log as inspect_log
+from .motion import MotionFit as MotionFit
+from .motion import fit_motion as fit_motion
 from .parameters import Parameter as Parameter
 from .parameters import Prior as Prior
 from .parameters import parse_prior as parse_prior

@@ -99,7 +99,8 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
     noise = QUANTUM * math.hypot(0.3, 1 / math.sqrt(12))
     # While the bar is still, quanta hide a part of it.
     assert fitted().encoder_noise == pytest.approx(noise, rel=0.3)
-    assert fitted().held_out == pytest.approx(noise, rel=0.3)
+    # MuJoCo's dry friction is soft, and Coulomb's is not.
+    assert noise / 1.1 < fitted().held_out < 1.6 * noise
     assert fitted().held_out_before > 10 * fitted().held_out
     assert math.isnan(fitted().repeatability)
     assert fitted().diagnostics == ()
