@@ -6,7 +6,8 @@ For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
 
 - apart: gravity torques of both engines at 100 postures, in parts of the largest;
 - beyond: 10^5 postures' torques by MuJoCo, the most of any joint in parts of what the search for
-  its worst posture found (1 or less, but for rounding), and that in parts of its bound;
+  its worst posture found (1 or less, but for rounding); gap: what no posture is proven to exceed,
+  less what was found, in parts of the largest torque of all joints;
 - motors, servos: what either hold at the tool in the posture; 0.98, 1.02: whether MuJoCo holds
   such parts of the lesser; dry friction, where there is some, may hold more;
 - force: the polytope's edge in 50 directions, in parts by which it differs from linear
@@ -74,7 +75,7 @@ def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
 
 
 def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
-    """Returns the most of random postures' torques, and of what was found, in parts."""
+    """Returns the most of random postures' torques in parts of what was found, and the gap."""
     ways = Ways(robot, held.posture)
     rng = np.random.default_rng(1)
     if robot.closure is None:
@@ -90,8 +91,8 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
     found, bounds = np.abs(held.worst.joint_torques), held.worst.bounds
     scale = 1e-9 * max(float(found.max()), 1e-300)
     bounded = np.isfinite(bounds) & (found > scale)
-    tight = (found[bounded] / bounds[bounded]).min(initial=1.0)
-    return float((most / np.maximum(found, scale)).max()), float(tight)
+    gap = (bounds - found)[bounded].max(initial=0.0) / max(float(found.max()), 1e-300)
+    return float((most / np.maximum(found, scale)).max()), float(gap)
 
 
 def carried(robot: Robot, held: Hold, share: float) -> str:
@@ -150,13 +151,13 @@ def row(files: str) -> str:
     both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
     scale = max(float(np.abs(both).max()), 1e-300)
     apart = max(float(np.abs(one - other).max()) for one, other in both) / scale
-    beyond, tight = sampled(robot, held, own)
+    beyond, gap = sampled(robot, held, own)
     edge, least = pushed(robot, held, own)
     lasts, breaks = carried(robot, held, 0.98), carried(robot, held, 1.02)
     payload = held.payload
     return (
         f"| {name} | {robot.nu} | {verdict_word(held.verdict).en} | {loaded:.1f} | {took:.1f} "
-        f"| {apart:.0e} | {beyond:.6f} | {tight:.4f} | {payload.mass:.3g} "
+        f"| {apart:.0e} | {beyond:.6f} | {gap:.1e} | {payload.mass:.3g} "
         f"| {payload.servos:.3g} | {lasts} | {breaks} | {edge:.0e} | {least:.0e} |"
     )
 
@@ -166,7 +167,7 @@ def row(files: str) -> str:
 def main(files: tuple[str, ...]) -> None:
     """Prints a row of a Markdown table for each of FILES."""
     columns = (
-        *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond", "found / bound"),
+        *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond", "gap"),
         *("motors (kg)", "servos (kg)", "0.98", "1.02", "edges", "weakest"),
     )
     print(f"| {' | '.join(columns)} |")

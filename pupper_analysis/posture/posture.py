@@ -20,7 +20,8 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 _SLACK = 1e-3
-"""What keyframes may be beyond limits (rad, m), as they are rounded; they are cut to these."""
+"""What keyframes may be beyond limits (rad, m), as they are rounded: they are cut to these; and by
+which joints of a loop that are given may be moved to close it."""
 
 
 class PostureSource(StrEnum):
@@ -109,7 +110,13 @@ def find_posture(
         qpos[robot.joint_names.index(joint)] = position
     if robot.closure is not None:
         placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
-        closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
+        moving = np.ones(robot.nu)
+        moving[placed] = 0.0
+        closed = robot.closure.closed(qpos, moving)
+        if closed is None:  # which are rounded, if two of a loop are given
+            closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
+            if closed is not None and (np.abs(closed - qpos)[placed] > _SLACK).any():
+                closed = None
         if closed is None:
             problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
             raise ConfigurationError("joints", problem)

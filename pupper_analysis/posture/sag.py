@@ -36,8 +36,8 @@ _LONGEST = 0.3
 _MOVED = 1e-12
 """A shorter step is rounding (rad, m)."""
 
-_REACHED = 1e-9
-"""What is nearer to a limit is at it (rad, m)."""
+_REACHED = 1e-6
+"""What is nearer to a limit is at it (rad, m): MuJoCo's limits, and couplings, give way by more."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,6 +137,8 @@ def test_a_joint_that_follows_is_held_by_the_one_that_leads(
     torques = dict(zip(robot.joint_names, held.statics.joint_torques, strict=True))
     assert torques["elbow"] == pytest.approx(tree["elbow"] + rate * tree["b_slide"], rel=1e-6)
     assert torques["b_slide"] == 0.0
+    with pytest.raises(pa.ConfigurationError, match="do not close"):  # they are not both to be had
+        find_posture(robot, {"elbow": 1.2, "b_slide": at["b_slide"] + 0.02})
     off = held.verification.joint_positions - held.posture.qpos
     opened = dict(zip(robot.joint_names, off, strict=True))["b_slide"]
     assert opened > 3e-3
