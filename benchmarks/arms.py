@@ -81,7 +81,7 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
     if robot.closure is None:
         postures = rng.uniform(*ways.ranges.T, size=(SAMPLES, robot.nu))
     else:
-        postures = np.array(ways.random(BOUND))
+        postures = np.array(ways.random(BOUND, between=True))
     most = np.zeros(robot.nu)
     for qpos in postures:
         load = own.load(qpos)

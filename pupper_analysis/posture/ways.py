@@ -73,8 +73,13 @@ class Ways:
         if self._closure is not None:
             self._bind(self._closure)
 
-    def random(self, count: int) -> list[Array]:
-        """Returns random postures (nu,), their loops closed: the same ones each time."""
+    def random(self, count: int, *, between: bool = False) -> list[Array]:
+        """Returns random postures (nu,), their loops closed: the same ones each time.
+
+        Args:
+            count: How many.
+            between: Also between the places at which loops are closed once for all.
+        """
         random, found = np.random.default_rng(0), []
         for _ in range(count):
             qpos = self.origin.copy()
@@ -83,6 +88,9 @@ class Ways:
                 if bends:
                     place = self._place(qpos, way, round(share * (self._places(way) - 1)))
                     qpos = qpos if place is None else place
+                    low, high = self.ranges[self.free[way]]
+                    near = self.bend(qpos, way, low + share * (high - low)) if between else None
+                    qpos = qpos if near is None else near
                 else:
                     low, high = self.span(qpos, way)
                     qpos = self.along(qpos, way, low + share * (high - low))
@@ -111,6 +119,43 @@ class Ways:
         found = [self._place(qpos, way, number) for number in range(self._places(way))]
         return [place for place in found if place is not None]
 
+    def closed_before(self, qpos: Array, way: int) -> list[Array]:
+        """Returns postures (nu,) with the loop of a way, which bends, as it was closed so far."""
+        loop, found = self._loop[way], []
+        leading = np.intersect1d(loop, self.free)
+        for key, own in self._closed.items():
+            numbers, positions = key[: len(leading)], key[len(leading) :]
+            if own is not None and numbers == tuple(leading.tolist()):
+                moved = qpos.copy()
+                moved[leading], moved[self._followers(way)] = positions, own
+                found.append(moved)
+        return found
+
+    def around(self, qpos: Array, way: int) -> tuple[float, float]:
+        """Returns positions a place before and after that of the joint of a way (rad, m)."""
+        low, high = self.ranges[self.free[way]]
+        here, apart = float(qpos[self.free[way]]), float(high - low) / (self._places(way) - 1)
+        return max(float(low), here - apart), min(float(high), here + apart)
+
+    def bend(self, qpos: Array, way: int, position: float) -> Array | None:
+        """Returns the posture (nu,) with the joint of a way, which bends, elsewhere (rad, m).
+
+        None if its loop does not close there, or takes others beyond their ranges.
+        """
+        assert self._closure is not None
+        moved, followers = qpos.copy(), self._followers(way)
+        moved[self.free[way]] = position
+        moving = np.isin(np.arange(len(qpos)), followers).astype(np.float64)
+        closed = self._closure.closed(moved, moving)
+        if closed is None:
+            return None
+        low, high = self.ranges[followers].T
+        own = closed[followers]
+        if ((own < low - _BEYOND) | (own > high + _BEYOND)).any():
+            return None
+        moved[followers] = np.clip(own, low, high)
+        return moved
+
     def _place(self, qpos: Array, way: int, number: int) -> Array | None:
         """Returns the posture in which a joint is at one of its places; None if no loop closes."""
         loop, lead, moved = self._loop[way], self.free[way], qpos.copy()
@@ -118,24 +163,19 @@ class Ways:
         moved[lead] = low + (high - low) * number / (self._places(way) - 1)
         leading = np.setdiff1d(loop, self._following)
         key = tuple(np.concatenate([leading, moved[leading].round(9)]).tolist())
-        followers = np.intersect1d(loop, self._following)
+        followers = self._followers(way)
         if key not in self._closed:
-            assert self._closure is not None
-            closed = self._closure.closed(
-                moved, np.isin(np.arange(len(qpos)), followers).astype(np.float64)
-            )
-            within = (
-                closed is not None
-                and (
-                    (closed > self.ranges[:, 0] - _BEYOND) & (closed < self.ranges[:, 1] + _BEYOND)
-                )[followers].all()
-            )
-            self._closed[key] = closed[followers] if closed is not None and within else None
+            closed = self.bend(moved, way, float(moved[lead]))
+            self._closed[key] = None if closed is None else closed[followers]
         own = self._closed[key]
         if own is None:
             return None
-        moved[followers] = np.clip(own, *self.ranges[followers].T)
+        moved[followers] = own
         return moved
+
+    def _followers(self, way: int) -> IntArray:
+        """Returns the joints of the loop of a way that follow."""
+        return np.intersect1d(self._loop[way], self._following)
 
     def _places(self, way: int) -> int:
         """Returns at how many positions of the joint of a way its loop is closed."""

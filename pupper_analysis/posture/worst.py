@@ -39,6 +39,19 @@ _SAME = 1e-9  # in parts of the torque
 _SWEEPS = 30
 _GAIN = 1e-10  # of a sweep, in parts of the torque: less is rounding
 
+_POOL = 500
+"""Random postures of a robot whose loops bend: searches also begin from the worst of them, as loops
+of several joints, not all of whose positions close, have many that are worst near themselves."""
+
+_WORST = 3
+"""How many of these."""
+
+_CLOSER = 1e-6
+"""Gain of a sweep between a loop's places that is worth another, in parts of the torque."""
+
+_FINE = 1e-4
+"""How closely a joint of a loop is placed at the end (rad, m): the torque is 1e-8 of it off."""
+
 _SAMPLES = 24
 """Looks along a joint that others follow, where torques are no single wave."""
 
@@ -49,6 +62,9 @@ _CHECKED = 8
 """Random postures in which gravity on the tree is compared with what motors and springs hold."""
 
 _NO_SHARE = 1e-12
+
+_OUT = 1e300
+"""Less than any torque, turned over: where no loop closes."""
 
 _NOTHING = 1e-14
 """N m per N of weight: what joints about vertical axes hold is rounding."""
@@ -138,6 +154,8 @@ def worst_postures(
     if near is not None:
         torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
         bounds[~asked] = near.bounds[~asked, None]
+    pool = ways.random(_POOL) if ways.bent.any() and near is None else []
+    sampled = np.array([search.torques(qpos) for qpos in pool])
     for joint in np.flatnonzero(asked).tolist():
         begin = [posture.qpos, *starts[:_STARTS]]
         if near is not None:
@@ -146,7 +164,10 @@ def worst_postures(
             goal = bounds[joint, column]
             if goal <= abs(torques[joint]):
                 continue
-            found, at = search.highest(joint, sign, begin, goal)
+            most = np.argsort(-sign * sampled[:, joint])[:_WORST] if pool else ()
+            found, at = search.highest(
+                joint, sign, [*begin[:1], *(pool[one] for one in most), *begin[1:]], goal
+            )
             if found > abs(torques[joint]):
                 torques[joint], postures[joint] = sign * found, at
     torques[np.abs(torques) <= _NOTHING * robot.total_mass * np.linalg.norm(robot.gravity)] = 0.0
@@ -260,14 +281,36 @@ class _Search:
             alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
             if best[0] >= (1 - _CLOSE) * goal or (alike >= _AGREED and not math.isfinite(goal)):
                 break
+        if best[0] < (1 - _CLOSE) * goal and self._ways.bent.any():
+            return self.refine(joint, sign, *best)
         return best
+
+    def refine(self, joint: int, sign: float, best: float, qpos: Array) -> tuple[float, Array]:
+        """Climbs on, with all joints of a loop at once, and between its places."""
+        ways = self._ways
+        for _ in range(_SWEEPS):
+            before = best
+            for way in self._chosen(joint):
+                if not ways.bent[way]:
+                    there = [ways.along(qpos, way, self._peak(joint, sign, qpos, way, best))]
+                else:
+                    there = ways.closed_before(qpos, way)
+                    nearest = max(
+                        [qpos, *there], key=lambda place: self._torque(joint, sign, place)
+                    )
+                    there = [nearest, self._between(joint, sign, nearest, way)]
+                for place in there:
+                    found = self._torque(joint, sign, place)
+                    if found > best:
+                        best, qpos = found, place
+            if best - before <= _CLOSER * abs(best):
+                break
+        return best, qpos
 
     def climb(self, joint: int, sign: float, qpos: Array) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, near a posture."""
         ways, best = self._ways, self._torque(joint, sign, qpos)
-        loads = np.abs(ways.shares[joint]) > _NO_SHARE
-        matter = self._matters[loads].any(axis=0)
-        chosen = [way for way, moved in enumerate(ways.moved) if matter[moved].any()]
+        chosen = self._chosen(joint)
         for _ in range(_SWEEPS):
             before = best
             for way in chosen:
@@ -282,6 +325,32 @@ class _Search:
             if best - before <= _GAIN * abs(best):
                 break
         return best, qpos
+
+    def torques(self, qpos: Array) -> Array:
+        """Returns what all motors hold in a posture (nu,) (N m, N); 0 at a dead point."""
+        found = np.array([self._torque(joint, 1.0, qpos) for joint in range(len(qpos))])
+        return np.where(np.isfinite(found), found, 0.0)
+
+    def _chosen(self, joint: int) -> list[int]:
+        """Returns the ways that matter to what a motor holds."""
+        loads = np.abs(self._ways.shares[joint]) > _NO_SHARE
+        matter = self._matters[loads].any(axis=0)
+        return [way for way, moved in enumerate(self._ways.moved) if matter[moved].any()]
+
+    def _between(self, joint: int, sign: float, qpos: Array, way: int) -> Array:
+        """Returns where along a way that bends, near a posture, a torque is greatest."""
+
+        def lacking(position: float) -> float:
+            there = self._ways.bend(qpos, way, position)
+            return _OUT if there is None else -self._torque(joint, sign, there)
+
+        low, high = self._ways.around(qpos, way)
+        found = optimize.minimize_scalar(
+            lacking, bounds=(low, high), method="bounded", options={"xatol": _FINE}
+        )
+        ends = (self._ways.bend(qpos, way, at) for at in (low, float(found.x), high))
+        closed = [end for end in ends if end is not None]
+        return max(closed, key=lambda there: self._torque(joint, sign, there), default=qpos)
 
     def _peak(self, joint: int, sign: float, qpos: Array, way: int, here: float) -> float:
         """Returns where along a way, which does not bend, a torque is greatest (rad, m)."""
