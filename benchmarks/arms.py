@@ -4,12 +4,14 @@
 
 For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
 
-- apart: gravity torques of both engines at 100 postures, in parts of the largest;
+- apart: what is held by both engines at 100 postures, in parts of gravity's largest torque, which
+  gravity compensation may take away;
 - beyond: 10^5 postures' torques by MuJoCo, the most of any joint in parts of what the search for
   its worst posture found (1 or less, but for rounding); gap: what no posture is proven to exceed,
   less what was found, in parts of the largest torque of all joints;
 - motors, servos: what either hold at the tool in the posture; 0.98, 1.02: whether MuJoCo holds
-  such parts of the lesser; dry friction, where there is some, may hold more;
+  such parts of the lesser, for as long as ``hold`` simulates; dry friction, where there is some,
+  may hold more: then it is told what is held without;
 - force: the polytope's edge in 50 directions, in parts by which it differs from linear
   programmes with MuJoCo's Jacobian and torques; then its least against the least of their nearest
   faces.
@@ -41,7 +43,6 @@ from pupper_analysis.robot.robot import Robot
 Array = NDArray[np.float64]
 
 POSTURES, SAMPLES, BOUND, DIRECTIONS = 100, 100_000, 5_000, 50
-SETTLED = 4.0  # s of simulation
 
 
 class ByMujoco:
@@ -57,6 +58,14 @@ class ByMujoco:
         mujoco.mj_fwdVelocity(self.robot.mj_model, self.data)
         held = self.data.qfrc_bias - self.data.qfrc_passive
         return np.array(held[self.robot.mj_convention.qvel_index])
+
+    def gravity(self, postures: list[Array]) -> float:
+        """Returns the greatest torque of gravity in postures, without its compensation."""
+        found = 0.0
+        for qpos in postures:
+            self.load(qpos)
+            found = max(found, float(np.abs(self.data.qfrc_bias).max()))
+        return found
 
     def jacobian(self, held: Hold) -> Array:
         """Returns that of the tool (3, nu), at the posture."""
@@ -74,7 +83,7 @@ def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
     return Configuration(robot, qpos).by_motors(forces)
 
 
-def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
+def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> tuple[float, float]:
     """Returns the most of random postures' torques in parts of what was found, and the gap."""
     ways = Ways(robot, held.posture)
     rng = np.random.default_rng(1)
@@ -89,7 +98,7 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
             most, np.abs(load if robot.closure is None else by_motors(robot, qpos, load))
         )
     found, bounds = np.abs(held.worst.joint_torques), held.worst.bounds
-    scale = 1e-9 * max(float(found.max()), 1e-300)
+    scale = 1e-9 * max(gravity, 1e-300)
     bounded = np.isfinite(bounds) & (found > scale)
     gap = (bounds - found)[bounded].max(initial=0.0) / max(float(found.max()), 1e-300)
     return float((most / np.maximum(found, scale)).max()), float(gap)
@@ -101,11 +110,16 @@ def carried(robot: Robot, held: Hold, share: float) -> str:
     if not 0 < mass < np.inf:
         return "-"
     loaded = with_payload(robot, mass, held.tool)
-    return (
-        "holds"
-        if verify_posture(loaded, held.posture, held.tool, duration=SETTLED).passed
-        else "fails"
-    )
+    word = held_by(loaded, held)
+    if word == "holds" and robot.mj_model.dof_frictionloss.any():
+        loaded.mj_model.dof_frictionloss[:] = 0.0
+        word += f" (without friction: {held_by(loaded, held)})"
+    return word
+
+
+def held_by(robot: Robot, held: Hold) -> str:
+    """Tells whether a robot holds the posture in simulation."""
+    return "holds" if verify_posture(robot, held.posture, held.tool).passed else "fails"
 
 
 def pushed(robot: Robot, held: Hold, own: ByMujoco) -> tuple[float, float]:
@@ -149,9 +163,9 @@ def row(files: str) -> str:
     took, own = time.process_time() - begin, ByMujoco(robot)
     postures = Ways(robot, held.posture).random(POSTURES)
     both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
-    scale = max(float(np.abs(both).max()), 1e-300)
-    apart = max(float(np.abs(one - other).max()) for one, other in both) / scale
-    beyond, gap = sampled(robot, held, own)
+    gravity = own.gravity(postures)
+    apart = max(float(np.abs(one - other).max()) for one, other in both) / max(gravity, 1e-300)
+    beyond, gap = sampled(robot, held, own, gravity)
     edge, least = pushed(robot, held, own)
     lasts, breaks = carried(robot, held, 0.98), carried(robot, held, 1.02)
     payload = held.payload
