@@ -121,6 +121,46 @@ def test_springs_and_gravity_compensation_are_those_of_the_mjcf(tmp_path: Path) 
             assert there[joint] == pytest.approx(torque, abs=1e-9)
 
 
+FOUR_BARS = """<mujoco><compiler angle="radian"/><worldbody><body name="base">
+<geom size=".05" mass="1"/>
+<body name="crank"><joint name="crank" axis="0 -1 0" range="-1.2 1.2"/>
+<geom type="capsule" fromto="0 0 0 .1 0 0" size=".01" mass=".5"/>
+<body name="rod" pos=".1 0 0"><joint name="rod" axis="0 -1 0" range="-3 3"/>
+<geom type="capsule" fromto="0 0 0 .1 0 .23" size=".01" mass=".4"/></body></body>
+<body name="rocker" pos=".3 0 0"><joint name="rocker" axis="0 -1 0" range="-3 3"/>
+<geom type="capsule" fromto="0 0 0 -.1 0 .23" size=".01" mass=".3"/></body></body></worldbody>
+<equality><connect body1="rod" body2="rocker" anchor=".1 0 .23"/></equality>
+<actuator><position joint="crank" kp="100" kv="2" forcerange="-5 5"/></actuator></mujoco>"""
+
+
+def test_the_worst_posture_of_a_loop_is_between_the_places_at_which_it_was_closed(
+    tmp_path: Path,
+) -> None:
+    """Virtual work: its crank holds the slope of the height of what moves."""
+    (tmp_path / "bars.xml").write_text(FOUR_BARS)
+    robot = pa.load_robot(tmp_path / "bars.xml", fixed_base=True)
+    crank, length = robot.joint_names.index("crank"), math.hypot(0.1, 0.23)
+
+    def energy(turn: float) -> float:
+        # The rods' joint is where circles about the crank's end and the rocker's foot meet.
+        end = np.array([0.1 * math.cos(turn), 0.1 * math.sin(turn)])
+        apart = np.array([0.3, 0.0]) - end
+        across = np.array([-apart[1], apart[0]]) / np.linalg.norm(apart)
+        meet = end + apart / 2 + across * math.sqrt(length**2 - apart @ apart / 4)
+        return G * float(0.25 * end[1] + 0.2 * (end[1] + meet[1]) + 0.15 * meet[1])
+
+    def torque(turn: float) -> float:
+        return (energy(turn + 1e-5) - energy(turn - 1e-5)) / 2e-5
+
+    rough = max(np.linspace(-1.2, 1.2, 50), key=lambda turn: abs(torque(turn)))
+    sure = optimize.minimize_scalar(
+        lambda turn: -abs(torque(turn)), bounds=(rough - 0.05, rough + 0.05), method="bounded"
+    )
+    worst = worst_postures(robot, find_posture(robot), find_tool(robot))
+    assert abs(sure.x) < 1.1  # within its range
+    assert abs(worst.joint_torques[crank]) == pytest.approx(-sure.fun, rel=1e-7)
+
+
 def test_a_payload_is_at_its_limit_in_both_engines() -> None:
     """And what is held in every posture is between what is proven and what is found to fail."""
     robot = arm()
