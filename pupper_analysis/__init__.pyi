@@ -11,6 +11,9 @@ from . import (
     errors as errors,
 )
 from . import (
+    fit as fit,
+)
+from . import (
     guard as guard,
 )
 from . import (
@@ -96,6 +99,9 @@ from .errors import (
 from .errors import (
     VariantError as VariantError,
 )
+from .fit.fit import fit_stands as fit_stands
+from .fit.plan import plan_stands as plan_stands
+from .fit.stands import read_stands as read_stands
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study
 from .pupper.variants import VARIANTS as VARIANTS

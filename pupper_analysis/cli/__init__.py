@@ -12,6 +12,7 @@ import click
 
 import pupper_analysis
 from pupper_analysis.cli.convert import convert_command
+from pupper_analysis.cli.fit import fit
 from pupper_analysis.cli.guard import check_command, diff_command
 from pupper_analysis.cli.hold import hold
 from pupper_analysis.cli.live import live_command
@@ -163,6 +164,7 @@ for _command in (
     path,
     push,
     hold,
+    fit,
     crosscheck,
     diff_command,
     sync_command,

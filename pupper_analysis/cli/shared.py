@@ -126,6 +126,7 @@ def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) ->
 UNITS = {
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "angle": {"rad": 1.0, "deg": math.pi / 180},
+    "mass": {"kg": 1.0, "g": 1e-3},
 }
 UNITS["position"] = UNITS["angle"] | UNITS["length"]
 """Units that a value may end in, per kind of quantity; the first is meant without one."""

@@ -1,5 +1,6 @@
 from .estimate import Posterior as Posterior
 from .estimate import estimate_parameters as estimate_parameters
+from .fit import fit_stands as fit_stands
 from .log import Log as Log
 from .log import read_log as read_log
 from .log_quality import LogQuality as LogQuality
@@ -9,4 +10,10 @@ from .motion import fit_motion as fit_motion
 from .parameters import Parameter as Parameter
 from .parameters import Prior as Prior
 from .parameters import parse_prior as parse_prior
+from .plan import StandPlan as StandPlan
+from .plan import plan_stands as plan_stands
+from .plan import write_plan as write_plan
+from .result import Estimate as Estimate
+from .result import Fit as Fit
 from .stands import MeasuredStands as MeasuredStands
+from .stands import read_stands as read_stands

@@ -19,11 +19,8 @@ _MOST_STEPS = 60
 """Gauss-Newton takes 4 to 10 from a model's own numbers; those that lead nowhere need no more."""
 
 _SETTLED = 1e-4
-"""Of a prior's width: a step as short as that moves no estimate by what its interval shows."""
-
-_NO_GAIN = 1e-2
 """Of the cost, whose unit is one standard deviation squared: a step that promises no more is one of
-a tenth of a standard deviation at most. Costs of simulations are no smoother than that."""
+a hundredth of a standard deviation, which no interval shows."""
 
 _STALLED = 0.01
 """Of a rough cost: where a step promises more and none gives it, derivatives are wrong."""
@@ -67,6 +64,11 @@ class Linearised:
             log_noise,
         )
 
+    @staticmethod
+    def nothing(n: int) -> Linearised:
+        """Returns the sums of no residuals, of n parameters."""
+        return Linearised(np.zeros((n, n)), np.zeros(n), 0.0, 0)
+
     def __add__(self, other: Linearised) -> Linearised:
         return Linearised(
             self.information + other.information,
@@ -82,11 +84,11 @@ class Linearised:
         Of residuals that are linear in the parameters about x; up to a constant.
         """
         width = table.width
-        whole = width[:, None] * self.information * width + np.eye(len(x))
+        whole = width[:, None] * self.information * width + table.precision
         z = (x - table.stated) / width
-        downhill = width * self.gradient + z
+        downhill = width * self.gradient + table.precision @ z
         factor = cho_factor(whole)
-        left = self.chi2 + z @ z - downhill @ cho_solve(factor, downhill)
+        left = self.chi2 + z @ table.precision @ z - downhill @ cho_solve(factor, downhill)
         return float(-left / 2 - self.log_noise / 2 - np.log(np.diag(factor[0])).sum())
 
 
@@ -100,6 +102,7 @@ class Posterior:
         covariance: (n, n) of these.
         information: (n, n) what the measurements alone tell, where the prior's widths are the
             units: a direction with 1 is told as well by the prior.
+        precision: (n, n) what was known before, likewise.
         chi2: Sum of squares of the whitened residuals left.
         prior_chi2: Likewise of how far the parameters moved, in their widths.
         rows: How many residuals there are.
@@ -110,6 +113,7 @@ class Posterior:
     mean: Array
     covariance: Array
     information: Array
+    precision: Array
     chi2: float
     prior_chi2: float
     rows: int
@@ -137,7 +141,8 @@ class Posterior:
     def freedom(self) -> float:
         """Residuals less the parameters that they told: what ``chi2`` is on average."""
         n = len(self.mean)
-        told = n - np.trace(np.linalg.inv(np.eye(n) + self.information))
+        whole = np.linalg.inv(self.precision + self.information)
+        told = n - np.trace(whole @ self.precision)
         return float(self.rows - told)
 
 
@@ -153,10 +158,11 @@ def estimate_parameters(
 ) -> Posterior:
     """Returns the parameters that measurements and priors make most probable.
 
-    Minimises chi2(x) + |(x - stated) / width|^2 by Levenberg's damped Gauss-Newton steps. What
-    noise does to residuals may depend on parameters (that of an encoder on a torque, by kp). It is
-    taken as it is at the last parameters, and no derivative is taken of it: residuals would be
-    made small by parameters that make noise large. What means nothing below zero stays above.
+    Minimises chi2(x) + z^T P z, z = (x - stated) / width, P being the prior's precision, by
+    Levenberg's damped Gauss-Newton steps. What noise does to residuals may depend on parameters
+    (that of an encoder on a torque, by kp). It is taken as it is at the last parameters, and no
+    derivative is taken of it: residuals would be made small by parameters that make noise large.
+    What means nothing below zero stays above.
 
     Args:
         table: The parameters.
@@ -170,40 +176,38 @@ def estimate_parameters(
     Raises:
         FitError: If it does not converge.
     """
-    width, n = table.width, len(table)
+    width, before = table.width, table.precision
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     positive = np.array([KINDS[one.kind].positive for one in table], dtype=bool)
     damping, stalled = _LEAST_DAMPING, 0
     for steps in range(1, _MOST_STEPS + 1):
         here = linearise(x, x)
         z = (x - table.stated) / width
-        cost = here.chi2 + z @ z
+        cost = here.chi2 + z @ before @ z
         information = width[:, None] * here.information * width
-        downhill = -(width * here.gradient + z)
+        downhill = -(width * here.gradient + before @ z)
         if not np.isfinite(information).all() or not np.isfinite(downhill).all():
             break
-        whole = information + np.eye(n)
+        whole = information + before
         covariance = np.linalg.inv(whole)
         covariance = (covariance + covariance.T) / 2
         # What is zero, and would be less, stays there.
         free = ~(positive & (x <= 0) & (downhill < 0))
         whole_step = _step(whole, downhill, free, 0.0)
-        promised, least = float(whole_step @ downhill), max(_NO_GAIN, rough * cost)
-        done = np.abs(whole_step).max(initial=0.0) < _SETTLED or promised < least
+        promised, least = float(whole_step @ downhill), max(_SETTLED, rough * cost)
+        done = promised < least
         moved_on = False
         while not done:
             tried = x + width * _step(whole, downhill, free, damping)
             tried[positive] = np.maximum(tried[positive], 0.0)
             there, moved = linearise(tried, x), (tried - table.stated) / width
-            gain = cost - there.chi2 - moved @ moved
-            if gain >= -_ROUNDING * cost:
+            gain = cost - there.chi2 - moved @ before @ moved
+            if gain >= -_SETTLED:
                 moved_on = True
                 break
             damping *= 10
             if damping > _MOST_DAMPING:
                 break
-        if __import__("os").environ.get("DBG"):
-            print("promised", promised, "cost", cost, "damp", damping, "ok", moved_on, flush=True)
         if moved_on:
             x, damping = tried, max(damping / 10, _LEAST_DAMPING)
             stalled = stalled + 1 if gain < least else 0
@@ -213,8 +217,9 @@ def estimate_parameters(
                 mean=x,
                 covariance=width[:, None] * covariance * width,
                 information=information,
+                precision=before,
                 chi2=here.chi2,
-                prior_chi2=float(z @ z),
+                prior_chi2=float(z @ before @ z),
                 rows=here.rows,
                 steps=steps,
             )
@@ -229,7 +234,3 @@ def _step(whole: Array, downhill: Array, free: NDArray[np.bool_], damping: float
     own = whole[np.ix_(free, free)]
     step[free] = cho_solve(cho_factor(own + damping * np.diag(np.diag(own))), downhill[free])
     return step
-
-
-_ROUNDING = 1e-9
-"""Of a cost: what two ways to the same parameters differ by."""

@@ -27,6 +27,8 @@ class ParameterKind:
         share: Standard deviation of what is known before, in parts of the stated value.
         width: The same in the kind's unit; the larger of the two counts.
         positive: Whether a value below zero means nothing.
+        common: Correlation of what is known of two subjects: part of the variance that all have
+            in common.
     """
 
     name: str
@@ -34,6 +36,7 @@ class ParameterKind:
     share: float = 0.0
     width: float = 0.0
     positive: bool = False
+    common: float = 0.0
 
 
 KINDS: Mapping[str, ParameterKind] = {
@@ -45,8 +48,9 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("com", "m", width=0.03),
         # Encoders are zeroed by hand, or against a mechanical stop.
         ParameterKind("offset", "rad", width=math.radians(2.0)),
-        # Gains of servos are asked for in units of their driver: current, not torque.
-        ParameterKind("kp", "N m/rad", share=0.3, positive=True),
+        # Gains of servos are asked for in units of their driver, current and not torque: if one is
+        # wrong by a factor, all are. Were they not bound, twelve would be known on average.
+        ParameterKind("kp", "N m/rad", share=0.3, positive=True, common=0.5),
         ParameterKind("kd", "N m s/rad", share=0.5, positive=True),
         # Gearboxes of small servos: Pupper's upstream model with play has 12 times the other's.
         ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
@@ -133,6 +137,12 @@ _UNITS: Mapping[str, tuple[str, float]] = {
     "ms": ("s", 1e-3),
 }
 
+SHOWN_UNITS: Mapping[str, tuple[float, str]] = {
+    "rad": (180 / math.pi, "deg"),
+    "m": (1e3, "mm"),
+}
+"""{unit of a parameter: what it is multiplied by to be shown, and the unit that is shown}."""
+
 _PRIOR = re.compile(r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[^=%a-zA-Z]+)(?P<unit>.*)")
 
 
@@ -200,12 +210,23 @@ class ParameterTable:
 
     Args:
         parameters: In the vector's order.
+
+    Attributes:
+        parameters: Likewise.
+        stated: (n,) their stated values.
+        width: (n,) standard deviations before.
+        precision: (n, n) inverse of their correlation before.
     """
 
     def __init__(self, parameters: Iterable[Parameter]) -> None:
         self.parameters = tuple(parameters)
         self.stated = np.array([one.stated for one in self.parameters])
         self.width = np.array([one.width for one in self.parameters])
+        kinds = np.array([one.kind for one in self.parameters])
+        common = np.array([KINDS[one.kind].common for one in self.parameters])
+        correlation = np.where(kinds[:, None] == kinds, common, 0.0)
+        np.fill_diagonal(correlation, 1.0)
+        self.precision = np.linalg.inv(correlation) if len(kinds) else correlation
         self._at = {
             (one.kind, one.subject, one.component): place
             for place, one in enumerate(self.parameters)

@@ -2,23 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.errors import MeasurementError, UnknownNameError
+from pupper_analysis.fit.columns import Column, Columns, read_columns
+from pupper_analysis.robot.robot import Robot
+
 Array = NDArray[np.float64]
+
+COLUMNS = (
+    Column("stand", ""),
+    Column("command.*", "position"),
+    Column("position.*", "position"),
+    Column("torque.*", "torque"),
+    Column("force.*", "force"),
+    Column("roll", "position"),
+    Column("pitch", "position"),
+    Column("swing", ""),
+    Column("from", ""),
+)
+"""What may stand in a file of stands."""
+
+APPROACHES = ("above", "below")
+
+_AT_REST = 5e-3
+"""rad: readings of one stand that are further apart are of a robot that moves, or was moved. An
+encoder of 12 bits has steps of 1.5e-3."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredStands:
-    """Stands at rest, one a row, with joints in a robot's actuator order. NaN is not measured.
+    """Stands at rest, one a row. NaN is not measured.
 
     Attributes:
-        source: Where they are from: a file, or ``predicted``.
+        source: Where they are from: a file, or what stands for it.
         names: (m,) of the stands.
-        joints: (n,) names of the joints.
+        joints: (n,) whose columns follow.
         command: (m, n) commanded joint positions, as the servos have them (rad).
         position: (m, n) measured joint positions, as the encoders have them (rad).
         torque: (m, n) measured motor torques (N m).
@@ -41,3 +66,184 @@ class MeasuredStands:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def __repr__(self) -> str:
+        return f"<MeasuredStands {self.source!r}: {len(self)} stands, {len(self.joints)} joints>"
+
+    def of(self, robot: Robot) -> MeasuredStands:
+        """Returns the same with a robot's joints in its order.
+
+        Raises:
+            UnknownNameError: If the robot has not one of the joints or feet.
+            MeasurementError: If a joint's position was not measured, or too few feet carry.
+        """
+        for name in self.joints:
+            if name not in robot.joint_names:
+                raise UnknownNameError(self.source, "joint", name, robot.joint_names)
+        for name in (*self.force, *(foot for feet in self.swing for foot in feet)):
+            if name not in robot.feet:
+                raise UnknownNameError(self.source, "foot", name, tuple(robot.feet))
+        missing = [name for name in robot.joint_names if name not in self.joints]
+        if missing:
+            raise MeasurementError(self.source, diagnose("joints-not-measured", joints=missing))
+        order = [self.joints.index(name) for name in robot.joint_names]
+        found = replace(
+            self,
+            joints=robot.joint_names,
+            command=self.command[:, order],
+            position=self.position[:, order],
+            torque=self.torque[:, order],
+        )
+        for row, name in enumerate(found.names):
+            unread = np.flatnonzero(~np.isfinite(found.position[row]))
+            if unread.size:
+                joints = [robot.joint_names[joint] for joint in unread]
+                told = diagnose("stand-position-missing", stand=name, joints=joints)
+                raise MeasurementError(self.source, told)
+            points = [p for f, own in robot.feet.items() if f not in found.swing[row] for p in own]
+            if len(points) < _LEAST_POINTS:
+                told = diagnose("stand-on-too-few-feet", stand=name, feet=list(found.swing[row]))
+                raise MeasurementError(self.source, told)
+        return found
+
+    def repeated(self) -> MeasuredStands:
+        """Returns the same with readings of one stand, which are rows of one name, averaged.
+
+        Raises:
+            MeasurementError: If they are not those of a robot at rest.
+        """
+        keys = list(zip(self.names, self.approach, self.swing, strict=True))
+        groups = [np.flatnonzero([one == key for one in keys]) for key in dict.fromkeys(keys)]
+        if len(groups) == len(keys):
+            return self
+        for rows in groups:
+            apart = np.ptp(self.position[rows], axis=0)
+            if apart.max() > _AT_REST:
+                joint = int(apart.argmax())
+                told = diagnose(
+                    "stand-not-at-rest",
+                    stand=self.names[rows[0]],
+                    joint=self.joints[joint],
+                    apart=Quantity(float(apart[joint]), "rad"),
+                )
+                raise MeasurementError(self.source, told)
+
+        def mean(values: Array) -> Array:
+            return np.array([_mean(values[rows]) for rows in groups])
+
+        first = [int(rows[0]) for rows in groups]
+        return replace(
+            self,
+            names=tuple(self.names[row] for row in first),
+            command=mean(self.command),
+            position=mean(self.position),
+            torque=mean(self.torque),
+            force={foot: mean(values) for foot, values in self.force.items()},
+            tilt=mean(self.tilt),
+            swing=tuple(self.swing[row] for row in first),
+            approach=tuple(self.approach[row] for row in first),
+        )
+
+
+_LEAST_POINTS = 3
+"""A base on fewer points may turn about the line through them: how it is tilted is not known."""
+
+
+def _mean(values: Array) -> Array:
+    counted = np.isfinite(values)
+    total = np.where(counted, values, 0.0).sum(axis=0)
+    count = counted.sum(axis=0)
+    averaged: Array = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return averaged
+
+
+def read_stands(path: str | Path) -> MeasuredStands:
+    """Reads stands at rest from a CSV file or an ``.npz``, one a row.
+
+    Columns are ``command.<joint>`` and ``position.<joint>``; there may be ``stand`` (its name: rows
+    of one name are readings of one stand), ``torque.<joint>``, ``force.<foot>``, ``roll`` and
+    ``pitch`` of the base, ``swing`` (the feet in the air, with blanks between them), ``from``
+    (``above`` or ``below``). Units are SI unless they are said in brackets:
+    ``position.FL_knee [deg]``, ``force.FL [g]``. A cell that is empty is missing.
+
+    Args:
+        path: The file.
+
+    Raises:
+        MeasurementError: If it cannot be read, or is no list of stands.
+    """
+    table = read_columns(path, COLUMNS)
+    position, command = table.of("position"), table.of("command")
+    if not position or not (command or table.of("torque")):
+        missing = "position.<joint>" if not position else "command.<joint>"
+        raise MeasurementError(table.source, diagnose("column-missing", column=missing))
+    joints, blank = tuple(position), np.full(len(table.lines), np.nan)
+    for kind in ("command", "torque"):
+        for joint in table.of(kind):
+            if joint not in position:
+                told = diagnose("column-without-position", column=f"{kind}.{joint}", joint=joint)
+                raise MeasurementError(table.source, told)
+    columns = {
+        kind: np.column_stack([table.of(kind).get(joint, blank) for joint in joints])
+        for kind in ("command", "position", "torque")
+    }
+    tilt = [table.numbers.get(name, blank) for name in ("roll", "pitch")]
+    rows = [str(row + 1) for row in range(len(blank))]
+    return MeasuredStands(
+        source=table.source,
+        names=tuple(table.words.get("stand", rows)),
+        joints=joints,
+        command=columns["command"],
+        position=columns["position"],
+        torque=columns["torque"],
+        force=table.of("force"),
+        tilt=np.column_stack(tilt),
+        swing=tuple(tuple(words.split()) for words in table.words.get("swing", [""] * len(rows))),
+        approach=tuple(_approaches(table)),
+    )
+
+
+def _approaches(table: Columns) -> Iterator[str]:
+    for line, word in zip(
+        table.lines, table.words.get("from", [""] * len(table.lines)), strict=True
+    ):
+        if word and word not in APPROACHES:
+            told = diagnose("approach-unknown", line=line, word=word, known=APPROACHES)
+            raise MeasurementError(table.source, told)
+        yield word
+
+
+def quantum_of(stands: MeasuredStands) -> float:
+    """Returns the encoders' step (rad): all positions of a joint are whole multiples of it apart.
+
+    0 if there is none, or it is finer than what a file holds.
+    """
+    found = []
+    for column in stands.position.T:
+        steps = np.diff(np.sort(column))
+        steps = steps[steps > _FINEST]
+        if len(steps) < _LEAST_STEPS:
+            return 0.0
+        for parts in range(1, _MOST_PARTS):
+            quantum = steps.min() / parts
+            if quantum < _FINEST:
+                return 0.0
+            if np.abs(steps / quantum - np.round(steps / quantum)).max() < _WHOLE:
+                found.append(float(quantum))
+                break
+        else:
+            return 0.0
+    return min(found, default=0.0)
+
+
+_FINEST = 1e-5
+"""rad: a file's rounding is finer, and an encoder of 18 bits is not."""
+
+_LEAST_STEPS = 8
+"""That many whole multiples are no chance."""
+
+_MOST_PARTS = 40
+"""Of the least difference of two stands: those of some ten are a few steps apart."""
+
+_WHOLE = 0.05
+"""Of a step: rounding in the file."""

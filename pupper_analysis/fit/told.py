@@ -105,8 +105,7 @@ def _together(
     widest = vectors[:, -1] * np.array([one.width for one in chosen])
     after = {}
     for what, information in more.items():
-        n = len(spread)
-        added = np.linalg.inv(np.eye(n) + posterior.information + information)
+        added = np.linalg.inv(posterior.precision + posterior.information + information)
         narrowed = vectors[:, -1] @ added[np.ix_(group, group)] @ vectors[:, -1]
         factor = math.sqrt(float(values[-1]) / float(narrowed))
         if factor > _HELPS:

@@ -1,0 +1,145 @@
+"""``pupper-analysis fit``: what a robot really weighs, by stands at rest."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import (
+    FILES,
+    VARIANT,
+    RobotOptions,
+    add_options,
+    print_notes,
+    robot_argument,
+    robot_from,
+    with_robot,
+)
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from pupper_analysis.fit.plan import StandPlan
+    from pupper_analysis.fit.result import Fit
+    from pupper_analysis.robot.robot import Robot
+
+
+@click.command(
+    context_settings=shared.CONTEXT, short_help="What a robot really weighs, by measurements."
+)
+@robot_argument
+@shared.file_option("--stands", help="CSV of stands at rest: commands and positions.")
+@click.option(
+    "--plan",
+    "count",
+    type=int,
+    metavar="COUNT",
+    help="Choose the stands whose measurement would tell most, and write them to -o.",
+)
+@click.option("--degrees", is_flag=True, help="Write the plan in degrees.")
+@click.option(
+    "--both-sides", is_flag=True, help="Plan to come to each stand from above and from below."
+)
+@shared.file_option("-o", "--output", help="Where to write the plan, as CSV.")
+@click.option(
+    "--prior",
+    "priors",
+    multiple=True,
+    metavar="KIND[:NAME]=WIDTH",
+    help="What is known before, as a standard deviation; e.g. mass=20%, com:base_link=5mm, "
+    "kp=0 (it is right). Repeatable.",
+)
+@click.option(
+    "--weight", metavar="MASS", help="What the whole robot weighs on a scale; e.g. 3.55kg."
+)
+@click.option("--kp", type=float, metavar="KP", help="Stiffness of the servos (N m/rad).")
+@click.option(
+    "--encoder", metavar="ANGLE", help="Standard deviation of a measured position; e.g. 0.05deg."
+)
+@add_options(FILES, VARIANT)
+@shared.verbose_option
+@shared.look_option
+@shared.json_option
+@shared.report_option
+@with_robot
+def fit(
+    which: RobotOptions,
+    words: tuple[str, ...],
+    stands: Path | None,
+    count: int | None,
+    degrees: bool,
+    both_sides: bool,
+    output: Path | None,
+    priors: tuple[str, ...],
+    weight: str | None,
+    kp: float | None,
+    encoder: str | None,
+    everything: bool,
+    style: str,
+    json_path: Path | None,
+    report_path: Path | None,
+) -> None:
+    """Fit a robot's numbers to measurements: masses, centres of mass, zeros of encoders, kp.
+
+    A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
+    each: command.<joint> and position.<joint> (rad, or [deg] in the header), and if they were read
+    torque.<joint>, force.<foot>, roll and pitch, swing (feet in the air), from (above or below).
+    Every number comes with its interval; what the stands cannot tell is named, with what else to
+    measure.
+
+    \b
+    Examples:
+      pupper-analysis fit v3 --plan 12 -o plan.csv        which stands to take
+      pupper-analysis fit v3 --stands stands.csv --weight 3.55kg
+      pupper-analysis fit go2.xml --stands stands.csv --prior kp=0 --report fit.html
+
+    \b
+    Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    shared.check_outputs(json_path, report_path, output)
+    if (stands is None) == (count is None):
+        raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
+    mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
+    sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
+    robot = robot_from(which.one(words) or "v3")
+    if style == "text":
+        print_notes(robot, everything=everything)
+    result: Fit | StandPlan
+    if stands is None:
+        result = _plan(
+            robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
+        )
+    else:
+        from pupper_analysis.fit.fit import fit_stands
+        from pupper_analysis.fit.stands import read_stands
+
+        measured = read_stands(stands)
+        with shared.show_progress("fitting the robot's numbers to the stands"):
+            result = fit_stands(robot, measured, priors=priors, weight=mass, kp=kp, encoder=sure)
+    shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
+    shared.write_page(report_path, result, [robot])
+    shared.finish_command(json_path, result, passed=getattr(result, "explained", True))
+
+
+def _plan(
+    robot: Robot,
+    count: int,
+    output: Path | None,
+    priors: tuple[str, ...],
+    kp: float | None,
+    *,
+    both_sides: bool,
+    degrees: bool,
+) -> StandPlan:
+    """Plans stands, and writes them."""
+    from pupper_analysis.fit.plan import plan_stands, write_plan
+
+    with shared.show_progress("choosing stands among those that the servos hold"):
+        plan = plan_stands(robot, count, priors=priors, kp=kp, both_sides=both_sides)
+    if output is not None:
+        write_plan(plan, output, degrees=degrees)
+        shared.confirm_written(output)
+    return plan

@@ -1,0 +1,240 @@
+"""Fit of stands at rest: masses, centres of mass, zeros of encoders, stiffness of servos."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.errors import MeasurementError
+from pupper_analysis.fit.estimate import Linearised, estimate_parameters
+from pupper_analysis.fit.noise_levels import find_noise
+from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths, parse_prior
+from pupper_analysis.fit.result import WEIGHED, Fit, describe_fit
+from pupper_analysis.fit.stand_equations import StandEquations, bodies_of
+from pupper_analysis.fit.stand_numbers import AXES
+from pupper_analysis.fit.stand_rows import StandNoise
+from pupper_analysis.fit.stands import MeasuredStands, quantum_of
+from pupper_analysis.robot.friction import DryFriction
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos, servo_gains
+
+Array = NDArray[np.float64]
+
+_LEAST_STANDS = 3
+
+_FINE_ENCODER = 2e-4
+"""rad: where no step shows, a position is taken to be as sure as one of 14 bits that shakes."""
+
+
+_UNMODELLED = 2e-3
+"""Of the weight times the height: dry friction of joints of which files state none, as far as it
+makes torques uncertain: some hundredths of what they carry."""
+
+_PULLS = 0.02
+"""Of the weight: a foot that would pull so hard does not carry."""
+
+
+@check_arguments
+def fit_stands(
+    robot: Robot,
+    stands: MeasuredStands,
+    *,
+    priors: Sequence[Prior | str] = (),
+    weight: float | None = None,
+    kp: ArrayLike | None = None,
+    encoder: float | None = None,
+) -> Fit:
+    """Fits a robot's numbers to stands at rest.
+
+    A soft servo is a torque sensor: tau = kp (command - position). What is estimated are masses
+    and coms of all moving bodies, zero offsets of encoders, kp of servos, dry friction if stands
+    were approached from both sides; and, of the surroundings, the ground's slope and softness, and
+    how the IMU is turned. Equations are in ``StandEquations``; what is known before are normal
+    distributions about the files' values (``parameters.KINDS``). How uneven the ground is, and how
+    much of dry friction is in torques, is found by the evidence.
+
+    Args:
+        robot: The robot, with a free base and feet.
+        stands: The measurements.
+        priors: What is known before: ``mass=50%``, ``com:base=5mm``, ``kp=0`` (it is right).
+        weight: Mass of the whole robot by a scale (kg), to 0.2 %.
+        kp: Stiffness of the servos (N m/rad), one or (nu,); the model's own by default.
+        encoder: Standard deviation of a position (rad); from the encoders' step by default.
+
+    Raises:
+        MeasurementError: If they are none of this robot's: joints or feet that it has not, too few
+            stands, one that is not at rest, a foot that would have to pull.
+        ConfigurationError: If a prior says nothing, or the base is fixed.
+        FitError: If it does not converge.
+    """
+    robot.check_floating()
+    robot.check_tree("fit")
+    given = stands.of(robot).repeated()
+    if len(given) < _LEAST_STANDS:
+        raise MeasurementError(
+            given.source, diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
+        )
+    stiffness = stated_stiffness(robot, given, kp)
+    given, notes = _without_stops(robot, given, stiffness)
+    rubbing = DryFriction.of(robot).joints
+    wanted = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
+    noise, friction = expected_noise(robot, given, rubbing, encoder)
+    equations = StandEquations(robot, given, table, stiffness, friction, noise)
+    weighed = _weighed(robot, table, weight)
+
+    def linearise(x: Array, about: Array) -> Linearised:
+        return equations.linearise(x, about) + weighed(x)
+
+    posterior = estimate_parameters(table, linearise)
+    equations.noise = find_noise(equations, table, posterior.mean, weighed)
+    posterior = estimate_parameters(table, linearise, posterior.mean)
+    _check_forces(robot, given, equations)
+    return describe_fit(robot, given, equations, posterior, noise, notes, weight is not None)
+
+
+def expected_noise(
+    robot: Robot, stands: MeasuredStands, rubbing: Array, encoder: float | None
+) -> tuple[StandNoise, Array]:
+    """Returns the noise that is expected, and the dry friction (nu,) that makes torques uncertain.
+
+    Args:
+        robot: The robot.
+        stands: Its stands, whose positions may show the encoders' step.
+        rubbing: (nu,) stated dry friction (N m).
+        encoder: Standard deviation of a position, if it is known (rad).
+    """
+    scale = robot.total_mass * float(np.linalg.norm(robot.gravity)) * robot.stand_height
+    if encoder is None:
+        step = quantum_of(stands)
+        encoder = step / math.sqrt(12.0) if step else _FINE_ENCODER
+    return StandNoise(encoder), np.where(rubbing > 0, rubbing, _UNMODELLED * scale)
+
+
+def parameters_of(
+    robot: Robot, stands: MeasuredStands, kp: Array, friction: Array
+) -> Iterator[tuple[str, str, str, float]]:
+    """Yields kind, subject, component and stated value of what stands may tell.
+
+    Args:
+        robot: The robot.
+        stands: Its stands.
+        kp: (nu,) stated stiffness (N m/rad).
+        friction: (nu,) stated dry friction (N m).
+    """
+    model = robot.structure.model
+    for link, number in bodies_of(robot):
+        inertia = model.inertias[number]
+        yield "mass", link, "", float(inertia.mass)
+        for axis, value in zip(AXES, inertia.lever, strict=True):
+            yield "com", link, axis, float(value)
+    for joint, name in enumerate(robot.joint_names):
+        yield "offset", name, "", 0.0
+        if np.isfinite(stands.command[:, joint]).any():
+            yield "kp", name, "", float(kp[joint])
+        if len(set(stands.approach) - {""}) > 1:
+            yield "friction", name, "", float(friction[joint])
+    for axis in "xy":
+        yield "slope", "floor", axis, 0.0
+    for foot in robot.feet:
+        yield "softness", foot, "", 1.0
+    if np.isfinite(stands.tilt).any():
+        yield "imu", "imu", "roll", 0.0
+        yield "imu", "imu", "pitch", 0.0
+
+
+def stated_stiffness(robot: Robot, stands: MeasuredStands, kp: ArrayLike | None) -> Array:
+    """Returns the servos' stated stiffness (nu,) (N m/rad); 0 without a servo.
+
+    Raises:
+        MeasurementError: If a joint has commands, and no file states its servo's kp.
+    """
+    commanded = np.isfinite(stands.command).sum(axis=0) > 0
+    if kp is None:
+        own = own_servos(robot)
+        made = {servo.joint for servo in robot.description.made_servos}
+        lacking = [
+            name
+            for name, asked in zip(robot.joint_names, commanded, strict=True)
+            if asked and (name not in own or name in made)
+        ]
+        if lacking:
+            raise MeasurementError(stands.source, diagnose("command-without-kp", joints=lacking))
+        return np.array([own.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
+    return servo_gains(robot, kp, 0.0).kp
+
+
+_AT_STOP = 2e-3
+"""rad: as near as that to a limit, a stop may carry, and no servo tells what."""
+
+
+def _without_stops(
+    robot: Robot, stands: MeasuredStands, kp: Array
+) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
+    """Returns stands without commands of joints at a stop, or whose motor gives all it can."""
+    lead = np.nan_to_num(stands.command - stands.position)
+    full = np.abs(kp * lead) > _FULL * robot.effort_limits
+    low, high = robot.lower_limits + _AT_STOP, robot.upper_limits - _AT_STOP
+    stopped = (stands.position < low) | (stands.position > high)
+    notes = []
+    if stopped.any():
+        where, names = _places(robot, stands, stopped)
+        notes.append(diagnose("stands-at-stops", stands=where, joints=names))
+    if (full & ~stopped).any():
+        where, names = _places(robot, stands, full & ~stopped)
+        notes.append(diagnose("stands-with-full-torque", stands=where, joints=names))
+    command = np.where(stopped | full, np.nan, stands.command)
+    return replace(stands, command=command), tuple(notes)
+
+
+def _places(
+    robot: Robot, stands: MeasuredStands, found: NDArray[np.bool_]
+) -> tuple[list[str], list[str]]:
+    rows, joints = np.nonzero(found)
+    names = [robot.joint_names[joint] for joint in np.unique(joints)]
+    return [stands.names[row] for row in np.unique(rows)], names
+
+
+_FULL = 0.98
+"""Of a motor's limit: what it gives then is cut off."""
+
+
+def _weighed(
+    robot: Robot, table: ParameterTable, weight: float | None
+) -> Callable[[Array], Linearised]:
+    """Returns what a scale says of the masses: one residual, or none."""
+    places = [table.place("mass", link) for link, _ in bodies_of(robot)]
+    known = [place for place in places if place is not None]
+    line = np.zeros(len(table))
+    line[known] = 1.0
+    rest = robot.total_mass - float(line @ table.stated)  # of what is no parameter
+
+    def residuals(x: Array) -> Linearised:
+        if weight is None:
+            return Linearised.nothing(len(table))
+        sure = WEIGHED * weight
+        return Linearised.of(np.array([(line @ x + rest - weight) / sure]), line[None] / sure)
+
+    return residuals
+
+
+def _check_forces(robot: Robot, stands: MeasuredStands, equations: StandEquations) -> None:
+    """Checks that no foot that is said to carry has to pull."""
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    for row, name in enumerate(stands.names):
+        for foot, force in equations.normal_forces(row).items():
+            if force < -_PULLS * weight:
+                told = diagnose(
+                    "foot-would-pull",
+                    subject=("foot", foot),
+                    stand=name,
+                    force=Quantity(-force, "N"),
+                    swing=list(stands.swing[row]),
+                )
+                raise MeasurementError(stands.source, told)

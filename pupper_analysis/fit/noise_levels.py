@@ -1,0 +1,73 @@
+"""How large noise is that nobody states: what the measurements themselves make most likely."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.fit.estimate import Linearised
+from pupper_analysis.fit.parameters import ParameterTable
+from pupper_analysis.fit.stand_equations import StandEquations
+from pupper_analysis.fit.stand_rows import StandNoise
+
+Array = NDArray[np.float64]
+
+_SPREAD = 1.5
+"""Standard deviation of a level's logarithm before: a factor of 4.5 either way."""
+
+_FLATTEST = 1e-4
+"""m: links and floors are no better; simulated ones are, but feet sink by more than is modelled."""
+
+_EVALUATIONS = 24
+"""Of the evidence, in search of two levels: they are wanted to some ten per cent."""
+
+
+def find_noise(
+    equations: StandEquations,
+    table: ParameterTable,
+    x: Array,
+    more: Callable[[Array], Linearised],
+) -> StandNoise:
+    """Returns the noise with the ground's flatness and joints' friction that are most likely.
+
+    The greatest evidence: probability of the measurements, whatever the parameters are, times that
+    of the levels, which are log-normal about those that are expected.
+
+    Args:
+        equations: Of the stands, with the noise that is expected.
+        table: The parameters.
+        x: (n,) about which residuals are taken.
+        more: Returns further residuals.
+    """
+    from scipy import optimize  # slow to import
+
+    expected = equations.noise
+
+    def at(levels: Array) -> StandNoise:
+        flatness, friction = np.exp(levels)
+        return replace(
+            expected,
+            flatness=max(_FLATTEST, expected.flatness * flatness),
+            friction=expected.friction * friction,
+        )
+
+    def unlikely(levels: Array) -> float:
+        equations.noise = at(levels)
+        evidence = (equations.linearise(x, x) + more(x)).evidence(table, x)
+        return float(levels @ levels) / (2 * _SPREAD**2) - evidence
+
+    simplex = [[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]
+    options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.05, "fatol": 0.02}
+    found = optimize.minimize(unlikely, np.zeros(2), method="Nelder-Mead", options=options)
+    equations.noise = expected
+    return at(found.x)
+
+
+def by_how_much(found: StandNoise, expected: StandNoise) -> tuple[float, float]:
+    """Returns by which factors flatness and friction are more than was expected."""
+    flatness = found.flatness / expected.flatness
+    return flatness, found.friction / expected.friction if expected.friction else math.nan

@@ -1,0 +1,331 @@
+"""Which stands to take: those that tell most of a robot's numbers, in reach and in balance."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import (
+    ConfigurationError,
+    MeasurementError,
+    PupperAnalysisError,
+)
+from pupper_analysis.files import whole_file
+from pupper_analysis.fit.estimate import NORMAL_95
+from pupper_analysis.fit.fit import expected_noise, parameters_of, stated_stiffness
+from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths, parse_prior
+from pupper_analysis.fit.result import Expected
+from pupper_analysis.fit.stand_equations import StandEquations
+from pupper_analysis.fit.stands import MeasuredStands
+from pupper_analysis.fit.told import told_by
+from pupper_analysis.results import Result
+from pupper_analysis.robot.friction import DryFriction
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.judge import Stand
+from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
+from pupper_analysis.stance.stand import solve_stand
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+_CANDIDATES = 6
+"""Per stand that is wanted: among so many the best are found that a hundred more hardly better."""
+
+_TRIES = 8
+"""Per candidate: of random stands, one in two to four is in reach, in balance and lasts."""
+
+_UTILISED = 0.6
+"""Of a motor's limit, at most: what is measured is a robot that stands for minutes."""
+
+_HEIGHTS = (0.75, 1.1)
+"""Of the nominal stand's height."""
+
+_TILT = 0.25
+"""rad: roll and pitch, either way."""
+
+_STEP = 0.15
+"""Of the height: how far a foot stands from its nominal place, either way."""
+
+_LIFTED = 0.15
+"""Of the height: how high a foot is swung."""
+
+_ON_THREE = 0.4
+"""Share of candidates with a foot in the air, of robots with four feet and more."""
+
+_CLEAR = 0.005
+"""m: between links, in a stand that a robot comes to."""
+
+_MARGIN = 0.05
+"""Of the height: how far the com is from the polygon's edge."""
+
+
+@dataclass(frozen=True)
+class PlannedStand(Result):
+    """A stand to be taken.
+
+    Attributes:
+        name: Its name.
+        swing: The feet in the air.
+        approach: From where it is to be come to, ``above`` or ``below``; empty if it is all one.
+        command: {joint: command of its servo (rad)}.
+        utilisation: Of the motor that gives most of what it can.
+    """
+
+    name: str
+    swing: tuple[str, ...]
+    approach: str
+    command: Mapping[str, float]
+    utilisation: float
+
+
+@dataclass(frozen=True, eq=False)
+class StandPlan(Result):
+    """Stands that tell most of a robot's numbers, and what they will tell.
+
+    Attributes:
+        name: The robot's name.
+        stands: The stands.
+        expected: Of each parameter, the interval that these stands will leave.
+        candidates: Among how many they were chosen.
+        gain: Logarithm of by how much the volume of what is not known shrinks.
+    """
+
+    name: str
+    stands: tuple[PlannedStand, ...]
+    expected: tuple[Expected, ...]
+    candidates: int
+    gain: float
+
+
+@check_arguments
+def plan_stands(
+    robot: Robot,
+    count: int,
+    *,
+    priors: Sequence[Prior | str] = (),
+    kp: ArrayLike | None = None,
+    both_sides: bool = False,
+    seed: int = 0,
+) -> StandPlan:
+    """Chooses the stands whose measurement tells most of a robot's numbers.
+
+    D-optimal: of random stands that the robot can hold, those are taken, one after the other, that
+    make the determinant of what is known largest, and each is then exchanged as long as that
+    betters it. They are in reach and balance, clear of themselves, within 60 % of the motors'
+    limits, and their servos hold them without feed-forward.
+
+    Args:
+        robot: The robot, with a free base and feet.
+        count: How many stands.
+        priors: What is known before; as for ``fit_stands``.
+        kp: Stiffness of the servos (N m/rad); the model's own by default.
+        both_sides: Come to each from above and from below, so that they tell dry friction.
+        seed: Of the random stands.
+
+    Raises:
+        ConfigurationError: If the count is none, or the base is fixed.
+        MeasurementError: If the robot's servos hold too few stands.
+    """
+    robot.check_floating()
+    robot.check_tree("fit")
+    if count < 1:
+        raise ConfigurationError("count", diagnose("no-count", count=count))
+    rng = np.random.default_rng(seed)
+    wanted = _CANDIDATES * count
+    found: list[tuple[Stand, SteadyState]] = []
+    for _ in range(_TRIES * wanted):
+        if len(found) == wanted:
+            break
+        if (stand := _random_stand(robot, rng, kp)) is not None:
+            found.append(stand)
+    if len(found) < count:
+        told = diagnose("too-few-candidates", found=len(found), wanted=count)
+        raise MeasurementError(robot.name, told)
+    stands = _predicted(robot, found, both_sides=both_sides)
+    stiffness, rubbing = stated_stiffness(robot, stands, kp), DryFriction.of(robot).joints
+    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
+    noise, friction = expected_noise(robot, stands, rubbing, None)
+    equations = StandEquations(robot, stands, table, stiffness, friction, noise)
+    each = equations.informations(table.stated)
+    if both_sides:  # the two approaches of a stand are one
+        each = [one + other for one, other in zip(each[0::2], each[1::2], strict=True)]
+    chosen = choose_stands(each, table.precision, count)
+    whole = table.precision + np.sum([each[place] for place in chosen], axis=0)
+    deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
+    return StandPlan(
+        name=robot.name,
+        stands=tuple(_plan(robot, found, chosen, both_sides=both_sides)),
+        expected=tuple(
+            Expected(
+                name=one.name,
+                unit=one.unit,
+                stated=one.stated,
+                before=NORMAL_95 * one.width,
+                after=NORMAL_95 * one.width * float(after),
+                told=told_by(float(after) ** 2),
+            )
+            for one, after in zip(table.parameters, deviation, strict=True)
+        ),
+        candidates=len(found),
+        gain=float(_volume(whole) - _volume(table.precision)),
+    )
+
+
+def choose_stands(each: Sequence[Array], before: Array, count: int) -> tuple[int, ...]:
+    """Returns which of some measurements make the determinant of all information largest.
+
+    Taken greedily, then exchanged one by one: Fedorov's algorithm, which ends where no exchange
+    betters it. (V. V. Fedorov, Theory of Optimal Experiments, 1972.)
+
+    Args:
+        each: Information (n, n) of each.
+        before: (n, n) what is known without them.
+        count: How many are taken.
+    """
+    chosen: list[int] = []
+    whole = before.copy()
+    for _ in range(count):
+        left = [place for place in range(len(each)) if place not in chosen]
+        best = max(left, key=lambda place: _volume(whole + each[place]))
+        chosen.append(best)
+        whole = whole + each[best]
+    for _ in range(_EXCHANGES):
+        had = list(chosen)
+        for slot, place in enumerate(had):
+            without = whole - each[place]
+            left = [one for one in range(len(each)) if one not in chosen or one == place]
+            best = max(left, key=lambda one: _volume(without + each[one]))
+            chosen[slot], whole = best, without + each[best]
+        if chosen == had:
+            break
+    return tuple(sorted(chosen))
+
+
+_EXCHANGES = 5
+"""Rounds of exchanges; two or three are enough."""
+
+
+def _volume(information: Array) -> float:
+    return float(np.linalg.slogdet(information)[1])
+
+
+def _random_stand(
+    robot: Robot, rng: np.random.Generator, kp: ArrayLike | None
+) -> tuple[Stand, SteadyState] | None:
+    """Returns a stand that the robot's servos hold, and where they let it sag to; None of none."""
+    size = robot.stand_height
+    feet = list(robot.feet)
+    swing = {}
+    if len(feet) > 3 and rng.random() < _ON_THREE:
+        swing = {feet[rng.integers(len(feet))]: _LIFTED * size}
+    try:
+        task = StandTask(
+            height=size * rng.uniform(*_HEIGHTS),
+            roll=rng.uniform(-_TILT, _TILT),
+            pitch=rng.uniform(-_TILT, _TILT),
+            swing=swing,
+            foot_offsets={foot: tuple(rng.uniform(-_STEP, _STEP, 2) * size) for foot in feet},
+            com="inside",
+            com_margin=_MARGIN * size / (2 if swing else 1),
+            self_clearance=_CLEAR,
+        )
+        stand = solve_stand(robot, task)
+        sagged = steady_state(robot, stand, kp=kp)
+    except PupperAnalysisError:
+        return None
+    share = np.abs(sagged.joint_torques) / robot.effort_limits
+    carries = set(sagged.stance_feet) == set(stand.stance_feet)
+    if sagged.failures or share.max() > _UTILISED or not carries:
+        return None
+    return stand, sagged
+
+
+def _predicted(
+    robot: Robot, found: Sequence[tuple[Stand, SteadyState]], *, both_sides: bool
+) -> MeasuredStands:
+    """Returns what would be measured of stands, if the robot were as its files have it."""
+    times = 2 if both_sides else 1
+    rows = [one for one in found for _ in range(times)]
+    blank = np.full((len(rows), robot.nu), np.nan)
+    return MeasuredStands(
+        source="predicted",
+        names=tuple(str(row) for row in range(len(rows))),
+        joints=robot.joint_names,
+        command=np.array([stand.qpos[7:] for stand, _ in rows]),
+        position=np.array([sagged.qpos[7:] for _, sagged in rows]),
+        torque=blank,
+        force={},
+        tilt=np.full((len(rows), 2), np.nan),
+        swing=tuple(robot_swing(robot, stand) for stand, _ in rows),
+        approach=("above", "below") * len(found) if both_sides else ("",) * len(rows),
+    )
+
+
+def robot_swing(robot: Robot, stand: Stand) -> tuple[str, ...]:
+    """Returns the feet that a stand has in the air."""
+    return tuple(foot for foot in robot.feet if foot in stand.task.swing)
+
+
+def _plan(
+    robot: Robot,
+    found: Sequence[tuple[Stand, SteadyState]],
+    chosen: Sequence[int],
+    *,
+    both_sides: bool,
+) -> list[PlannedStand]:
+    """Returns the chosen stands: those on all feet first, each group from low to high."""
+
+    def order(place: int) -> tuple[int, float]:
+        stand = found[place][0]
+        return len(stand.task.swing), float(stand.qpos[2])
+
+    planned = []
+    for number, place in enumerate(sorted(chosen, key=order), 1):
+        stand, sagged = found[place]
+        share = float((np.abs(sagged.joint_torques) / robot.effort_limits).max())
+        one = PlannedStand(
+            name=f"s{number:02d}",
+            swing=robot_swing(robot, stand),
+            approach="",
+            command=dict(zip(robot.joint_names, stand.qpos[7:].tolist(), strict=True)),
+            utilisation=share,
+        )
+        sides = ("above", "below") if both_sides else ("",)
+        planned += [replace(one, approach=side) for side in sides]
+    return planned
+
+
+def write_plan(plan: StandPlan, path: str | Path, *, degrees: bool = False) -> None:
+    """Writes stands as a CSV file that ``read_stands`` reads, once positions are filled in.
+
+    Args:
+        plan: The stands.
+        path: The file.
+        degrees: Write commands in degrees, and ask for positions in degrees.
+
+    Raises:
+        OutputError: If it cannot be written.
+    """
+    joints = list(plan.stands[0].command)
+    unit, size = (" [deg]", 180 / math.pi) if degrees else ("", 1.0)
+    columns = [f"{kind}.{joint}{unit}" for kind in ("command", "position") for joint in joints]
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["stand", "swing", "from", *columns])
+    for one in plan.stands:
+        commands = [f"{size * one.command[joint]:.6f}" for joint in joints]
+        writer.writerow(
+            [one.name, " ".join(one.swing), one.approach, *commands, *([""] * len(joints))]
+        )
+    with whole_file(Path(path)) as file:
+        file.write(text.getvalue().encode())

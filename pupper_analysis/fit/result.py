@@ -1,0 +1,261 @@
+"""What a fit tells: numbers with intervals, what cannot be told apart, what is not explained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.fit.estimate import NORMAL_95, Posterior
+from pupper_analysis.fit.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.fit.stand_equations import StandEquations
+from pupper_analysis.fit.stand_rows import StandNoise
+from pupper_analysis.fit.stands import MeasuredStands
+from pupper_analysis.fit.told import Together, Told, find_together, told_by
+from pupper_analysis.results import Result
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+WEIGHED = 0.002
+"""Of a mass that a scale shows: standard deviation."""
+
+_AGAINST_PRIOR = 3.0
+"""Standard deviations: the surroundings are not what they were said to be."""
+
+_NOISY = 5.0
+"""Times what was expected: noise of which there is so much hides a cause."""
+
+
+@dataclass(frozen=True)
+class Estimate(Result):
+    """What is known of a parameter after measurements.
+
+    Attributes:
+        name: Of the parameter.
+        kind: Of number.
+        subject: The link, joint or foot; ``floor`` or ``imu``.
+        component: ``x``, ``y``, ``z``, ``roll``, ``pitch``, or empty.
+        unit: Of the following numbers.
+        stated: The model's value.
+        mean: The most probable value.
+        std: Standard deviation.
+        low: Lower end of the interval that holds it with 95 %.
+        high: Upper end.
+        told: How much of it is from measurements: ``data``, ``partly``, ``prior``.
+    """
+
+    name: str
+    kind: str
+    subject: str
+    component: str
+    unit: str
+    stated: float
+    mean: float
+    std: float
+    low: float
+    high: float
+    told: Told
+
+
+@dataclass(frozen=True)
+class Expected(Result):
+    """What measurements will tell of a parameter.
+
+    Attributes:
+        name: Of the parameter.
+        unit: Of the following numbers.
+        stated: The model's value.
+        before: Half of the interval that holds it with 95 %, before.
+        after: The same after the measurements.
+        told: How much of it will be from them.
+    """
+
+    name: str
+    unit: str
+    stated: float
+    before: float
+    after: float
+    told: Told
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(Result):
+    """A robot's numbers as stands at rest tell them.
+
+    Attributes:
+        name: The robot's name.
+        source: Where the measurements are from.
+        stands: How many there are.
+        estimates: Of all parameters, those of the surroundings last.
+        total_mass: Of the whole robot (kg).
+        together: What cannot be told apart.
+        residuals: {stand: root mean square of its residuals, in standard deviations}.
+        chi2: Sum of all squared residuals, in standard deviations.
+        freedom: What that is on average, if the model is right.
+        noise: Standard deviations of measurements, as they were taken to be or were found.
+        failures: What it does not explain.
+        diagnostics: What else there is to say.
+        posterior: What is known of all parameters together.
+    """
+
+    name: str
+    source: str
+    stands: int
+    estimates: tuple[Estimate, ...]
+    total_mass: Estimate
+    together: tuple[Together, ...]
+    residuals: Mapping[str, float]
+    chi2: float
+    freedom: float
+    noise: Mapping[str, float]
+    failures: tuple[Diagnostic, ...]
+    diagnostics: tuple[Diagnostic, ...]
+    posterior: Posterior
+    _told: ClassVar[tuple[str, ...]] = ("explained",)
+
+    @property
+    def explained(self) -> bool:
+        """Whether the model explains the measurements."""
+        return not self.failures
+
+
+def describe_fit(
+    robot: Robot,
+    stands: MeasuredStands,
+    equations: StandEquations,
+    posterior: Posterior,
+    expected: StandNoise,
+    notes: Sequence[Diagnostic],
+    weighed: bool,
+) -> Fit:
+    """Returns what measurements tell, in numbers with intervals.
+
+    Args:
+        robot: The robot.
+        stands: Its stands.
+        equations: Of these, with the noise that was found.
+        posterior: What is known of the parameters.
+        expected: The noise that was expected.
+        notes: What was found before.
+        weighed: Whether the whole robot was put on a scale.
+    """
+    found = tuple(_estimates(posterior))
+    more = dict(_remedies(robot, equations, posterior, weighed=weighed))
+    return Fit(
+        name=robot.name,
+        source=stands.source,
+        stands=len(stands),
+        estimates=found,
+        total_mass=_total_mass(robot, posterior),
+        together=find_together(posterior, more),
+        residuals=dict(zip(stands.names, equations.residuals(posterior.mean), strict=True)),
+        chi2=posterior.chi2,
+        freedom=posterior.freedom,
+        noise={
+            "encoder": equations.noise.encoder,
+            "flatness": equations.noise.flatness,
+            "friction": equations.noise.friction,
+        },
+        failures=tuple(_unexplained(posterior, equations.noise, expected)),
+        diagnostics=tuple(notes),
+        posterior=posterior,
+    )
+
+
+def _estimates(posterior: Posterior) -> Iterator[Estimate]:
+    order = sorted(
+        range(len(posterior.parameters)),
+        key=lambda place: posterior.parameters[place].kind in OF_SURROUNDINGS,
+    )
+    for place in order:
+        one = posterior.parameters[place]
+        yield _estimate(
+            one,
+            float(posterior.mean[place]),
+            float(posterior.std[place]),
+            told_by(float(posterior.shares[place])),
+        )
+
+
+def _estimate(one: Parameter, mean: float, std: float, told: Told) -> Estimate:
+    return Estimate(
+        name=one.name,
+        kind=one.kind,
+        subject=one.subject,
+        component=one.component,
+        unit=one.unit,
+        stated=one.stated,
+        mean=mean,
+        std=std,
+        low=mean - NORMAL_95 * std,
+        high=mean + NORMAL_95 * std,
+        told=told,
+    )
+
+
+def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
+    line = np.array([float(one.kind == "mass") for one in posterior.parameters])
+    widths = np.array([one.width for one in posterior.parameters])
+    stated = np.array([one.stated for one in posterior.parameters])
+    std = math.sqrt(float(line @ posterior.covariance @ line))
+    before = np.linalg.inv(posterior.precision)
+    width = math.sqrt(float((line * widths) @ before @ (line * widths)))
+    whole = Parameter("mass", robot.name, "", robot.total_mass, width)
+    mean = robot.total_mass + float(line @ (posterior.mean - stated))
+    return _estimate(whole, mean, std, told_by((std / width) ** 2 if width else 1.0))
+
+
+def _remedies(
+    robot: Robot,
+    equations: StandEquations,
+    posterior: Posterior,
+    *,
+    weighed: bool,
+) -> Iterator[tuple[str, Array]]:
+    """Yields what else could be measured of these stands, and its information."""
+    table = equations.table
+    scaled = np.outer(table.width, table.width)
+    if not weighed:
+        line = np.array([float(one.kind == "mass") for one in table])
+        yield "weigh-the-robot", scaled * np.outer(line, line) / (WEIGHED * robot.total_mass) ** 2
+    x = posterior.mean
+    here = equations.linearise(x, x).information
+    for what, read in equations.further_readings(x).items():
+        there = equations.reading(read).linearise(x, x).information
+        yield what, scaled * (there - here)
+
+
+def _unexplained(
+    posterior: Posterior, found: StandNoise, expected: StandNoise
+) -> Iterator[Diagnostic]:
+    """Yields what the model does not explain of the measurements."""
+    from scipy import stats  # slow to import
+
+    if stats.chi2.sf(posterior.chi2, max(posterior.freedom, 1.0)) < _CHANCE:
+        ratio = posterior.chi2 / max(posterior.freedom, 1.0)
+        yield diagnose("residuals-too-large", times=math.sqrt(ratio))
+    if found.flatness > _NOISY * expected.flatness:
+        yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
+    if found.friction > _NOISY * expected.friction:
+        yield diagnose("torques-off", times=found.friction / expected.friction)
+    for place, one in enumerate(posterior.parameters):
+        off = posterior.mean[place] - one.stated
+        if one.kind not in OF_SURROUNDINGS or abs(off) < _AGAINST_PRIOR * one.width:
+            continue
+        if one.kind == "slope":
+            slope = Quantity(abs(float(off)), "rad")
+            yield diagnose("ground-slopes", slope=slope, axis=one.component)
+        elif one.kind == "softness":
+            yield diagnose("feet-sink-otherwise", subject=("foot", one.subject), times=1 + off)
+        else:
+            yield diagnose("imu-is-turned", angle=Quantity(float(off), "rad"), axis=one.component)
+
+
+_CHANCE = 1e-3
+"""Probability of residuals that are larger by chance."""

@@ -1,0 +1,267 @@
+"""What must be zero of measured stands at rest, as a function of the parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from pupper_analysis.fit.estimate import Linearised
+from pupper_analysis.fit.parameters import ParameterTable
+from pupper_analysis.fit.stand_numbers import AXES, GravityRegressor, Numbers
+from pupper_analysis.fit.stand_rows import Reading, StandNoise, StandRows
+from pupper_analysis.fit.stands import MeasuredStands
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_WITHIN = 1e-9
+"""Of the largest singular value: forces within a rigid sole, which nothing shows."""
+
+_LOOKS = 2
+"""Steps of a stand's own unknowns for each of the parameters': equations are linear in forces."""
+
+
+def bodies_of(robot: Robot) -> tuple[tuple[str, int], ...]:
+    """Returns the moving bodies of a robot: the link each is named by, and its joint's number.
+
+    The links that are fixed to it are part of it. What has no mass is left out.
+    """
+    model = robot.structure.model
+    found = []
+    for number in range(1, model.njoints):
+        if model.inertias[number].mass > 0:
+            frames = [
+                frame
+                for frame in model.frames
+                if frame.type == pin.FrameType.BODY and frame.parentJoint == number
+            ]
+            own = [frame for frame in frames if frame.placement.isIdentity(1e-12)]
+            found.append(((own or frames)[0].name, number))
+    return tuple(found)
+
+
+class StandEquations:
+    """Balance of forces, contact with the ground, and what else was measured, of every stand.
+
+    A stand's unknowns are the parameters, that all stands share, and its own: how the base is
+    tilted and how high it is (3), and the force on every contact point (3 each). Its equations:
+
+        S tau - g(q; masses, coms) + passive + sum J_p^T f_p = 0          (nv)
+        z_p(q) - r_p + softness depth(f_p) = 0                            (one a contact point)
+        tau = measured torque,  sum of f_z = scale's force,  tilt = IMU's    (where measured)
+
+    with q = position - offset, tau = kp (command - position) + friction. The encoder's noise acts
+    by both. The unknowns of a stand are eliminated: what is left of its equations are those
+    combinations that no contact force, and no motion of the base, changes.
+
+    Args:
+        robot: The robot, as its files have it.
+        stands: The measurements.
+        table: What is estimated.
+        kp: (nu,) stated stiffness of the servos (N m/rad); 0 without a servo.
+        friction: (nu,) stated dry friction of the joints (N m).
+        noise: Of the measurements; may be set to another.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        stands: MeasuredStands,
+        table: ParameterTable,
+        kp: Array,
+        friction: Array,
+        noise: StandNoise,
+    ) -> None:
+        self.robot, self.table, self.noise = robot, table, noise
+        self._kp, self._friction = kp, friction
+        model = robot.structure.model
+        self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
+        self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
+        self._regressor = GravityRegressor(robot)
+        self._readings = list(_readings(robot, stands))
+        self._own = [self._begin(reading) for reading in self._readings]
+
+    def linearise(self, x: Array, about: Array) -> Linearised:
+        """Returns the whitened residuals of all stands; see ``estimate_parameters``.
+
+        Where they are only tried (x is not ``about``), stands' own unknowns stay as they are.
+        """
+        numbers, total, had = self._numbers(x, about), Linearised.nothing(len(x)), list(self._own)
+        try:
+            for stand in range(len(self._readings)):
+                total += self.stand(stand, numbers)
+        except np.linalg.LinAlgError:  # far from anything that stands
+            total = replace(total, chi2=math.inf)
+        if x is not about:
+            self._own = had
+        return total
+
+    def stand(self, stand: int, numbers: Numbers) -> Linearised:
+        """Returns the whitened residuals of one stand, its own unknowns eliminated."""
+        for _ in range(_LOOKS):
+            residual, by_x, by_own, log_noise = self._look(stand, numbers).rows.whiten(
+                self.noise.encoder
+            )
+            left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
+            rank = int(np.count_nonzero(lengths > _WITHIN * lengths.max()))
+            step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
+            self._move(stand, step)
+        rest = left[:, rank:].T
+        # That of the combinations which are left: det(P' C P) = det(C) det(B' C^-1 B) / det(B' B),
+        # and the last depends on no noise.
+        log_noise += 2 * float(np.log(lengths[:rank]).sum())
+        return Linearised.of(rest @ residual, rest @ by_x, log_noise)
+
+    def _look(self, stand: int, numbers: Numbers) -> StandRows:
+        base, forces = self._own[stand]
+        return StandRows(
+            self.table,
+            numbers,
+            self._readings[stand],
+            self._laws,
+            base,
+            forces,
+            self.noise,
+            self._regressor,
+        )
+
+    def _numbers(self, x: Array, about: Array) -> Numbers:
+        robot, table = self.robot, self.table
+        model, bodies = robot.pin_model.copy(), []
+        for link, number, stated in self._bodies:
+            mass = table.value(x, "mass", link, "", stated.mass)
+            com = np.array(
+                [
+                    table.value(x, "com", link, axis, own)
+                    for axis, own in zip(AXES, stated.lever, strict=True)
+                ]
+            )
+            bodies.append((link, number, mass, com))
+            at = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+            model.inertias[at] = pin.Inertia(mass, com, stated.inertia)  # at rest nothing turns
+        size = float(np.linalg.norm(robot.gravity))
+        one, two = (table.value(x, "slope", "floor", axis, 0.0) for axis in "xy")
+        upright = math.sqrt(1 - one * one - two * two)
+        return Numbers(
+            robot=replace(robot, pin_model=model),
+            bodies=tuple(bodies),
+            kp=self._per_joint(x, "kp", self._kp),
+            friction=self._per_joint(x, "friction", self._friction),
+            offset=self._per_joint(x, "offset", np.zeros(robot.nu)),
+            softness={foot: table.value(x, "softness", foot, "", 1.0) for foot in robot.feet},
+            down=size * np.array([one, two, -upright]),
+            tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
+            imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
+            stiff=self._per_joint(about, "kp", self._kp),
+            rubbing=self._per_joint(about, "friction", self._friction),
+        )
+
+    def _per_joint(self, x: Array, kind: str, stated: Array) -> Array:
+        names = self.robot.joint_names
+        return np.array(
+            [
+                self.table.value(x, kind, name, "", own)
+                for name, own in zip(names, stated, strict=True)
+            ]
+        )
+
+    def _begin(self, reading: Reading) -> tuple[Array, Array]:
+        """Returns a stand's own unknowns to begin with: on its feet, as the encoders have it."""
+        robot, points = self.robot, reading.points
+        flat = Configuration(robot, robot.posed(reading.position))
+        places = flat.foot_places(points)
+        places[:, 2] -= [robot.contact_radius[point] for point in points]
+        (a, b, c), *_ = np.linalg.lstsq(
+            np.column_stack([places[:, :2], np.ones(len(points))]), places[:, 2]
+        )
+        # The plane z = a x + b y + c through the feet is turned level, and brought to the ground.
+        normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
+        turn = pin.Quaternion.FromTwoVectors(normal, np.array([0.0, 0.0, 1.0]))
+        height = -(turn.matrix() @ np.array([0.0, 0.0, c]))[2]
+        forces = np.zeros((len(points), 3))
+        forces[:, 2] = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(points)
+        return np.array([turn.w, turn.x, turn.y, turn.z, height]), forces
+
+    def informations(self, x: Array) -> list[Array]:
+        """Returns what each stand tells (n, n), where the priors' widths are the units."""
+        numbers, width = self._numbers(x, x), self.table.width
+        found = [self.stand(stand, numbers).information for stand in range(len(self._readings))]
+        return [width[:, None] * one * width for one in found]
+
+    def normal_forces(self, stand: int) -> dict[str, float]:
+        """Returns the normal force on each foot that carries in a stand (N)."""
+        forces = dict(zip(self._readings[stand].points, self._own[stand][1], strict=True))
+        return {
+            foot: float(sum(forces[point][2] for point in points if point in forces))
+            for foot, points in self.robot.feet.items()
+            if any(point in forces for point in points)
+        }
+
+    def residuals(self, x: Array) -> list[float]:
+        """Returns the root mean square of each stand's whitened residuals."""
+        numbers, found = self._numbers(x, x), []
+        for stand in range(len(self._readings)):
+            left = self.stand(stand, numbers)
+            found.append(math.sqrt(left.chi2 / max(left.rows, 1)))
+        return found
+
+    def reading(self, readings: Sequence[Reading]) -> StandEquations:
+        """Returns the same with other readings of the same stands."""
+        other = copy(self)
+        other._readings, other._own = list(readings), list(self._own)
+        return other
+
+    def further_readings(self, x: Array) -> dict[str, list[Reading]]:
+        """Returns what else could be read of the stands, as it should be: {what: readings}."""
+        numbers, robot = self._numbers(x, x), self.robot
+        torques, forces, tilts = [], [], []
+        for stand, one in enumerate(self._readings):
+            torque = numbers.kp * np.nan_to_num(one.command - one.position)
+            torques.append(replace(one, torque=torque))
+            forces.append(replace(one, force=self.normal_forces(stand)))
+            rows = self._look(stand, numbers)
+            tilts.append(replace(one, tilt=rows.tilt))
+        had = self._readings
+        return {
+            what: readings
+            for what, readings, lacking in (
+                ("measure-torques", torques, not any(np.isfinite(r.torque).any() for r in had)),
+                ("weigh-the-feet", forces, not any(r.force for r in had)),
+                ("read-an-imu", tilts, not any(np.isfinite(r.tilt).any() for r in had)),
+            )
+            if lacking and robot.feet
+        }
+
+    def _move(self, stand: int, step: Array) -> None:
+        base, forces = self._own[stand]
+        one, two = step[:2] / 2
+        turned = pin.Quaternion(*base[:4]) * pin.Quaternion(1.0, one, two, 0.0)
+        turned.normalize()
+        moved = np.array([turned.w, turned.x, turned.y, turned.z, base[4] + step[2]])
+        self._own[stand] = moved, forces + step[3:].reshape(-1, 3)
+
+
+def _readings(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
+    for row in range(len(stands)):
+        yield Reading(
+            command=stands.command[row],
+            position=stands.position[row],
+            torque=stands.torque[row],
+            force={foot: float(weighed[row]) for foot, weighed in stands.force.items()},
+            tilt=stands.tilt[row],
+            points=tuple(
+                point
+                for foot, points in robot.feet.items()
+                if foot not in stands.swing[row]
+                for point in points
+            ),
+            approach=stands.approach[row],
+        )

@@ -1,0 +1,123 @@
+"""The document of a fit: what a robot really weighs, and what measurements cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from pupper_analysis.fit.parameters import OF_SURROUNDINGS, SHOWN_UNITS
+from pupper_analysis.fit.result import Estimate, Fit
+from pupper_analysis.fit.told import Together, Told
+from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.words import join_words, text
+from pupper_analysis.robot.robot import Robot
+
+
+@build_document.register(Fit)
+def fit_document(fit: Fit, _: Robot | None = None) -> doc.Document:
+    """Returns what measurements tell of a robot; see ``build_document``."""
+    own = [one for one in fit.estimates if one.kind not in OF_SURROUNDINGS]
+    told = [one for one in own if one.told is Told.DATA]
+    partly = [one for one in own if one.told is Told.PARTLY]
+    untold = [one for one in own if one.told is Told.PRIOR]
+    around = [one for one in fit.estimates if one.kind in OF_SURROUNDINGS]
+    kinds = dict.fromkeys(one.kind for one in told)
+    blocks: list[doc.Block] = [
+        _table(text(f"fitted-{kind}"), [one for one in told if one.kind == kind]) for kind in kinds
+    ]
+    blocks.append(_residuals(fit))
+    for title, rest in (
+        ("told-in-part", partly),
+        ("prior-alone", untold),
+        ("fitted-surroundings", around),
+    ):
+        if rest:
+            blocks.append(_table(text(title), rest, detail=True))
+    return doc.Document(
+        text("fit-of-stands"),
+        doc.Name(fit.name),
+        tuple(blocks),
+        passed=fit.explained,
+        verdict=text("EXPLAINED") if fit.explained else text("NOT-EXPLAINED"),
+        failures=tuple(doc.tell(one) for one in fit.failures),
+        told=(
+            text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
+            _total(fit.total_mass),
+            *_open(fit.together),
+            *_held(partly, untold),
+        ),
+        notes=tuple(doc.tell(one) for one in fit.diagnostics),
+    )
+
+
+def _total(mass: Estimate) -> doc.Words:
+    values = {
+        "mean": f"{mass.mean:.3f}",
+        "half": f"{mass.high - mass.mean:.3f}",
+        "stated": f"{mass.stated:.3f}",
+    }
+    if mass.told is Told.DATA:
+        return text("total-mass-told", **values)
+    return text("total-mass-not-told", **values)
+
+
+def _open(together: Iterable[Together]) -> Iterable[doc.Words]:
+    """Yields what cannot be told apart, and what else to measure."""
+    for one in together:
+        names = doc.Name(", ".join(one.names[:_MOST]) + (", ..." if one.names[_MOST:] else ""))
+        yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)
+        if one.remedies:
+            ways = [
+                text("remedy-and-factor", remedy=text(code), factor=f"{factor:.1f}")
+                for code, factor in one.remedies.items()
+            ]
+            yield text("what-would-tell", ways=join_words(ways))
+
+
+_MOST = 6
+
+
+def _held(partly: list[Estimate], untold: list[Estimate]) -> Iterable[doc.Words]:
+    if partly or untold:
+        yield text("held-by-prior", partly=str(len(partly)), count=str(len(untold)))
+
+
+def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False) -> doc.Table:
+    """Returns estimates with their intervals, what moved most before."""
+    units = {one.unit for one in estimates}
+    factor, unit = 1.0, "SI"  # where they are several
+    if len(units) == 1:
+        own = units.pop()
+        factor, unit = SHOWN_UNITS.get(own, (1.0, own))
+    rows = tuple(
+        (
+            doc.Name(one.name),
+            doc.number_cell(one.stated, ".4g", scale=factor),
+            doc.number_cell(one.mean, ".4g", scale=factor),
+            doc.number_cell(one.high - one.mean, ".2g", scale=factor),
+            doc.number_cell(one.mean - one.stated, "+.3g", scale=factor),
+            text(f"told-by-{one.told.value}"),
+        )
+        for one in estimates
+    )
+    columns = (
+        doc.Column(text("parameter"), left=True),
+        doc.Column(text("in-the-file"), unit),
+        doc.Column(text("fitted"), unit),
+        doc.Column(text("half-of-95"), unit),
+        doc.Column(text("fitted-difference"), unit),
+        doc.Column(text("told-by"), left=True),
+    )
+    return doc.Table(title, columns, rows, detail=detail)
+
+
+def _residuals(fit: Fit) -> plots.BarPlot:
+    """Returns how well each stand is explained, the worst before."""
+    worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
+    return plots.BarPlot(
+        text("residuals-of-stands"),
+        plots.Axis(text("residual-rms"), "1", ".2f"),
+        [plots.Bar(doc.Name(name), value) for name, value in worst],
+        (text("residual-rms"), text("expected"), text("limit")),
+    )

@@ -1,0 +1,199 @@
+"""Stands that are predicted of a robot with planted errors tell these errors."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pupper_analysis.errors import MeasurementError, UnknownNameError
+from pupper_analysis.fit.fit import fit_stands, parameters_of
+from pupper_analysis.fit.parameters import ParameterTable, give_widths
+from pupper_analysis.fit.stand_equations import StandEquations
+from pupper_analysis.fit.stand_rows import StandNoise
+from pupper_analysis.fit.stands import MeasuredStands, quantum_of, read_stands
+from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
+from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
+from pupper_analysis.stance.sag.steady_state import follow_to_end
+from pupper_analysis.stance.stand import solve_stand
+from pupper_analysis.stance.task import StandTask
+from pupper_analysis.study.parameters import scale_robot
+
+Array = NDArray[np.float64]
+
+OFFSETS = np.radians([1, -2, 0.5, -1, 2, -0.5, 1.5, 1, -1.5, 0.5, -1, 2])
+PLANTED = {"mass:base_link": 1.2, "com_x:base_link": 0.012, "com_y:base_link": -0.004}
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_variant("v3")
+
+
+@pytest.fixture(scope="module")
+def planted(robot: Robot) -> Robot:
+    return replace(scale_robot(robot, PLANTED), fingerprint=robot.fingerprint)
+
+
+@pytest.fixture(scope="module")
+def stands(robot: Robot, planted: Robot) -> MeasuredStands:
+    """What encoders of 14 bits would read of the planted robot: predicted by other equations."""
+    rng, size = np.random.default_rng(5), robot.stand_height
+    command, position, swing = [], [], []
+    for number in range(10):
+        lifted = {("FL", "RR")[number % 2]: 0.02} if number >= 6 else {}
+        task = StandTask(
+            height=size * rng.uniform(0.85, 1.05),
+            roll=rng.uniform(-0.15, 0.15),
+            pitch=rng.uniform(-0.15, 0.15),
+            swing=lifted,
+            foot_offsets={f: tuple(rng.uniform(-0.1, 0.1, 2) * size) for f in robot.feet},
+            com="inside",
+            com_margin=0.01,
+        )
+        stand = solve_stand(robot, task)
+        kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+        way = HomotopyPath(SagEquilibrium(planted, stand, kp, "pinned"), stand.qpos[7:] - OFFSETS)
+        pose = follow_to_end(way, feedforward=False)
+        assert not pose.failures
+        command.append(stand.qpos[7:])
+        position.append(pose.qpos[7:] + OFFSETS)
+        swing.append(tuple(lifted))
+    step = 2 * math.pi / 2**14
+    blank = np.full((len(command), robot.nu), np.nan)
+    return MeasuredStands(
+        source="predicted",
+        names=tuple(map(str, range(len(command)))),
+        joints=robot.joint_names,
+        command=np.array(command),
+        position=np.round(np.array(position) / step) * step,
+        torque=blank,
+        force={},
+        tilt=blank[:, :2],
+        swing=tuple(swing),
+        approach=("",) * len(command),
+    )
+
+
+def equations(robot: Robot, stands: MeasuredStands) -> tuple[StandEquations, ParameterTable]:
+    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    table = ParameterTable(give_widths(parameters_of(robot, stands, kp, np.zeros(robot.nu))))
+    noise = StandNoise(encoder=1e-4)
+    return StandEquations(robot, stands, table, kp, np.zeros(robot.nu), noise), table
+
+
+def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    """Each parameter's column, and each own unknown's, against central differences."""
+    system, table = equations(robot, stands)
+    truth = table.stated.copy()
+    for joint, name in enumerate(robot.joint_names):
+        truth[table.place("offset", name)] = OFFSETS[joint]
+    model = planted.structure.model
+    base = model.inertias[model.frames[model.getFrameId("base_link")].parentJoint]
+    truth[table.place("mass", "base_link")] = base.mass
+    for axis, value in zip("xyz", base.lever, strict=True):
+        truth[table.place("com", "base_link", axis)] = value
+    for _ in range(3):
+        left = system.linearise(truth, truth)
+    # The encoders' steps, 3.8e-4 rad, are all that is off: 1.1e-4 rad on average.
+    assert 0.3 < left.chi2 / left.rows < 1.6
+
+    own = system._own[0]
+
+    def residual(x: Array) -> Array:
+        system._own[0] = own
+        return system._look(0, system._numbers(x, truth)).rows.whiten(1e-4)[0]
+
+    by_x = system._look(0, system._numbers(truth, truth)).rows.whiten(1e-4)[1]
+    for place in range(len(table)):
+        step = np.zeros(len(table))
+        step[place] = 1e-6
+        found = (residual(truth + step) - residual(truth - step)) / 2e-6
+        np.testing.assert_allclose(by_x[:, place], found, atol=2e-4 * np.abs(found).max() + 1e-6)
+
+
+def test_planted_errors_are_found(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    fit = fit_stands(robot, stands, priors=["kp=0", "friction=0"])
+    assert fit.explained
+    assert abs(fit.total_mass.mean - planted.total_mass) < 0.05
+    assert fit.total_mass.low < planted.total_mass < fit.total_mass.high
+    found = {one.name: one for one in fit.estimates}
+    off = [
+        (found[f"offset {name}"].mean - true) / found[f"offset {name}"].std
+        for name, true in zip(robot.joint_names, OFFSETS, strict=True)
+    ]
+    assert np.abs(off).max() < 3.5
+    assert np.corrcoef(OFFSETS, [found[f"offset {n}"].mean for n in robot.joint_names])[0, 1] > 0.8
+    com = found["com.x base_link"]
+    assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
+
+
+def test_without_a_trusted_kp_only_the_ratio_is_told(
+    robot: Robot, planted: Robot, stands: MeasuredStands
+) -> None:
+    """And a scale tells the rest."""
+    fit = fit_stands(robot, stands)
+    assert fit.total_mass.told != "data"
+    (ratio,) = (one for one in fit.together if one.ratio)
+    assert {name.split()[0] for name in ratio.names} <= {"kp", "mass"}
+    assert "weigh-the-robot" in ratio.remedies
+    weighed = fit_stands(robot, stands, weight=planted.total_mass)
+    assert weighed.total_mass.told == "data"
+    assert not any(one.ratio for one in weighed.together)
+
+
+def test_what_is_no_stand_of_the_robot_is_refused(robot: Robot, stands: MeasuredStands) -> None:
+    with pytest.raises(UnknownNameError, match="leg_front_r_1"):
+        fit_stands(robot, replace(stands, joints=("elbow", *stands.joints[1:])))
+    with pytest.raises(MeasurementError, match="2 stands"):
+        fit_stands(robot, part(stands, slice(0, 2)))
+    wrong = [("FL",), *stands.swing[1:]]
+    with pytest.raises(MeasurementError, match="pull|carr"):
+        fit_stands(robot, replace(stands, swing=(("FR",), *wrong[1:])))
+
+
+def part(stands: MeasuredStands, rows: slice) -> MeasuredStands:
+    return replace(
+        stands,
+        names=stands.names[rows],
+        command=stands.command[rows],
+        position=stands.position[rows],
+        torque=stands.torque[rows],
+        tilt=stands.tilt[rows],
+        swing=stands.swing[rows],
+        approach=stands.approach[rows],
+    )
+
+
+def test_an_encoders_step_shows(stands: MeasuredStands) -> None:
+    assert quantum_of(stands) == pytest.approx(2 * math.pi / 2**14, rel=1e-3)
+    fine = stands.position + np.random.default_rng(0).normal(0, 1e-3, stands.position.shape)
+    assert quantum_of(replace(stands, position=fine)) == 0.0
+
+
+def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_path: Path) -> None:
+    path = tmp_path / "stands.csv"
+    path.write_text(
+        "stand,swing,from,command.a [deg],position.a [deg],force.FL [g]\n"
+        "one,FL RR,above,10,9,100\none,FL RR,above,10,9.1,\ntwo,,,20,,\n"
+    )
+    stands = read_stands(path)
+    assert stands.swing == (("FL", "RR"), ("FL", "RR"), ())
+    once = stands.repeated()
+    assert once.names == ("one", "two")
+    assert once.position[0, 0] == pytest.approx(math.radians(9.05))
+    assert once.force["FL"][0] == pytest.approx(0.980665)
+    path.write_text(path.read_text().replace("9.1", "11"))
+    with pytest.raises(MeasurementError, match="not at rest"):
+        read_stands(path).repeated()
