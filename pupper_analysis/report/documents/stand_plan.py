@@ -42,7 +42,7 @@ def _stands(plan: StandPlan) -> doc.Table:
         *(doc.Column(doc.Name(joint), "deg", detail=True) for joint in joints),
     )
     factor, _ = SHOWN_UNITS["rad"]
-    rows = tuple(
+    rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
         (
             doc.Name(one.name),
             doc.Name(" ".join(one.swing)),
