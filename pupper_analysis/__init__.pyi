@@ -100,7 +100,6 @@ from .errors import (
     VariantError as VariantError,
 )
 from .fit.fit import fit_stands as fit_stands
-from .fit.plan import plan_stands as plan_stands
 from .fit.stands import read_stands as read_stands
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import click
@@ -18,12 +19,14 @@ from pupper_analysis.cli.robots import (
     robot_from,
     with_robot,
 )
+from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pupper_analysis.fit.plan import StandPlan
     from pupper_analysis.fit.result import Fit
+    from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
 
 
@@ -43,7 +46,12 @@ if TYPE_CHECKING:
 @click.option(
     "--both-sides", is_flag=True, help="Plan to come to each stand from above and from below."
 )
-@shared.file_option("-o", "--output", help="Where to write the plan, as CSV.")
+@shared.file_option(
+    "-o",
+    "--output",
+    help="Where to write the plan, as CSV; or the folder that gets the corrected URDF and MJCF, "
+    "fit.json, offsets.csv and ranges.yaml.",
+)
 @click.option(
     "--prior",
     "priors",
@@ -93,21 +101,25 @@ def fit(
     \b
     Examples:
       pupper-analysis fit v3 --plan 12 -o plan.csv        which stands to take
-      pupper-analysis fit v3 --stands stands.csv --weight 3.55kg
+      pupper-analysis fit v3 --stands stands.csv --weight 3.55kg -o fitted/
       pupper-analysis fit go2.xml --stands stands.csv --prior kp=0 --report fit.html
 
     \b
     Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    shared.check_outputs(json_path, report_path, output)
+    from pupper_analysis.fit import result as fitted
+
+    folder = output if stands is not None else None
+    shared.check_outputs(json_path, report_path, *([] if folder else [output]), folders=(folder,))
     if (stands is None) == (count is None):
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
-    robot = robot_from(which.one(words) or "v3")
+    meant = which.one(words) or "v3"
+    robot = robot_from(meant)
     if style == "text":
         print_notes(robot, everything=everything)
-    result: Fit | StandPlan
+    result: fitted.Fit | StandPlan
     if stands is None:
         result = _plan(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
@@ -121,7 +133,28 @@ def fit(
             result = fit_stands(robot, measured, priors=priors, weight=mass, kp=kp, encoder=sure)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
+    if folder is not None and isinstance(result, fitted.Fit):
+        _write(robot, meant, result, folder)
     shared.finish_command(json_path, result, passed=getattr(result, "explained", True))
+
+
+def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
+    """Writes the corrected models, unless they would be of a fit that explains nothing."""
+    from pupper_analysis.study.fitted import write_fit
+
+    if not found.explained:
+        click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
+        return
+    with TemporaryDirectory() as place:
+        files = None
+        if not isinstance(meant, RobotFiles):  # a derived variant has no files of its own
+            from pupper_analysis.pupper.variant_files import write_variant
+
+            files = write_variant(meant, place)
+        made = write_fit(robot, found.posterior, folder, fit=found, files=files)
+    for note in made.diagnostics:
+        click.echo(f"note: {note}", err=True)
+    shared.confirm_written(folder)
 
 
 def _plan(

@@ -1,6 +1,5 @@
 from .estimate import Posterior as Posterior
 from .estimate import estimate_parameters as estimate_parameters
-from .fit import fit_stands as fit_stands
 from .log import Log as Log
 from .log import read_log as read_log
 from .log_quality import LogQuality as LogQuality
@@ -16,4 +15,3 @@ from .plan import write_plan as write_plan
 from .result import Estimate as Estimate
 from .result import Fit as Fit
 from .stands import MeasuredStands as MeasuredStands
-from .stands import read_stands as read_stands
