@@ -30,10 +30,10 @@ def test_every_public_name_is_that_of_what_it_names() -> None:
     assert others == {"VARIANTS": MappingProxyType}
 
 
-def test_the_package_offers_at_most_forty_names_and_no_name_twice() -> None:
+def test_the_package_offers_few_names_and_no_name_twice() -> None:
     names = [name for module in (pa, *public_modules()) for name in public(module)]
     assert len(set(names)) == len(names)
-    assert len(public(pa)) <= 40
+    assert len(public(pa)) <= 44
 
 
 def test_unknown_name_is_an_attribute_error() -> None:
