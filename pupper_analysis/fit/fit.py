@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import MeasurementError
+from pupper_analysis.errors import FitError, MeasurementError
 from pupper_analysis.fit.estimate import Linearised, estimate_parameters
 from pupper_analysis.fit.noise_levels import find_noise
 from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths, parse_prior
@@ -92,7 +92,11 @@ def fit_stands(
     def linearise(x: Array, about: Array) -> Linearised:
         return equations.linearise(x, about) + weighed(x)
 
-    posterior = estimate_parameters(table, linearise)
+    try:
+        posterior = estimate_parameters(table, linearise)
+    except FitError:
+        _check_forces(robot, given, equations)  # which may tell why
+        raise
     equations.noise = find_noise(equations, table, posterior.mean, weighed)
     posterior = estimate_parameters(table, linearise, posterior.mean)
     _check_forces(robot, given, equations)

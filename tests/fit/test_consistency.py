@@ -21,7 +21,9 @@ def v3() -> pa.Robot:
 
 
 def posterior(parameters: list[Parameter], mean: np.ndarray, covariance: np.ndarray) -> Posterior:
-    return Posterior(tuple(parameters), mean, covariance, np.eye(len(mean)), 0.0, 0.0, 0, 1)
+    return Posterior(
+        tuple(parameters), mean, covariance, np.eye(len(mean)), np.eye(len(mean)), 0.0, 0.0, 0, 1
+    )
 
 
 def of_base() -> list[Parameter]:

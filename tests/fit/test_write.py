@@ -42,7 +42,7 @@ def estimated() -> Posterior:
     mean = np.array([row[1] for row in WANTED.values()])
     std = np.array([row[2] for row in WANTED.values()])
     n = len(mean)
-    return Posterior(parameters, mean, np.diag(std**2), np.eye(n), 0.0, 0.0, 0, 1)
+    return Posterior(parameters, mean, np.diag(std**2), np.eye(n), np.eye(n), 0.0, 0.0, 0, 1)
 
 
 @pytest.fixture(scope="module")
