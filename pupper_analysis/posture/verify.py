@@ -38,7 +38,7 @@ from pupper_analysis.simulation.verify import (
     NUDGED,
     RESTING,
 )
-from pupper_analysis.simulation.watch import LAST
+from pupper_analysis.simulation.watch import LAST, TOUCH, pushing_bodies
 
 Array = NDArray[np.float64]
 
@@ -48,9 +48,6 @@ AWAY = 0.5
 _LEVER = 1e-3
 """The robot's weight on this lever (m) is what deviations of torques are measured by where less is
 predicted: joints about vertical axes hold nothing."""
-
-_TOUCH = 1e-3
-"""Parts that push on each other by less of the weight only just touch."""
 
 _SATURATED = 1e-6
 """A motor that is so near to its limit, in parts of it, gives all it can."""
@@ -168,7 +165,7 @@ def verify_posture(
         )
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     seen = run.states[:: max(1, round(_SAMPLE_TIME / found.timestep))]
-    touching = {pair for state in seen for pair in look.touching(state, _TOUCH * weight)}
+    touching = {pair for state in seen for pair in look.touching(state, TOUCH * weight)}
     failures = [monitor.tell_divergence(drive.integrator, found.timestep)] if run.diverged else []
     failures += [diagnose("parts-touch", bodies=pair) for pair in sorted(touching)]
     failures += _deviations(robot, found, weight)
@@ -327,14 +324,7 @@ class _Look:
     def touching(self, state: Array, least: float) -> set[tuple[str, str]]:
         """Returns the pairs of bodies that push on each other by so much (N)."""
         self._forward(state)
-        pairs, force = set(), np.zeros(6)
-        for number, contact in enumerate(self._data.contact):
-            mujoco.mj_contactForce(self._model, self._data, number, force)
-            if force[0] > least:
-                bodies = self._model.geom_bodyid[contact.geom]
-                first, second = sorted(self._model.body(int(body)).name for body in bodies)
-                pairs.add((first, second))
-        return pairs
+        return pushing_bodies(self._model, self._data, least)
 
     def _forward(self, state: Array) -> None:
         mujoco.mj_setState(self._model, self._data, state, STATE)

@@ -374,6 +374,8 @@ def _deviations(
             )
         )
         return off
+    if off and watch.touching:
+        return [*off, *(diagnose("parts-touch", bodies=pair) for pair in watch.touching)]
     if off and (acts := closed_loops(robot, stand, ANOTHER_ROBOT * weight)):
         return [*off, acts]
     if off and (opens := give_way(robot, stand, prediction)):

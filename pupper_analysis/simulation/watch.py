@@ -18,15 +18,29 @@ Array = NDArray[np.float64]
 
 _SAMPLE_TIME = 0.02  # s between the states that are looked at
 
+TOUCH = 1e-3
+"""Parts that push on each other by less of the weight only just touch."""
+
+_WORLD = "world"  # MuJoCo's name of body 0, the ground's
+
 LAST = 1.0
 """Time in which what a stand settles at is measured (s)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What a close look at some states of a rollout shows."""
+    """What a close look at some states of a rollout shows.
+
+    Attributes:
+        failures: What touches the ground, and should not; or should, and does not.
+        touching: Pairs of its bodies that push on each other, settled.
+        torques: (nu,) of motors, settled (N m).
+        forces: Of each foot (3,) (N).
+        feet_settled: Where each is (3,) (m).
+    """
 
     failures: tuple[Diagnostic, ...]
+    touching: tuple[tuple[str, str], ...]
     torques: Array
     forces: dict[str, Array]
     feet_settled: dict[str, Array]
@@ -59,7 +73,8 @@ def watch_contacts(
     total = {foot: np.zeros(3) for foot in robot.feet}
     carrying = robot.feet_with(stand.stance_feet)
     feet = {foot: np.zeros(3) for foot in robot.contact_points}
-    count = 0
+    count, touching = 0, set[tuple[str, str]]()
+    least = TOUCH * robot.total_mass * float(np.linalg.norm(robot.gravity))
     last_second = range(settling - round(LAST / model.opt.timestep), settling)
     # Backwards: the first moment stays. Both parts end with their last state.
     for index in (*range(len(states) - 1, settling - 1, -step), *range(settling - 1, -1, -step)):
@@ -69,6 +84,8 @@ def watch_contacts(
         lost |= {foot: seen.time for foot in seen.idle(carrying) if foot in loaded}
         if index in last_second:
             count += 1
+            pushing = pushing_bodies(model, watcher.data, least)
+            touching |= {pair for pair in pushing if _WORLD not in pair}
             torques += watcher.data.qfrc_actuator[robot.mj_convention.qvel_index[6:]]
             for foot in total:
                 total[foot] += seen.forces.get(foot, np.zeros(3))
@@ -84,7 +101,22 @@ def watch_contacts(
     ]
     return Watch(
         failures=tuple(failures),
+        touching=tuple(sorted(touching)),
         torques=torques / count,
         forces={foot: force / count for foot, force in total.items()},
         feet_settled={foot: position / count for foot, position in feet.items()},
     )
+
+
+def pushing_bodies(
+    model: mujoco.MjModel, data: mujoco.MjData, least: float
+) -> set[tuple[str, str]]:
+    """Returns the pairs of bodies that push on each other by so much (N), or on the world's."""
+    pairs, force = set(), np.zeros(6)
+    for number, contact in enumerate(data.contact):
+        bodies = model.geom_bodyid[contact.geom]
+        mujoco.mj_contactForce(model, data, number, force)
+        if force[0] > least:
+            first, second = sorted(model.body(int(body)).name for body in bodies)
+            pairs.add((first, second))
+    return pairs

@@ -466,3 +466,18 @@ def test_an_mjcf_converts_and_agrees(package: str, name: str, tmp_path: Path) ->
     assert any(
         word in str(told) for told in found.not_converted for word in ("armature", "effort limit")
     )
+
+
+@pytest.mark.longest
+def test_a_stand_tells_which_parts_push_on_each_other() -> None:
+    """G1's hands are on its hips with elbows at 60 degrees, and nowhere near with them at 0."""
+    robot = pa.load_robot(file(LAB, "unitree_g1/xmls/g1.xml"))
+    for elbow, pairs in ((0.0, set()), (np.radians(60), {"left", "right"})):
+        stand = pa.solve_stand(robot, pa.StandTask(posture={"*elbow*": float(elbow)}))
+        found = pa.verify_stand(robot, stand, duration=4.0)
+        told = {one.code: one for one in found.failures}
+        assert ("parts-touch" in told) is bool(pairs)
+        touching = [one.values["bodies"] for one in found.failures if one.code == "parts-touch"]
+        assert set(touching) == {
+            (f"{side}_hip_yaw_link", f"{side}_wrist_yaw_link") for side in pairs
+        }
