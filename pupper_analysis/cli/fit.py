@@ -24,6 +24,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from pupper_analysis.fit.motion_result import FittedMotion
     from pupper_analysis.fit.plan import StandPlan
     from pupper_analysis.fit.result import Fit
     from pupper_analysis.pupper.variants import VariantSpec
@@ -35,6 +36,22 @@ if TYPE_CHECKING:
 )
 @robot_argument
 @shared.file_option("--stands", help="CSV of stands at rest: commands and positions.")
+@click.option(
+    "--log",
+    "logs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="CSV or npz of motions, the base held: time, commands, positions. Repeatable.",
+)
+@click.option(
+    "--hold-out",
+    type=click.FloatRange(0, 0.9),
+    default=0.2,
+    show_default=True,
+    metavar="SHARE",
+    help="Share of each log, at its end, that is predicted instead of fitted.",
+)
 @click.option(
     "--plan",
     "count",
@@ -77,6 +94,8 @@ def fit(
     which: RobotOptions,
     words: tuple[str, ...],
     stands: Path | None,
+    logs: tuple[Path, ...],
+    hold_out: float,
     count: int | None,
     degrees: bool,
     both_sides: bool,
@@ -95,35 +114,39 @@ def fit(
     A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
     each: command.<joint> and position.<joint> (rad, or [deg] in the header), and if they were read
     torque.<joint>, force.<foot>, roll and pitch, swing (feet in the air), from (above or below).
-    Every number comes with its interval; what the stands cannot tell is named, with what else to
-    measure.
+    A log is of a robot that hangs or is bolted down: time, command.<joint>, position.<joint>.
+
+    Every number comes with its interval; what the measurements cannot tell is named, with what else
+    to measure.
 
     \b
     Examples:
       pupper-analysis fit v3 --plan 12 -o plan.csv        which stands to take
       pupper-analysis fit v3 --stands stands.csv --weight 3.55kg -o fitted/
       pupper-analysis fit go2.xml --stands stands.csv --prior kp=0 --report fit.html
+      pupper-analysis fit go2.xml --log hanging.csv --hold-out 0.2
 
     \b
     Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    from pupper_analysis.fit import motion_result as motions
     from pupper_analysis.fit import result as fitted
 
-    folder = output if stands is not None else None
+    folder = output if count is None else None
     shared.check_outputs(json_path, report_path, *([] if folder else [output]), folders=(folder,))
-    if (stands is None) == (count is None):
+    if [stands is not None, count is not None, bool(logs)].count(True) != 1:
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"
     robot = robot_from(meant)
-    if style == "text":
-        print_notes(robot, everything=everything)
-    result: fitted.Fit | StandPlan
-    if stands is None:
+    result: fitted.Fit | FittedMotion | StandPlan
+    if count is not None:
         result = _plan(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
         )
+    elif stands is None:
+        result = _fit_logs(robot, logs, hold_out, priors, kp)
     else:
         from pupper_analysis.fit.fit import fit_stands
         from pupper_analysis.fit.stands import read_stands
@@ -131,14 +154,18 @@ def fit(
         measured = read_stands(stands)
         with shared.show_progress("fitting the robot's numbers to the stands"):
             result = fit_stands(robot, measured, priors=priors, weight=mass, kp=kp, encoder=sure)
+    if style == "text":
+        print_notes(robot, everything=everything)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
-    if folder is not None and isinstance(result, fitted.Fit):
+    if folder is not None and isinstance(result, fitted.Fit | motions.FittedMotion):
         _write(robot, meant, result, folder)
     shared.finish_command(json_path, result, passed=getattr(result, "explained", True))
 
 
-def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
+def _write(
+    robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit | FittedMotion, folder: Path
+) -> None:
     """Writes the corrected models, unless they would be of a fit that explains nothing."""
     from pupper_analysis.study.fitted import write_fit
 
@@ -152,9 +179,33 @@ def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, fold
 
             files = write_variant(meant, place)
         made = write_fit(robot, found.posterior, folder, fit=found, files=files)
-    for note in made.diagnostics:
-        click.echo(f"note: {note}", err=True)
+    first = {note.code: note for note in reversed(made.diagnostics)}  # one of each kind
+    for note in reversed(first.values()):
+        alike = sum(one.code == note.code for one in made.diagnostics) - 1
+        more = f" (and {alike} more of this kind)" if alike else ""
+        click.echo(f"note: {note}{more}", err=True)
     shared.confirm_written(folder)
+
+
+def _fit_logs(
+    robot: Robot,
+    paths: tuple[Path, ...],
+    hold_out: float,
+    priors: tuple[str, ...],
+    kp: float | None,
+) -> FittedMotion:
+    """Fits a robot's numbers to logs."""
+    from pupper_analysis.fit.log import read_log
+    from pupper_analysis.fit.motion import fit_motion
+    from pupper_analysis.fit.motion_result import describe_motion
+    from pupper_analysis.fit.parameters import parse_prior
+
+    logs = [read_log(path) for path in paths]
+    known = [parse_prior(one) for one in priors]
+    with shared.show_progress("fitting the robot's numbers to its motions"):
+        return describe_motion(
+            fit_motion(robot, logs, priors=known, hold_out=hold_out, kp=kp), logs
+        )
 
 
 def _plan(

@@ -73,6 +73,7 @@ def fit_stands(
         ConfigurationError: If a prior says nothing, or the base is fixed.
         FitError: If it does not converge.
     """
+    wanted = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     robot.check_floating()
     robot.check_tree("fit")
     given = stands.of(robot).repeated()
@@ -83,7 +84,6 @@ def fit_stands(
     stiffness = stated_stiffness(robot, given, kp)
     given, notes = _without_stops(robot, given, stiffness)
     rubbing = DryFriction.of(robot).joints
-    wanted = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
     noise, friction = expected_noise(robot, given, rubbing, encoder)
     equations = StandEquations(robot, given, table, stiffness, friction, noise)

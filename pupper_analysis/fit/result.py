@@ -145,7 +145,7 @@ def describe_fit(
         notes: What was found before.
         weighed: Whether the whole robot was put on a scale.
     """
-    found = tuple(_estimates(posterior))
+    found = tuple(describe_parameters(posterior))
     more = dict(_remedies(robot, equations, posterior, weighed=weighed))
     return Fit(
         name=robot.name,
@@ -168,7 +168,8 @@ def describe_fit(
     )
 
 
-def _estimates(posterior: Posterior) -> Iterator[Estimate]:
+def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:
+    """Yields what is known of each parameter, those of the surroundings last."""
     order = sorted(
         range(len(posterior.parameters)),
         key=lambda place: posterior.parameters[place].kind in OF_SURROUNDINGS,
@@ -244,6 +245,17 @@ def _unexplained(
         yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
     if found.friction > _NOISY * expected.friction:
         yield diagnose("torques-off", times=found.friction / expected.friction)
+    own = [place for place, one in enumerate(posterior.parameters) if _is_own(one)]
+    moved = {
+        place: (posterior.mean[place] - posterior.parameters[place].stated)
+        / posterior.parameters[place].width
+        for place in own
+    }
+    far = [place for place in own if abs(moved[place]) > _FAR]
+    if far:
+        worst = max(far, key=lambda place: abs(moved[place]))
+        names = [posterior.parameters[place].name for place in far]
+        yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
     for place, one in enumerate(posterior.parameters):
         off = posterior.mean[place] - one.stated
         if one.kind not in OF_SURROUNDINGS or abs(off) < _AGAINST_PRIOR * one.width:
@@ -256,6 +268,13 @@ def _unexplained(
         else:
             yield diagnose("imu-is-turned", angle=Quantity(float(off), "rad"), axis=one.component)
 
+
+def _is_own(one: Parameter) -> bool:
+    return one.kind not in OF_SURROUNDINGS
+
+
+_FAR = 4.5
+"""Of a prior's width: of a hundred numbers that are as they were said to be, none is so far off."""
 
 _CHANCE = 1e-3
 """Probability of residuals that are larger by chance."""

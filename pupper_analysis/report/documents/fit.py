@@ -17,38 +17,47 @@ from pupper_analysis.robot.robot import Robot
 @build_document.register(Fit)
 def fit_document(fit: Fit, _: Robot | None = None) -> doc.Document:
     """Returns what measurements tell of a robot; see ``build_document``."""
-    own = [one for one in fit.estimates if one.kind not in OF_SURROUNDINGS]
-    told = [one for one in own if one.told is Told.DATA]
-    partly = [one for one in own if one.told is Told.PARTLY]
-    untold = [one for one in own if one.told is Told.PRIOR]
-    around = [one for one in fit.estimates if one.kind in OF_SURROUNDINGS]
-    kinds = dict.fromkeys(one.kind for one in told)
-    blocks: list[doc.Block] = [
-        _table(text(f"fitted-{kind}"), [one for one in told if one.kind == kind]) for kind in kinds
-    ]
-    blocks.append(_residuals(fit))
-    for title, rest in (
-        ("told-in-part", partly),
-        ("prior-alone", untold),
-        ("fitted-surroundings", around),
-    ):
-        if rest:
-            blocks.append(_table(text(title), rest, detail=True))
     return doc.Document(
         text("fit-of-stands"),
         doc.Name(fit.name),
-        tuple(blocks),
+        (*parameter_tables(fit.estimates), _residuals(fit)),
         passed=fit.explained,
         verdict=text("EXPLAINED") if fit.explained else text("NOT-EXPLAINED"),
         failures=tuple(doc.tell(one) for one in fit.failures),
         told=(
             text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
             _total(fit.total_mass),
-            *_open(fit.together),
-            *_held(partly, untold),
+            *open_lines(fit.estimates, fit.together),
         ),
         notes=tuple(doc.tell(one) for one in fit.diagnostics),
     )
+
+
+def parameter_tables(estimates: Iterable[Estimate]) -> list[doc.Block]:
+    """Returns tables of estimates: what measurements tell by kind, and the rest in detail."""
+    given = list(estimates)
+    own = [one for one in given if one.kind not in OF_SURROUNDINGS]
+    told = [one for one in own if one.told is Told.DATA]
+    blocks: list[doc.Block] = [
+        _table(text(f"fitted-{kind}"), [one for one in told if one.kind == kind])
+        for kind in dict.fromkeys(one.kind for one in told)
+    ]
+    for title, rest in (
+        ("told-in-part", [one for one in own if one.told is Told.PARTLY]),
+        ("prior-alone", [one for one in own if one.told is Told.PRIOR]),
+        ("fitted-surroundings", [one for one in given if one.kind in OF_SURROUNDINGS]),
+    ):
+        if rest:
+            blocks.append(_table(text(title), rest, detail=True))
+    return blocks
+
+
+def open_lines(estimates: Iterable[Estimate], together: Iterable[Together]) -> list[doc.Words]:
+    """Returns what measurements leave open: combinations, and what the prior holds."""
+    own = [one for one in estimates if one.kind not in OF_SURROUNDINGS]
+    partly = [one for one in own if one.told is Told.PARTLY]
+    untold = [one for one in own if one.told is Told.PRIOR]
+    return [*_open(together), *_held(partly, untold)]
 
 
 def _total(mass: Estimate) -> doc.Words:
