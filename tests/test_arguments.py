@@ -23,11 +23,16 @@ APART = {  # below, each with an argument that is wrong
     "to_json",
     "load_robot",
     "certainty",
+    "fit_motion",
+    "fit_stands",
     "linear_shares",
     "pareto_front",
     "sobol_indices",
     "study_outcome",
+    "plan_stands",
     "tightest_tolerance",
+    "tool_payload",
+    "write_plan",
     "write_randomisation",
     "write_report",
 }
@@ -86,6 +91,7 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "numbers": [1.0, 2.0],
         "duration": 2.0,
         "directions": 3,
+        "log": pa.fit.Log("log", np.arange(3.0), ("j",), np.zeros((3, 1)), np.zeros((3, 1))),
     }
 
 
@@ -311,3 +317,21 @@ def test_lengths_end_a_kilometre_away_on_either_side(far: float) -> None:
     assert check_length("height", far / 1.001) == far / 1.001
     with pytest.raises(pa.ConfigurationError, match="height"):
         check_length("height", far)
+
+
+def test_fits_and_plans_check_their_arguments(tmp_path: Path) -> None:
+    """Each is too slow to be called with all that is wrong."""
+    robot = load("v3")
+    for call in (
+        lambda: pa.fit_stands(robot, "stands"),
+        lambda: pa.fit_stands("v3", None),
+        lambda: pa.fit.fit_motion(robot, "log"),
+        lambda: pa.fit.plan_stands(robot, 0),
+        lambda: pa.fit.plan_stands(robot, 3, seed=-1),
+        lambda: pa.fit.plan_stands("v3", 3),
+        lambda: pa.fit.write_plan("plan", tmp_path / "plan.csv"),
+        lambda: pa.posture.tool_payload("posture", None, None, None),
+    ):
+        with pytest.raises(pa.PupperAnalysisError):
+            call()
+    assert not list(tmp_path.iterdir())

@@ -1,5 +1,4 @@
 from .estimate import Posterior as Posterior
-from .estimate import estimate_parameters as estimate_parameters
 from .log import Log as Log
 from .log import read_log as read_log
 from .log_quality import LogQuality as LogQuality

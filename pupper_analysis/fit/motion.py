@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
 from pupper_analysis.fit.estimate import Posterior
@@ -73,6 +74,7 @@ class MotionFit:
     diagnostics: tuple[Diagnostic, ...]
 
 
+@check_arguments
 def fit_motion(
     robot: Robot,
     logs: Sequence[Log],

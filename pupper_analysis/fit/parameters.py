@@ -11,6 +11,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -152,6 +153,7 @@ def parse_prior(text: str) -> Prior:
     Raises:
         ConfigurationError: If it says nothing.
     """
+    check_type("text", text, str)
     found = _PRIOR.fullmatch(text.strip())
     kind = found and KINDS.get(found["kind"])
     if not found or kind is None:

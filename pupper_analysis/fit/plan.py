@@ -37,6 +37,9 @@ from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
 
+_MOST_STANDS = 1000
+"""A day's work, and more."""
+
 _CANDIDATES = 6
 """Per stand that is wanted: among so many the best are found that a hundred more hardly better."""
 
@@ -137,8 +140,10 @@ def plan_stands(
     """
     robot.check_floating()
     robot.check_tree("fit")
-    if count < 1:
+    if not 1 <= count <= _MOST_STANDS:
         raise ConfigurationError("count", diagnose("no-count", count=count))
+    if seed < 0:
+        raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     rng = np.random.default_rng(seed)
     wanted = _CANDIDATES * count
     found: list[tuple[Stand, SteadyState]] = []
@@ -305,6 +310,7 @@ def _plan(
     return planned
 
 
+@check_arguments
 def write_plan(plan: StandPlan, path: str | Path, *, degrees: bool = False) -> None:
     """Writes stands as a CSV file that ``read_stands`` reads, once positions are filled in.
 

@@ -251,7 +251,15 @@ def _unexplained(
         / posterior.parameters[place].width
         for place in own
     }
-    far = [place for place in own if abs(moved[place]) > _FAR]
+    far = [
+        place
+        for place in own
+        if abs(moved[place]) > _FAR
+        or (
+            (posterior.parameters[place].kind in _NEVER_NOTHING and moved[place] < 0)
+            and posterior.mean[place] < _NOTHING * posterior.parameters[place].stated
+        )
+    ]
     if far:
         worst = max(far, key=lambda place: abs(moved[place]))
         names = [posterior.parameters[place].name for place in far]
@@ -275,6 +283,9 @@ def _is_own(one: Parameter) -> bool:
 
 _FAR = 4.5
 """Of a prior's width: of a hundred numbers that are as they were said to be, none is so far off."""
+
+_NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
+"""Kinds of numbers that no robot has none of, and what is none, in parts of the stated value."""
 
 _CHANCE = 1e-3
 """Probability of residuals that are larger by chance."""
