@@ -59,8 +59,8 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("armature", "kg m^2", share=1.0, width=0.002, positive=True),
         ParameterKind("inertia", "kg m^2", share=0.5, width=1e-5),
         ParameterKind("delay", "s", width=0.01, positive=True),
-        # What a spirit level, or a good floor, leaves.
-        ParameterKind("slope", "rad", width=math.radians(0.25)),
+        # What a spirit level leaves, or the one of a telephone.
+        ParameterKind("slope", "rad", width=math.radians(0.2)),
         # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which
         # is as far away as twice as soft a one.
         ParameterKind("softness", "1", width=0.5),

@@ -248,7 +248,7 @@ def _unexplained(
     own = [place for place, one in enumerate(posterior.parameters) if _is_own(one)]
     moved = {
         place: (posterior.mean[place] - posterior.parameters[place].stated)
-        / posterior.parameters[place].width
+        / _surprise(posterior, place)
         for place in own
     }
     far = [
@@ -266,7 +266,7 @@ def _unexplained(
         yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
     for place, one in enumerate(posterior.parameters):
         off = posterior.mean[place] - one.stated
-        if one.kind not in OF_SURROUNDINGS or abs(off) < _AGAINST_PRIOR * one.width:
+        if _is_own(one) or abs(off) < _AGAINST_PRIOR * _surprise(posterior, place):
             continue
         if one.kind == "slope":
             slope = Quantity(abs(float(off)), "rad")
@@ -277,12 +277,27 @@ def _unexplained(
             yield diagnose("imu-is-turned", angle=Quantity(float(off), "rad"), axis=one.component)
 
 
+def _surprise(posterior: Posterior, place: int) -> float:
+    """Returns the standard deviation of an estimate, if the parameter is as it was said to be.
+
+    What is known before and after differ in variance by it: an estimate by poor measurements stays
+    near the stated value, and tells as much by a smaller step.
+    """
+    width = posterior.parameters[place].width
+    told = max(width**2 - float(posterior.covariance[place, place]), _LEAST_TOLD * width**2)
+    return math.sqrt(told)
+
+
+_LEAST_TOLD = 0.02
+"""Of a prior's variance: a parameter of which no more is told speaks against nothing."""
+
+
 def _is_own(one: Parameter) -> bool:
     return one.kind not in OF_SURROUNDINGS
 
 
 _FAR = 4.5
-"""Of a prior's width: of a hundred numbers that are as they were said to be, none is so far off."""
+"""Standard deviations: of a hundred numbers that are as was said, none is so far off."""
 
 _NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
 """Kinds of numbers that no robot has none of, and what is none, in parts of the stated value."""

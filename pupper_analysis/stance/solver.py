@@ -242,12 +242,8 @@ class Solver:
         limits, given = (goal.lower, goal.upper), self._limits
         if given is None or limits[0] is not given[0] or limits[1] is not given[1]:
             self._limits = limits
-            # PlaCo limits no continuous joint: in a posture it stays where it begins.
-            bounded = ~self._robot.pin_convention.unbounded
-            joints = zip(self._robot.joint_names, *limits, bounded, strict=True)
-            for name, low, high, has_limits in joints:
-                if not has_limits:
-                    continue
+            for joint in np.flatnonzero(~self._robot.pin_convention.unbounded):
+                name, low, high = self._robot.joint_names[joint], limits[0][joint], limits[1][joint]
                 if math.isfinite(low) and math.isfinite(high):
                     wrapper.set_joint_limits(name, low, high)
                 elif given is not None:  # it may have been in a posture

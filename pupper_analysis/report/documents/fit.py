@@ -13,6 +13,32 @@ from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 
+TITLES = {
+    "mass": "fitted-mass",
+    "com": "fitted-com",
+    "offset": "fitted-offset",
+    "kp": "fitted-kp",
+    "kd": "fitted-kd",
+    "friction": "fitted-friction",
+    "damping": "fitted-damping",
+    "armature": "fitted-armature",
+    "delay": "fitted-delay",
+}
+"""{kind of parameter: title of its table}."""
+
+TOLD_BY = {
+    Told.DATA: "told-by-data",
+    Told.PARTLY: "told-by-partly",
+    Told.PRIOR: "told-by-prior",
+}
+
+_REMEDIES = {
+    "weigh-the-robot": "weigh-the-robot",
+    "weigh-the-feet": "weigh-the-feet",
+    "measure-torques": "measure-torques",
+    "read-an-imu": "read-an-imu",
+}
+
 
 @build_document.register(Fit)
 def fit_document(fit: Fit, _: Robot | None = None) -> doc.Document:
@@ -22,7 +48,7 @@ def fit_document(fit: Fit, _: Robot | None = None) -> doc.Document:
         doc.Name(fit.name),
         (*parameter_tables(fit.estimates), _residuals(fit)),
         passed=fit.explained,
-        verdict=text("EXPLAINED") if fit.explained else text("NOT-EXPLAINED"),
+        verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.tell(one) for one in fit.failures),
         told=(
             text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
@@ -39,7 +65,7 @@ def parameter_tables(estimates: Iterable[Estimate]) -> list[doc.Block]:
     own = [one for one in given if one.kind not in OF_SURROUNDINGS]
     told = [one for one in own if one.told is Told.DATA]
     blocks: list[doc.Block] = [
-        _table(text(f"fitted-{kind}"), [one for one in told if one.kind == kind])
+        _table(text(TITLES[kind]), [one for one in told if one.kind == kind])
         for kind in dict.fromkeys(one.kind for one in told)
     ]
     for title, rest in (
@@ -78,7 +104,7 @@ def _open(together: Iterable[Together]) -> Iterable[doc.Words]:
         yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)
         if one.remedies:
             ways = [
-                text("remedy-and-factor", remedy=text(code), factor=f"{factor:.1f}")
+                text("remedy-and-factor", remedy=text(_REMEDIES[code]), factor=f"{factor:.1f}")
                 for code, factor in one.remedies.items()
             ]
             yield text("what-would-tell", ways=join_words(ways))
@@ -94,28 +120,27 @@ def _held(partly: list[Estimate], untold: list[Estimate]) -> Iterable[doc.Words]
 
 def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False) -> doc.Table:
     """Returns estimates with their intervals, what moved most before."""
-    units = {one.unit for one in estimates}
-    factor, unit = 1.0, "SI"  # where they are several
-    if len(units) == 1:
-        own = units.pop()
-        factor, unit = SHOWN_UNITS.get(own, (1.0, own))
-    rows = tuple(
+    units = {one.unit: SHOWN_UNITS.get(one.unit, (1.0, one.unit)) for one in estimates}
+    shared = next(iter(units.values()))[1] if len(units) == 1 else ""
+    rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
         (
             doc.Name(one.name),
-            doc.number_cell(one.stated, ".4g", scale=factor),
-            doc.number_cell(one.mean, ".4g", scale=factor),
-            doc.number_cell(one.high - one.mean, ".2g", scale=factor),
-            doc.number_cell(one.mean - one.stated, "+.3g", scale=factor),
-            text(f"told-by-{one.told.value}"),
+            *([] if shared else [doc.Name(units[one.unit][1])]),
+            doc.number_cell(one.stated, ".4g", scale=units[one.unit][0]),
+            doc.number_cell(one.mean, ".4g", scale=units[one.unit][0]),
+            doc.number_cell(one.high - one.mean, ".2g", scale=units[one.unit][0]),
+            doc.number_cell(one.mean - one.stated, "+.3g", scale=units[one.unit][0]),
+            text(TOLD_BY[one.told]),
         )
         for one in estimates
     )
     columns = (
         doc.Column(text("parameter"), left=True),
-        doc.Column(text("in-the-file"), unit),
-        doc.Column(text("fitted"), unit),
-        doc.Column(text("half-of-95"), unit),
-        doc.Column(text("fitted-difference"), unit),
+        *([] if shared else [doc.Column(text("unit"), left=True)]),
+        doc.Column(text("in-the-file"), shared),
+        doc.Column(text("fitted"), shared),
+        doc.Column(text("half-of-95"), shared),
+        doc.Column(text("fitted-difference"), shared),
         doc.Column(text("told-by"), left=True),
     )
     return doc.Table(title, columns, rows, detail=detail)
@@ -128,5 +153,5 @@ def _residuals(fit: Fit) -> plots.BarPlot:
         text("residuals-of-stands"),
         plots.Axis(text("residual-rms"), "1", ".2f"),
         [plots.Bar(doc.Name(name), value) for name, value in worst],
-        (text("residual-rms"), text("expected"), text("limit")),
+        (text("residual-rms"), text("limit"), text("limit")),
     )

@@ -22,7 +22,7 @@ def motion_document(fit: FittedMotion, _: Robot | None = None) -> doc.Document:
         doc.Name(fit.name),
         (*parameter_tables(fit.estimates), _joints(fit)),
         passed=fit.explained,
-        verdict=text("EXPLAINED") if fit.explained else text("NOT-EXPLAINED"),
+        verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.tell(one) for one in fit.failures),
         told=(
             *_errors(fit),

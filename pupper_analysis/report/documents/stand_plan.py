@@ -6,6 +6,7 @@ from pupper_analysis.fit.parameters import SHOWN_UNITS
 from pupper_analysis.fit.plan import StandPlan
 from pupper_analysis.fit.told import Told
 from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.fit import TOLD_BY
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
@@ -66,7 +67,7 @@ def _expected(plan: StandPlan) -> doc.Table:
                 doc.number_cell(one.stated, ".4g", scale=factor),
                 doc.number_cell(one.before, ".2g", scale=factor),
                 doc.number_cell(one.after, ".2g", scale=factor),
-                text(f"told-by-{one.told.value}"),
+                text(TOLD_BY[one.told]),
             )
         )
     columns = (
