@@ -30,6 +30,7 @@ from pupper_analysis.fit.told import told_by
 from pupper_analysis.results import Result
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import command_lead, servo_gains
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
@@ -124,7 +125,7 @@ def plan_stands(
     D-optimal: of random stands that the robot can hold, those are taken, one after the other, that
     make the determinant of what is known largest, and each is then exchanged as long as that
     betters it. They are in reach and balance, clear of themselves, within 60 % of the motors'
-    limits, and their servos hold them without feed-forward.
+    limits, and their servos hold them with the feed-forward of the file's own masses.
 
     Args:
         robot: The robot, with a free base and feet.
@@ -155,7 +156,7 @@ def plan_stands(
     if len(found) < count:
         told = diagnose("too-few-candidates", found=len(found), wanted=count)
         raise MeasurementError(robot.name, told)
-    stands = _predicted(robot, found, both_sides=both_sides)
+    stands = _predicted(robot, found, kp, both_sides=both_sides)
     stiffness, rubbing = stated_stiffness(robot, stands, kp), DryFriction.of(robot).joints
     known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
@@ -169,7 +170,7 @@ def plan_stands(
     deviation = np.sqrt(np.diag(np.linalg.inv(whole)))
     return StandPlan(
         name=robot.name,
-        stands=tuple(_plan(robot, found, chosen, both_sides=both_sides)),
+        stands=tuple(_plan(robot, found, chosen, kp, both_sides=both_sides)),
         expected=tuple(
             Expected(
                 name=one.name,
@@ -245,7 +246,7 @@ def _random_stand(
             self_clearance=_CLEAR,
         )
         stand = solve_stand(robot, task)
-        sagged = steady_state(robot, stand, kp=kp)
+        sagged = steady_state(robot, stand, kp=kp, feedforward=True)
     except PupperAnalysisError:
         return None
     share = np.abs(sagged.joint_torques) / robot.effort_limits
@@ -256,7 +257,11 @@ def _random_stand(
 
 
 def _predicted(
-    robot: Robot, found: Sequence[tuple[Stand, SteadyState]], *, both_sides: bool
+    robot: Robot,
+    found: Sequence[tuple[Stand, SteadyState]],
+    kp: ArrayLike | None,
+    *,
+    both_sides: bool,
 ) -> MeasuredStands:
     """Returns what would be measured of stands, if the robot were as its files have it."""
     times = 2 if both_sides else 1
@@ -266,7 +271,7 @@ def _predicted(
         source="predicted",
         names=tuple(str(row) for row in range(len(rows))),
         joints=robot.joint_names,
-        command=np.array([stand.qpos[7:] for stand, _ in rows]),
+        command=np.array([_command(robot, sagged, kp) for _, sagged in rows]),
         position=np.array([sagged.qpos[7:] for _, sagged in rows]),
         torque=blank,
         force={},
@@ -274,6 +279,15 @@ def _predicted(
         swing=tuple(robot_swing(robot, stand) for stand, _ in rows),
         approach=("above", "below") * len(found) if both_sides else ("",) * len(rows),
     )
+
+
+def _command(robot: Robot, sagged: SteadyState, kp: ArrayLike | None) -> Array:
+    """Returns what servos are commanded (nu,) to hold a stand where it is clear of itself (rad)."""
+    ahead = command_lead(
+        sagged.joint_torques, servo_gains(robot, kp, None if kp is None else 0.0).kp
+    )
+    command: Array = sagged.qpos[7:] + ahead
+    return command
 
 
 def robot_swing(robot: Robot, stand: Stand) -> tuple[str, ...]:
@@ -285,6 +299,7 @@ def _plan(
     robot: Robot,
     found: Sequence[tuple[Stand, SteadyState]],
     chosen: Sequence[int],
+    kp: ArrayLike | None,
     *,
     both_sides: bool,
 ) -> list[PlannedStand]:
@@ -302,7 +317,7 @@ def _plan(
             name=f"s{number:02d}",
             swing=robot_swing(robot, stand),
             approach="",
-            command=dict(zip(robot.joint_names, stand.qpos[7:].tolist(), strict=True)),
+            command=dict(zip(robot.joint_names, _command(robot, sagged, kp).tolist(), strict=True)),
             utilisation=share,
         )
         sides = ("above", "below") if both_sides else ("",)
