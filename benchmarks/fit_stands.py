@@ -18,9 +18,9 @@ import mujoco
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.fit.fit import fit_stands
-from pupper_analysis.fit.stand_equations import bodies_of
-from pupper_analysis.fit.stands import MeasuredStands
+from pupper_analysis.identification.links import bodies_of
+from pupper_analysis.identification.stand_fit import fit_stands
+from pupper_analysis.identification.stands import MeasuredStands
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains

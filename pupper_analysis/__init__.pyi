@@ -11,10 +11,10 @@ from . import (
     errors as errors,
 )
 from . import (
-    fit as fit,
+    guard as guard,
 )
 from . import (
-    guard as guard,
+    identification as identification,
 )
 from . import (
     matching as matching,
@@ -99,8 +99,9 @@ from .errors import (
 from .errors import (
     VariantError as VariantError,
 )
-from .fit.fit import fit_stands as fit_stands
-from .fit.stands import read_stands as read_stands
+from .identification.fit import fit as fit
+from .identification.log import read_log as read_log
+from .identification.stands import read_stands as read_stands
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study
 from .pupper.variants import VARIANTS as VARIANTS

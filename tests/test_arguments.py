@@ -23,6 +23,7 @@ APART = {  # below, each with an argument that is wrong
     "to_json",
     "load_robot",
     "certainty",
+    "fit",
     "fit_motion",
     "fit_stands",
     "linear_shares",
@@ -91,7 +92,9 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
         "numbers": [1.0, 2.0],
         "duration": 2.0,
         "directions": 3,
-        "log": pa.fit.Log("log", np.arange(3.0), ("j",), np.zeros((3, 1)), np.zeros((3, 1))),
+        "log": pa.identification.Log(
+            "log", np.arange(3.0), ("j",), np.zeros((3, 1)), np.zeros((3, 1))
+        ),
     }
 
 
@@ -322,14 +325,16 @@ def test_lengths_end_a_kilometre_away_on_either_side(far: float) -> None:
 def test_fits_and_plans_check_their_arguments(tmp_path: Path) -> None:
     """Each is too slow to be called with all that is wrong."""
     robot = load("v3")
+    a_log = pa.identification.Log("log", np.zeros(1), ("j",), *np.zeros((2, 1, 1)))
     for call in (
-        lambda: pa.fit_stands(robot, "stands"),
-        lambda: pa.fit_stands("v3", None),
-        lambda: pa.fit.fit_motion(robot, "log"),
-        lambda: pa.fit.plan_stands(robot, 0),
-        lambda: pa.fit.plan_stands(robot, 3, seed=-1),
-        lambda: pa.fit.plan_stands("v3", 3),
-        lambda: pa.fit.write_plan("plan", tmp_path / "plan.csv"),
+        lambda: pa.fit(robot, "stands"),
+        lambda: pa.fit("v3", None),
+        lambda: pa.fit(robot, a_log, weight=3.5),
+        lambda: pa.identification.fit_motion(robot, "log"),
+        lambda: pa.identification.plan_stands(robot, 0),
+        lambda: pa.identification.plan_stands(robot, 3, seed=-1),
+        lambda: pa.identification.plan_stands("v3", 3),
+        lambda: pa.identification.write_plan("plan", tmp_path / "plan.csv"),
         lambda: pa.posture.tool_payload("posture", None, None, None),
     ):
         with pytest.raises(pa.PupperAnalysisError):

@@ -24,9 +24,8 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pupper_analysis.fit.motion_result import FittedMotion
-    from pupper_analysis.fit.plan import StandPlan
-    from pupper_analysis.fit.result import Fit
+    from pupper_analysis.identification.plan import StandPlan
+    from pupper_analysis.identification.result import Fit
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
 
@@ -129,8 +128,7 @@ def fit(
     \b
     Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.fit import motion_result as motions
-    from pupper_analysis.fit import result as fitted
+    from pupper_analysis.identification.result import Fit
 
     folder = output if count is None else None
     shared.check_outputs(json_path, report_path, *([] if folder else [output]), folders=(folder,))
@@ -140,7 +138,7 @@ def fit(
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"
     robot = robot_from(meant)
-    result: fitted.Fit | FittedMotion | StandPlan
+    result: Fit | StandPlan
     if count is not None:
         result = _plan(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
@@ -148,8 +146,8 @@ def fit(
     elif stands is None:
         result = _fit_logs(robot, logs, hold_out, priors, kp)
     else:
-        from pupper_analysis.fit.fit import fit_stands
-        from pupper_analysis.fit.stands import read_stands
+        from pupper_analysis.identification.stand_fit import fit_stands
+        from pupper_analysis.identification.stands import read_stands
 
         measured = read_stands(stands)
         with shared.show_progress("fitting the robot's numbers to the stands"):
@@ -158,14 +156,12 @@ def fit(
         print_notes(robot, everything=everything)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
     shared.write_page(report_path, result, [robot])
-    if folder is not None and isinstance(result, fitted.Fit | motions.FittedMotion):
+    if folder is not None and isinstance(result, Fit):
         _write(robot, meant, result, folder)
-    shared.finish_command(json_path, result, passed=getattr(result, "explained", True))
+    shared.finish_command(json_path, result, passed=not isinstance(result, Fit) or result.explained)
 
 
-def _write(
-    robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit | FittedMotion, folder: Path
-) -> None:
+def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
     """Writes the corrected models, unless they would be of a fit that explains nothing."""
     from pupper_analysis.study.fitted import write_fit
 
@@ -193,19 +189,14 @@ def _fit_logs(
     hold_out: float,
     priors: tuple[str, ...],
     kp: float | None,
-) -> FittedMotion:
+) -> Fit:
     """Fits a robot's numbers to logs."""
-    from pupper_analysis.fit.log import read_log
-    from pupper_analysis.fit.motion import fit_motion
-    from pupper_analysis.fit.motion_result import describe_motion
-    from pupper_analysis.fit.parameters import parse_prior
+    from pupper_analysis.identification.log import read_log
+    from pupper_analysis.identification.motion import fit_motion
 
     logs = [read_log(path) for path in paths]
-    known = [parse_prior(one) for one in priors]
     with shared.show_progress("fitting the robot's numbers to its motions"):
-        return describe_motion(
-            fit_motion(robot, logs, priors=known, hold_out=hold_out, kp=kp), logs
-        )
+        return fit_motion(robot, logs, priors=priors, hold_out=hold_out, kp=kp)
 
 
 def _plan(
@@ -219,7 +210,7 @@ def _plan(
     degrees: bool,
 ) -> StandPlan:
     """Plans stands, and writes them."""
-    from pupper_analysis.fit.plan import plan_stands, write_plan
+    from pupper_analysis.identification.plan import plan_stands, write_plan
 
     with shared.show_progress("choosing stands among those that the servos hold"):
         plan = plan_stands(robot, count, priors=priors, kp=kp, both_sides=both_sides)

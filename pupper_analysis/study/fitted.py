@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pupper_analysis.fit.estimate import Posterior
-from pupper_analysis.fit.write import FitFiles, fit_files
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.write import FitFiles, fit_files
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.randomisation import randomisation_text
 from pupper_analysis.together import Writing, write_together

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.fit.parameters import OF_SURROUNDINGS, SHOWN_UNITS
-from pupper_analysis.fit.result import Estimate, Fit
-from pupper_analysis.fit.told import Together, Told
+from pupper_analysis.identification.parameters import OF_SURROUNDINGS, SHOWN_UNITS
+from pupper_analysis.identification.result import Estimate, Fit, StandFit
+from pupper_analysis.identification.told import Together, Told
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.registry import build_document
@@ -32,29 +32,36 @@ TOLD_BY = {
     Told.PRIOR: "told-by-prior",
 }
 
-_REMEDIES = {
-    "weigh-the-robot": "weigh-the-robot",
-    "weigh-the-feet": "weigh-the-feet",
-    "measure-torques": "measure-torques",
-    "read-an-imu": "read-an-imu",
-}
+
+@build_document.register(StandFit)
+def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
+    """Returns what stands at rest tell of a robot; see ``build_document``."""
+    told = (
+        text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
+        _total(fit.total_mass),
+    )
+    return describe_fit(fit, text("fit-of-stands"), told, _residuals(fit))
 
 
-@build_document.register(Fit)
-def fit_document(fit: Fit, _: Robot | None = None) -> doc.Document:
-    """Returns what measurements tell of a robot; see ``build_document``."""
+def describe_fit(
+    fit: Fit, title: doc.Words, told: Iterable[doc.Words], figure: doc.Block
+) -> doc.Document:
+    """Returns the document of a fit.
+
+    Args:
+        fit: The fit.
+        title: Its title.
+        told: What it rests on, and how well it explains that.
+        figure: What is left unexplained, and where.
+    """
     return doc.Document(
-        text("fit-of-stands"),
+        title,
         doc.Name(fit.name),
-        (*parameter_tables(fit.estimates), _residuals(fit)),
+        (*parameter_tables(fit.estimates), figure),
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.tell(one) for one in fit.failures),
-        told=(
-            text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
-            _total(fit.total_mass),
-            *open_lines(fit.estimates, fit.together),
-        ),
+        told=(*told, *open_lines(fit.estimates, fit.together)),
         notes=tuple(doc.tell(one) for one in fit.diagnostics),
     )
 
@@ -104,7 +111,7 @@ def _open(together: Iterable[Together]) -> Iterable[doc.Words]:
         yield text("only-ratio-told" if one.ratio else "only-together-told", names=names)
         if one.remedies:
             ways = [
-                text("remedy-and-factor", remedy=text(_REMEDIES[code]), factor=f"{factor:.1f}")
+                text("remedy-and-factor", remedy=text(code), factor=f"{factor:.1f}")
                 for code, factor in one.remedies.items()
             ]
             yield text("what-would-tell", ways=join_words(ways))
@@ -146,7 +153,7 @@ def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False)
     return doc.Table(title, columns, rows, detail=detail)
 
 
-def _residuals(fit: Fit) -> plots.BarPlot:
+def _residuals(fit: StandFit) -> plots.BarPlot:
     """Returns how well each stand is explained, the worst before."""
     worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
     return plots.BarPlot(

@@ -5,35 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from pupper_analysis.fit.motion_result import FittedMotion
+from pupper_analysis.identification.motion_result import MotionFit
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
-from pupper_analysis.report.documents.fit import open_lines, parameter_tables
+from pupper_analysis.report.documents.fit import describe_fit
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 
 
-@build_document.register(FittedMotion)
-def motion_document(fit: FittedMotion, _: Robot | None = None) -> doc.Document:
+@build_document.register(MotionFit)
+def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
     """Returns what logs of motions tell of a robot; see ``build_document``."""
-    return doc.Document(
-        text("fit-of-motions"),
-        doc.Name(fit.name),
-        (*parameter_tables(fit.estimates), _joints(fit)),
-        passed=fit.explained,
-        verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
-        failures=tuple(doc.tell(one) for one in fit.failures),
-        told=(
-            *_errors(fit),
-            text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
-            *open_lines(fit.estimates, fit.together),
-        ),
-        notes=tuple(doc.tell(one) for one in fit.diagnostics),
+    told = (
+        *_errors(fit),
+        text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
     )
+    return describe_fit(fit, text("fit-of-motions"), told, _joints(fit))
 
 
-def _errors(fit: FittedMotion) -> Iterator[doc.Words]:
+def _errors(fit: MotionFit) -> Iterator[doc.Words]:
     """Yields what is off in what was not fitted, beside the robot's own repeatability."""
     if math.isfinite(fit.held_out):
         yield text(
@@ -49,7 +40,7 @@ def _errors(fit: FittedMotion) -> Iterator[doc.Words]:
         yield text("repeatability-unknown")
 
 
-def _joints(fit: FittedMotion) -> plots.BarPlot:
+def _joints(fit: MotionFit) -> plots.BarPlot:
     """Returns what is off at each joint, and its encoder's noise."""
     bars = [
         plots.Bar(doc.Name(name), 1e3 * off, 1e3 * fit.encoder_noise[name])

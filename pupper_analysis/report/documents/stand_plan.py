@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pupper_analysis.fit.parameters import SHOWN_UNITS
-from pupper_analysis.fit.plan import StandPlan
-from pupper_analysis.fit.told import Told
+from pupper_analysis.identification.parameters import SHOWN_UNITS
+from pupper_analysis.identification.plan import StandPlan
+from pupper_analysis.identification.told import Told
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.fit import TOLD_BY
 from pupper_analysis.report.documents.registry import build_document

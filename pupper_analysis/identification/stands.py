@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.fit.columns import Column, Columns, read_columns
+from pupper_analysis.identification.columns import Column, Columns, read_columns
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

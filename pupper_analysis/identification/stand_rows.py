@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import cross_matrices
-from pupper_analysis.fit.parameters import ParameterTable
-from pupper_analysis.fit.stand_numbers import AXES, GravityRegressor, Numbers
+from pupper_analysis.identification.links import AXES
+from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.identification.stand_numbers import GravityRegressor, Numbers
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 

@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.fit.noise import SeriesNoise
-from pupper_analysis.fit.rollouts import Run, Simulator
+from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.noise import SeriesNoise
+from pupper_analysis.identification.rollouts import Run, Simulator
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

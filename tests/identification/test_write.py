@@ -12,9 +12,9 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.fit.estimate import Posterior
-from pupper_analysis.fit.parameters import Parameter
-from pupper_analysis.fit.write import FitFiles
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.parameters import Parameter
+from pupper_analysis.identification.write import FitFiles
 from pupper_analysis.study.fitted import write_fit
 from pupper_analysis.study.parameters import scale_robot, with_gains
 

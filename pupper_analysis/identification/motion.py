@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,12 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
-from pupper_analysis.fit.estimate import Posterior
-from pupper_analysis.fit.log import Log
-from pupper_analysis.fit.log_quality import LogQuality, find_quantum, inspect_log
-from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths
-from pupper_analysis.fit.residuals import Motion, root_mean_square
-from pupper_analysis.fit.rollouts import SERVOS, Run, Simulator, split_runs
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.log_quality import LogQuality, find_quantum, inspect_log
+from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.parameters import (
+    ParameterTable,
+    Prior,
+    give_widths,
+    parse_prior,
+)
+from pupper_analysis.identification.residuals import Motion, root_mean_square
+from pupper_analysis.identification.result import describe_parameters
+from pupper_analysis.identification.rollouts import SERVOS, Run, Simulator, split_runs
+from pupper_analysis.identification.told import find_together
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
@@ -37,49 +44,12 @@ _MISFIT = 2.0
 """What is left, in parts of an encoder's noise, from which a model does not explain a motion."""
 
 
-@dataclass(frozen=True, eq=False)
-class MotionFit:
-    """What logs tell of a robot's parameters.
-
-    Attributes:
-        robot: Its base is held.
-        drive: Its servos.
-        qualities: What the logs are.
-        posterior: The parameters, and how sure.
-        held_out: Root mean square of what is off in motions that were not fitted (rad); NaN if
-            there are none.
-        held_out_before: The same with the file's own numbers (rad).
-        fitted: The same in motions that were fitted (rad).
-        fitted_before: With the file's own numbers (rad).
-        repeatability: How far the robot itself is from its mean over runs of the same commands
-            (rad, root mean square); NaN if no two are the same.
-        by_joint: (nu,) what is off in motions that were not fitted, or of those that were (rad).
-        encoder_noise: (nu,) of the encoders (rad).
-        steps: Of the simulation between two samples.
-        diagnostics: What is to be said.
-    """
-
-    robot: Robot
-    drive: Servos
-    qualities: tuple[LogQuality, ...]
-    posterior: Posterior
-    held_out: float
-    held_out_before: float
-    fitted: float
-    fitted_before: float
-    repeatability: float
-    by_joint: Array
-    encoder_noise: Array
-    steps: int
-    diagnostics: tuple[Diagnostic, ...]
-
-
 @check_arguments
 def fit_motion(
     robot: Robot,
     logs: Sequence[Log],
     *,
-    priors: Iterable[Prior] = (),
+    priors: Sequence[Prior | str] = (),
     hold_out: float | Sequence[Log] = HOLD_OUT,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -94,7 +64,7 @@ def fit_motion(
     Args:
         robot: The robot; a free base is held where its MJCF has it.
         logs: Of its motions.
-        priors: What is known of parameters before; others have their kind's.
+        priors: What is known before; as for ``fit_stands``.
         hold_out: The share of each log, at its end, that is predicted instead of fitted; or logs
             that are.
         kp: Stated stiffness of the servos (N m/rad), one or (nu,); the model's own by default.
@@ -107,6 +77,7 @@ def fit_motion(
         ModelError: If the model has no servos and no gains are given.
         UnknownNameError: If a log has joints that the robot has not.
     """
+    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     if robot.floating:
         robot = build_robot(robot.description, fixed_base=True)
     drive = model_with_servos(robot, kp, kd)
@@ -118,7 +89,7 @@ def fit_motion(
         whole = 1.0 if number >= len(logs) else share
         runs += split_runs(log.of(robot), quality.jumps, robot.home, whole)
     _check(robot, drive, logs, runs)
-    table = _parameters(robot, drive, qualities, tuple(priors))
+    table = _parameters(robot, drive, qualities, known)
     interval = float(np.median([quality.interval for quality in qualities]))
     simulator = Simulator(robot, drive, table, interval)
     motion = Motion(simulator, runs)
@@ -126,7 +97,7 @@ def fit_motion(
     while motion.step_error(posterior.mean) > _STEP_ERROR:
         motion = motion.with_steps(2 * motion.simulator.steps)
         posterior = motion.fit(posterior.mean)
-    return _told(robot, drive, qualities, motion, posterior)
+    return _told(robot, logs, qualities, motion, posterior)
 
 
 def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
@@ -136,7 +107,8 @@ def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]
         MeasurementError: If not.
     """
     if not runs or not any(run.counts.any() for run in runs):
-        raise MeasurementError(logs[0].source, diagnose("nothing-to-fit"))
+        source = logs[0].source if logs else robot.name
+        raise MeasurementError(source, diagnose("nothing-to-fit"))
     for log in logs:
         for name in log.joints:
             joint = robot.joint_names.index(name)
@@ -146,7 +118,7 @@ def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]
 
 
 def _parameters(
-    robot: Robot, drive: Servos, qualities: Sequence[LogQuality], priors: tuple[Prior, ...]
+    robot: Robot, drive: Servos, qualities: Sequence[LogQuality], priors: Sequence[Prior]
 ) -> ParameterTable:
     """Returns what is estimated: of joints that are in a log, and of the links that they move.
 
@@ -181,7 +153,7 @@ def _parameters(
 
 def _told(
     robot: Robot,
-    drive: Servos,
+    logs: Sequence[Log],
     qualities: tuple[LogQuality, ...],
     motion: Motion,
     posterior: Posterior,
@@ -205,43 +177,33 @@ def _told(
             for joint in range(robot.nu)
         ]
     )
+    names, before = robot.joint_names, root_mean_square(off["before"][shown is held_out])
     return MotionFit(
-        robot=robot,
-        drive=drive,
-        qualities=qualities,
+        name=robot.name,
+        source=", ".join(log.source for log in logs),
+        estimates=tuple(describe_parameters(posterior)),
+        together=find_together(posterior),
+        failures=tuple(_unexplained(robot, by_joint, noise, root_mean_square(shown))),
+        diagnostics=(
+            *(one for quality in qualities for one in quality.diagnostics),
+            *_notes(motion, root_mean_square(shown), before),
+        ),
         posterior=posterior,
+        seconds=sum(log.duration for log in logs),
         held_out=root_mean_square(held_out),
         held_out_before=root_mean_square(off["before"][1]),
         fitted=root_mean_square(fitted),
         fitted_before=root_mean_square(off["before"][0]),
         repeatability=_repeatability(motion.runs),
-        by_joint=by_joint,
-        encoder_noise=noise,
+        by_joint=dict(zip(names, by_joint.tolist(), strict=True)),
+        encoder_noise=dict(zip(names, noise.tolist(), strict=True)),
         steps=motion.simulator.steps,
-        diagnostics=(
-            *(one for quality in qualities for one in quality.diagnostics),
-            *_misfits(
-                robot,
-                motion,
-                by_joint,
-                noise,
-                root_mean_square(shown),
-                root_mean_square(off["before"][shown is held_out]),
-            ),
-        ),
     )
 
 
-def _misfits(
-    robot: Robot, motion: Motion, by_joint: Array, noise: Array, off: float, before: float
-) -> Iterator[Diagnostic]:
-    """Says what the fitted model does not explain."""
-    if off > before:
-        yield diagnose(
-            "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
-        )
-    share = by_joint / noise
-    if np.nanmedian(share) > _MISFIT:
+def _unexplained(robot: Robot, by_joint: Array, noise: Array, off: float) -> Iterator[Diagnostic]:
+    """Yields what the fitted model does not explain."""
+    if np.nanmedian(by_joint / noise) > _MISFIT:
         worst = int(np.nanargmax(by_joint))
         yield diagnose(
             "motion-not-explained",
@@ -249,6 +211,14 @@ def _misfits(
             noise=Quantity(float(np.nanmedian(noise)), "rad"),
             worst=robot.joint_names[worst],
             most=Quantity(by_joint[worst], "rad"),
+        )
+
+
+def _notes(motion: Motion, off: float, before: float) -> Iterator[Diagnostic]:
+    """Yields what else is to be said."""
+    if off > before:
+        yield diagnose(
+            "motion-predicted-worse", now=Quantity(off, "rad"), stated=Quantity(before, "rad")
         )
     there = np.concatenate([run.position for run in motion.runs])
     there = there[np.isfinite(there).all(axis=1)]

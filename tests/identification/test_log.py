@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.fit.log import Log, read_log
-from pupper_analysis.fit.log_quality import find_quantum, inspect_log
+from pupper_analysis.identification.log import Log, read_log
+from pupper_analysis.identification.log_quality import find_quantum, inspect_log
 from tests.support.arm import arm
 
 JOINTS = ("shoulder", "elbow")

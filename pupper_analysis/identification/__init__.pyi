@@ -1,10 +1,9 @@
 from .estimate import Posterior as Posterior
 from .log import Log as Log
-from .log import read_log as read_log
 from .log_quality import LogQuality as LogQuality
 from .log_quality import inspect_log as inspect_log
-from .motion import MotionFit as MotionFit
 from .motion import fit_motion as fit_motion
+from .motion_result import MotionFit as MotionFit
 from .parameters import Parameter as Parameter
 from .parameters import Prior as Prior
 from .parameters import parse_prior as parse_prior
@@ -13,4 +12,6 @@ from .plan import plan_stands as plan_stands
 from .plan import write_plan as write_plan
 from .result import Estimate as Estimate
 from .result import Fit as Fit
+from .result import StandFit as StandFit
+from .stand_fit import fit_stands as fit_stands
 from .stands import MeasuredStands as MeasuredStands

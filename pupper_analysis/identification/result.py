@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.fit.estimate import NORMAL_95, Posterior
-from pupper_analysis.fit.parameters import OF_SURROUNDINGS, Parameter
-from pupper_analysis.fit.stand_equations import StandEquations
-from pupper_analysis.fit.stand_rows import StandNoise
-from pupper_analysis.fit.stands import MeasuredStands
-from pupper_analysis.fit.told import Together, Told, find_together, told_by
+from pupper_analysis.identification.estimate import NORMAL_95, Posterior
+from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stand_rows import StandNoise
+from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.identification.told import Together, Told, find_together, told_by
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
@@ -86,34 +86,22 @@ class Expected(Result):
 
 @dataclass(frozen=True, eq=False)
 class Fit(Result):
-    """A robot's numbers as stands at rest tell them.
+    """A robot's numbers as measurements tell them.
 
     Attributes:
         name: The robot's name.
         source: Where the measurements are from.
-        stands: How many there are.
         estimates: Of all parameters, those of the surroundings last.
-        total_mass: Of the whole robot (kg).
         together: What cannot be told apart.
-        residuals: {stand: root mean square of its residuals, in standard deviations}.
-        chi2: Sum of all squared residuals, in standard deviations.
-        freedom: What that is on average, if the model is right.
-        noise: Standard deviations of measurements, as they were taken to be or were found.
-        failures: What it does not explain.
+        failures: What the model does not explain.
         diagnostics: What else there is to say.
         posterior: What is known of all parameters together.
     """
 
     name: str
     source: str
-    stands: int
     estimates: tuple[Estimate, ...]
-    total_mass: Estimate
     together: tuple[Together, ...]
-    residuals: Mapping[str, float]
-    chi2: float
-    freedom: float
-    noise: Mapping[str, float]
     failures: tuple[Diagnostic, ...]
     diagnostics: tuple[Diagnostic, ...]
     posterior: Posterior
@@ -125,6 +113,27 @@ class Fit(Result):
         return not self.failures
 
 
+@dataclass(frozen=True, eq=False)
+class StandFit(Fit):
+    """A robot's numbers as stands at rest tell them.
+
+    Attributes:
+        stands: How many there are.
+        total_mass: Of the whole robot (kg).
+        residuals: {stand: root mean square of its residuals, in standard deviations}.
+        chi2: Sum of all squared residuals, in standard deviations.
+        freedom: What that is on average, if the model is right.
+        noise: Standard deviations of measurements, as they were taken to be or were found.
+    """
+
+    stands: int
+    total_mass: Estimate
+    residuals: Mapping[str, float]
+    chi2: float
+    freedom: float
+    noise: Mapping[str, float]
+
+
 def describe_fit(
     robot: Robot,
     stands: MeasuredStands,
@@ -133,7 +142,7 @@ def describe_fit(
     expected: StandNoise,
     notes: Sequence[Diagnostic],
     weighed: bool,
-) -> Fit:
+) -> StandFit:
     """Returns what measurements tell, in numbers with intervals.
 
     Args:
@@ -147,7 +156,7 @@ def describe_fit(
     """
     found = tuple(describe_parameters(posterior))
     more = dict(_remedies(robot, equations, posterior, weighed=weighed))
-    return Fit(
+    return StandFit(
         name=robot.name,
         source=stands.source,
         stands=len(stands),

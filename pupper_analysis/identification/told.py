@@ -10,8 +10,8 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.estimate import Posterior
-from pupper_analysis.fit.parameters import Parameter
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.parameters import Parameter
 from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]

@@ -11,11 +11,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.estimate import Linearised
-from pupper_analysis.fit.parameters import ParameterTable
-from pupper_analysis.fit.stand_numbers import AXES, GravityRegressor, Numbers
-from pupper_analysis.fit.stand_rows import Reading, StandNoise, StandRows
-from pupper_analysis.fit.stands import MeasuredStands
+from pupper_analysis.identification.estimate import Linearised
+from pupper_analysis.identification.links import AXES, bodies_of
+from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.identification.stand_numbers import GravityRegressor, Numbers
+from pupper_analysis.identification.stand_rows import Reading, StandNoise, StandRows
+from pupper_analysis.identification.stands import MeasuredStands
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -27,25 +28,6 @@ _WITHIN = 1e-9
 
 _LOOKS = 2
 """Steps of a stand's own unknowns for each of the parameters': equations are linear in forces."""
-
-
-def bodies_of(robot: Robot) -> tuple[tuple[str, int], ...]:
-    """Returns the moving bodies of a robot: the link each is named by, and its joint's number.
-
-    The links that are fixed to it are part of it. What has no mass is left out.
-    """
-    model = robot.structure.model
-    found = []
-    for number in range(1, model.njoints):
-        if model.inertias[number].mass > 0:
-            frames = [
-                frame
-                for frame in model.frames
-                if frame.type == pin.FrameType.BODY and frame.parentJoint == number
-            ]
-            own = [frame for frame in frames if frame.placement.isIdentity(1e-12)]
-            found.append(((own or frames)[0].name, number))
-    return tuple(found)
 
 
 class StandEquations:

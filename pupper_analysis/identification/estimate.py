@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import FitError
-from pupper_analysis.fit.parameters import KINDS, Parameter, ParameterTable
+from pupper_analysis.identification.parameters import KINDS, Parameter, ParameterTable
 
 Array = NDArray[np.float64]
 

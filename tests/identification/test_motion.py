@@ -14,10 +14,10 @@ import pytest
 
 from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import MeasurementError, ModelError, UnknownNameError
-from pupper_analysis.fit.log import Log
-from pupper_analysis.fit.motion import MotionFit, fit_motion
-from pupper_analysis.fit.parameters import parse_prior
-from pupper_analysis.fit.told import Told, find_together, told_by
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.motion import fit_motion
+from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.told import Told, told_by
 from pupper_analysis.robot.robot import Robot
 
 TRUE = {"kp": 6.0, "damping": 0.13, "friction": 0.05, "armature": 0.006, "delay": 0.008}
@@ -74,7 +74,7 @@ def log() -> Log:
     return Log("swing.csv", time, ("turn",), command[:, None], position[:, None])
 
 
-PRIORS = tuple(parse_prior(text) for text in ("mass=0", "com=0"))
+PRIORS = ("mass=0", "com=0")
 
 
 @cache
@@ -98,7 +98,7 @@ def test_planted_errors_are_found_within_their_intervals() -> None:
 def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
     noise = QUANTUM * math.hypot(0.3, 1 / math.sqrt(12))
     # While the bar is still, quanta hide a part of it.
-    assert fitted().encoder_noise == pytest.approx(noise, rel=0.3)
+    assert fitted().encoder_noise["turn"] == pytest.approx(noise, rel=0.3)
     # MuJoCo's dry friction is soft, and Coulomb's is not.
     assert noise / 1.1 < fitted().held_out < 1.6 * noise
     assert fitted().held_out_before > 10 * fitted().held_out
@@ -108,9 +108,8 @@ def test_what_was_not_fitted_is_predicted_to_the_encoders_noise() -> None:
 
 @pytest.mark.longest
 def test_with_the_mass_not_known_either_all_is_told_in_ratio_only() -> None:
-    priors = [parse_prior(text) for text in ("com=0", "offset=0", "delay=0")]
-    found = fit_motion(bar(), [log()], priors=priors)
-    (together,) = find_together(found.posterior)
+    found = fit_motion(bar(), [log()], priors=["com=0", "offset=0", "delay=0"])
+    (together,) = found.together
     assert together.ratio
     assert "mass bar" in together.names
     assert len(together.names) > 1
@@ -121,7 +120,8 @@ def test_what_no_servo_explains_is_said() -> None:
     """A spring between the bar and its surroundings, of which the model knows nothing."""
     odd = log().position + 0.02 * np.sin(17 * log().time)[:, None]
     found = fit_motion(bar(), [replace(log(), position=odd)], priors=PRIORS)
-    assert "motion-not-explained" in {one.code for one in found.diagnostics}
+    assert "motion-not-explained" in {one.code for one in found.failures}
+    assert not found.explained
 
 
 def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:

@@ -10,12 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.parameters import ParameterTable
+from pupper_analysis.identification.links import AXES, link_of
+from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-AXES = ("x", "y", "z")
 
 _DEEP = 1e-3
 """m: shapes that are in each other by less may be rounded otherwise."""
@@ -51,7 +50,9 @@ class MovingBodies:
             self.model.body_simple[body] = 0
         self.model.dof_simplenum[:] = 0
         self._to_link = list(_link_frames(robot, self.model, self._bodies))
-        self.links = tuple(link_of(robot, name) for name in robot.joint_names)
+        self.links = tuple(
+            link_of(robot.pin_model, robot.pin_model.getJointId(name)) for name in robot.joint_names
+        )
         self.mass = self.model.body_mass[self._bodies].copy()
         self._inertia = self.model.body_inertia[self._bodies].copy()
         self.com = np.array(
@@ -140,19 +141,6 @@ class MovingBodies:
         """Returns the parameters of no joint or link: those that act on all."""
         own = {*self._names, *self.links}
         return [place for place, one in enumerate(table) if one.subject not in own]
-
-
-def link_of(robot: Robot, joint: str) -> str:
-    """Returns the URDF's link that a joint moves."""
-    model = robot.pin_model
-    number = model.getJointId(joint)
-    frames = [
-        frame
-        for frame in model.frames
-        if frame.type == pin.FrameType.BODY and frame.parentJoint == number
-    ]
-    own = next((frame for frame in frames if frame.placement.isIdentity(1e-12)), frames[0])
-    return str(own.name)
 
 
 def _root(model: mujoco.MjModel, body: int) -> int:

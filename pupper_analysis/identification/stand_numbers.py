@@ -13,8 +13,6 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-AXES = ("x", "y", "z")
-
 
 @dataclass(frozen=True, eq=False)
 class Numbers:

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.bodies import MovingBodies
-from pupper_analysis.fit.log import Log
-from pupper_analysis.fit.parameters import ParameterTable
+from pupper_analysis.identification.bodies import MovingBodies
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.rollout import full_state, roll_out, settled_activations

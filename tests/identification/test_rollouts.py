@@ -10,11 +10,12 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.bodies import MovingBodies, link_of
-from pupper_analysis.fit.log import Log
-from pupper_analysis.fit.noise import SeriesNoise
-from pupper_analysis.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.fit.rollouts import SERVOS, Run, Simulator, split_runs
+from pupper_analysis.identification.bodies import MovingBodies
+from pupper_analysis.identification.links import link_of
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.noise import SeriesNoise
+from pupper_analysis.identification.parameters import Parameter, ParameterTable
+from pupper_analysis.identification.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from tests.support.arm import arm
@@ -59,7 +60,7 @@ def test_masses_and_coms_are_those_that_pinocchio_has_in_its_joints_frames(name:
         parameters += [
             Parameter("com", link, axis, value, 1.0) for axis, value in zip("xyz", com, strict=True)
         ]
-        assert link == link_of(robot, joint)
+        assert link == link_of(robot.pin_model, robot.pin_model.getJointId(joint))
     given = ParameterTable(parameters)
     model = bodies.model
     bodies.put(model, given, given.stated)

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import FitError, MeasurementError, PupperAnalysisError, UnknownNameError
-from pupper_analysis.fit.fit import fit_stands, parameters_of
-from pupper_analysis.fit.parameters import ParameterTable, give_widths
-from pupper_analysis.fit.stand_equations import StandEquations
-from pupper_analysis.fit.stand_rows import StandNoise
-from pupper_analysis.fit.stands import MeasuredStands, quantum_of, read_stands
+from pupper_analysis.identification.parameters import ParameterTable, give_widths
+from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stand_fit import fit_stands, parameters_of
+from pupper_analysis.identification.stand_rows import StandNoise
+from pupper_analysis.identification.stands import MeasuredStands, quantum_of, read_stands
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos

@@ -14,9 +14,9 @@ from scipy import sparse
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import FitError
-from pupper_analysis.fit.estimate import Posterior
-from pupper_analysis.fit.hulls import hull_of
-from pupper_analysis.fit.parameters import KINDS
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.hulls import hull_of
+from pupper_analysis.identification.parameters import KINDS
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

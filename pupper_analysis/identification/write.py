@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.fit.consistency import make_consistent
-from pupper_analysis.fit.estimate import Posterior
-from pupper_analysis.fit.parameters import Parameter
+from pupper_analysis.identification.consistency import make_consistent
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.links import AXES
+from pupper_analysis.identification.parameters import Parameter
 from pupper_analysis.results import to_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
@@ -32,8 +33,6 @@ _NOTHING = 1e-3
 
 _DIGITS = 2
 """Written beyond the first of a standard deviation: what is rounded away nobody knows."""
-
-_AXES = "xyz"
 
 _FACTORS = {
     "mass": "mass",
@@ -161,7 +160,7 @@ def _put_component(
     inertia, key = model.inertias[at], (one.kind, one.subject)
     if one.kind == "com":
         com = np.array(numbers.get(key, inertia.lever))
-        com[_AXES.index(one.component)] = value
+        com[AXES.index(one.component)] = value
         numbers[key] = com
         return
     entries = inertia_entries(np.array(numbers.get(key, inertia.inertia)))

@@ -12,14 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import FitError, MeasurementError
-from pupper_analysis.fit.estimate import Linearised, estimate_parameters
-from pupper_analysis.fit.noise_levels import find_noise
-from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths, parse_prior
-from pupper_analysis.fit.result import WEIGHED, Fit, describe_fit
-from pupper_analysis.fit.stand_equations import StandEquations, bodies_of
-from pupper_analysis.fit.stand_numbers import AXES
-from pupper_analysis.fit.stand_rows import StandNoise
-from pupper_analysis.fit.stands import MeasuredStands, quantum_of
+from pupper_analysis.identification.estimate import Linearised, estimate_parameters
+from pupper_analysis.identification.links import AXES, bodies_of
+from pupper_analysis.identification.noise_levels import find_noise
+from pupper_analysis.identification.parameters import (
+    ParameterTable,
+    Prior,
+    give_widths,
+    parse_prior,
+)
+from pupper_analysis.identification.result import WEIGHED, StandFit, describe_fit
+from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stand_rows import StandNoise
+from pupper_analysis.identification.stands import MeasuredStands, quantum_of
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
@@ -49,7 +54,7 @@ def fit_stands(
     weight: float | None = None,
     kp: ArrayLike | None = None,
     encoder: float | None = None,
-) -> Fit:
+) -> StandFit:
     """Fits a robot's numbers to stands at rest.
 
     A soft servo is a torque sensor: tau = kp (command - position). What is estimated are masses

@@ -20,13 +20,18 @@ from pupper_analysis.errors import (
     PupperAnalysisError,
 )
 from pupper_analysis.files import whole_file
-from pupper_analysis.fit.estimate import NORMAL_95
-from pupper_analysis.fit.fit import expected_noise, parameters_of, stated_stiffness
-from pupper_analysis.fit.parameters import ParameterTable, Prior, give_widths, parse_prior
-from pupper_analysis.fit.result import Expected
-from pupper_analysis.fit.stand_equations import StandEquations
-from pupper_analysis.fit.stands import MeasuredStands
-from pupper_analysis.fit.told import told_by
+from pupper_analysis.identification.estimate import NORMAL_95
+from pupper_analysis.identification.parameters import (
+    ParameterTable,
+    Prior,
+    give_widths,
+    parse_prior,
+)
+from pupper_analysis.identification.result import Expected
+from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stand_fit import expected_noise, parameters_of, stated_stiffness
+from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.identification.told import told_by
 from pupper_analysis.results import Result
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
@@ -276,7 +281,7 @@ def _predicted(
         torque=blank,
         force={},
         tilt=np.full((len(rows), 2), np.nan),
-        swing=tuple(robot_swing(robot, stand) for stand, _ in rows),
+        swing=tuple(tuple(stand.task.swing) for stand, _ in rows),
         approach=("above", "below") * len(found) if both_sides else ("",) * len(rows),
     )
 
@@ -288,11 +293,6 @@ def _command(robot: Robot, sagged: SteadyState, kp: ArrayLike | None) -> Array:
     )
     command: Array = sagged.qpos[7:] + ahead
     return command
-
-
-def robot_swing(robot: Robot, stand: Stand) -> tuple[str, ...]:
-    """Returns the feet that a stand has in the air."""
-    return tuple(foot for foot in robot.feet if foot in stand.task.swing)
 
 
 def _plan(
@@ -315,7 +315,7 @@ def _plan(
         share = float((np.abs(sagged.joint_torques) / robot.effort_limits).max())
         one = PlannedStand(
             name=f"s{number:02d}",
-            swing=robot_swing(robot, stand),
+            swing=tuple(stand.task.swing),
             approach="",
             command=dict(zip(robot.joint_names, _command(robot, sagged, kp).tolist(), strict=True)),
             utilisation=share,

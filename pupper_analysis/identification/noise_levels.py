@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.fit.estimate import Linearised
-from pupper_analysis.fit.parameters import ParameterTable
-from pupper_analysis.fit.stand_equations import StandEquations
-from pupper_analysis.fit.stand_rows import StandNoise
+from pupper_analysis.identification.estimate import Linearised
+from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stand_rows import StandNoise
 
 Array = NDArray[np.float64]
 
@@ -65,9 +64,3 @@ def find_noise(
     found = optimize.minimize(unlikely, np.zeros(2), method="Nelder-Mead", options=options)
     equations.noise = expected
     return at(found.x)
-
-
-def by_how_much(found: StandNoise, expected: StandNoise) -> tuple[float, float]:
-    """Returns by which factors flatness and friction are more than was expected."""
-    flatness = found.flatness / expected.flatness
-    return flatness, found.friction / expected.friction if expected.friction else math.nan
