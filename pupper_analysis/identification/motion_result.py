@@ -19,8 +19,8 @@ class MotionFit(Fit):
         held_out_before: The same with the file's own numbers (rad).
         fitted: The same in motions that were fitted (rad).
         fitted_before: With the file's own numbers (rad).
-        repeatability: How far the robot is from itself over runs of the same commands (rad); NaN if no two
-            are the same.
+        repeatability: How far the robot is from itself over runs of the same commands (rad); NaN
+            if no two are the same.
         by_joint: {joint: what is off in motions that were not fitted, or in those that were (rad)}.
         encoder_noise: {joint: noise of its encoder (rad)}.
         steps: Of the simulation between two samples.
