@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.identification.correlation import Correlation, find_correlations
 from pupper_analysis.identification.estimate import NORMAL_95, Posterior
 from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
 from pupper_analysis.identification.stand_equations import StandEquations
@@ -84,6 +85,23 @@ class Expected(Result):
     told: Told
 
 
+@dataclass(frozen=True)
+class JointResidual(Result):
+    """What is left at one joint in one stand.
+
+    Attributes:
+        stand: The stand.
+        joint: The joint.
+        off: Measured position less predicted one (rad).
+        deviations: The same in standard deviations of what noise makes.
+    """
+
+    stand: str
+    joint: str
+    off: float
+    deviations: float
+
+
 @dataclass(frozen=True, eq=False)
 class Fit(Result):
     """A robot's numbers as measurements tell them.
@@ -105,12 +123,17 @@ class Fit(Result):
     failures: tuple[Diagnostic, ...]
     diagnostics: tuple[Diagnostic, ...]
     posterior: Posterior
-    _told: ClassVar[tuple[str, ...]] = ("explained",)
+    _told: ClassVar[tuple[str, ...]] = ("explained", "correlations")
 
     @property
     def explained(self) -> bool:
         """Whether the model explains the measurements."""
         return not self.failures
+
+    @property
+    def correlations(self) -> tuple[Correlation, ...]:
+        """Parameters that are off together, the strongest before."""
+        return find_correlations(self.posterior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +144,7 @@ class StandFit(Fit):
         stands: How many there are.
         total_mass: Of the whole robot (kg).
         residuals: {stand: root mean square of its residuals, in standard deviations}.
+        joint_residuals: Of each joint in each stand, the most surprising before.
         chi2: Sum of all squared residuals, in standard deviations.
         freedom: What that is on average, if the model is right.
         noise: Standard deviations of measurements, as they were taken to be or were found.
@@ -129,6 +153,7 @@ class StandFit(Fit):
     stands: int
     total_mass: Estimate
     residuals: Mapping[str, float]
+    joint_residuals: tuple[JointResidual, ...]
     chi2: float
     freedom: float
     noise: Mapping[str, float]
@@ -164,6 +189,7 @@ def describe_fit(
         total_mass=_total_mass(robot, posterior),
         together=find_together(posterior, more),
         residuals=dict(zip(stands.names, equations.residuals(posterior.mean), strict=True)),
+        joint_residuals=_joint_residuals(stands, equations, posterior.mean),
         chi2=posterior.chi2,
         freedom=posterior.freedom,
         noise={
@@ -175,6 +201,21 @@ def describe_fit(
         diagnostics=tuple(notes),
         posterior=posterior,
     )
+
+
+def _joint_residuals(
+    stands: MeasuredStands, equations: StandEquations, x: Array
+) -> tuple[JointResidual, ...]:
+    off, noise = equations.joint_residuals(x)
+    found = [
+        JointResidual(
+            stand, joint, float(off[row, column]), float(off[row, column] / noise[row, column])
+        )
+        for row, stand in enumerate(stands.names)
+        for column, joint in enumerate(stands.joints)
+        if noise[row, column] > 0
+    ]
+    return tuple(sorted(found, key=lambda one: -abs(one.deviations)))
 
 
 def describe_parameters(posterior: Posterior) -> Iterator[Estimate]:

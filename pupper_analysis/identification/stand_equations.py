@@ -195,6 +195,23 @@ class StandEquations:
             found.append(math.sqrt(left.chi2 / max(left.rows, 1)))
         return found
 
+    def joint_residuals(self, x: Array) -> tuple[Array, Array]:
+        """Returns by how much measured positions are beyond predicted ones, and noise.
+
+        (m, nu) each (rad), the second as standard deviations; NaN of joints without a command.
+        """
+        numbers, nu = self._numbers(x, x), self.robot.nu
+        off, noise = np.full((2, len(self._readings), nu), np.nan)
+        for stand, reading in enumerate(self._readings):
+            left, deviation = self._look(stand, numbers).rows.left(
+                self.noise.encoder, slice(6, 6 + nu)
+            )
+            # Rows of motors are torques: kp (command - position) less what is needed.
+            told = np.isfinite(reading.command) & (numbers.stiff > 0)
+            off[stand, told] = -left[told] / numbers.stiff[told]
+            noise[stand, told] = deviation[told] / numbers.stiff[told]
+        return off, noise
+
     def reading(self, readings: Sequence[Reading]) -> StandEquations:
         """Returns the same with other readings of the same stands."""
         other = copy(self)

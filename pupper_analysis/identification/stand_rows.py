@@ -119,6 +119,23 @@ class Rows:
         log_noise = 2 * float(np.log(np.diag(factor)).sum())
         return white[:, 0], white[:, 1 : 1 + n], white[:, 1 + n :], log_noise
 
+    def left(self, encoder: float, rows: slice) -> tuple[Array, Array]:
+        """Returns residuals of some rows at the best own unknowns, and what noise makes of them.
+
+        As standard deviations: of the noise less the part of it that own unknowns take up.
+        """
+        residual, _, by_own, by_noise, deviation = (
+            np.concatenate(part) for part in zip(*self.parts, strict=True)
+        )
+        covariance = encoder**2 * by_noise @ by_noise.T + np.diag(deviation**2)
+        weighted = np.linalg.solve(covariance, by_own)
+        taken = by_own @ np.linalg.pinv(by_own.T @ weighted, rcond=_RANK, hermitian=True) @ by_own.T
+        return residual[rows], np.sqrt(np.maximum(np.diag(covariance - taken)[rows], 0.0))
+
+
+_RANK = 1e-12
+"""Of the largest eigenvalue: directions of own unknowns that no row tells of."""
+
 
 class StandRows:
     """The rows of one stand, at parameters and at own unknowns.

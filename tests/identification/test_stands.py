@@ -144,6 +144,20 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
 
 
+@pytest.mark.slow
+def test_the_joint_that_was_read_wrongly_is_named(robot: Robot, stands: MeasuredStands) -> None:
+    position = stands.position.copy()
+    position[3, 7] += 0.02
+    (worst, *_), name = (
+        fit_stands(robot, replace(stands, position=position), priors=["kp=0"]).joint_residuals,
+        robot.joint_names[7],
+    )
+    assert (worst.stand, worst.joint) == ("3", name)
+    # Measured less predicted; forces of four feet, of which equations leave one open, take up more.
+    assert 0.002 < worst.off < 0.02
+    assert worst.deviations > 3
+
+
 @pytest.mark.longest
 def test_without_a_trusted_kp_only_the_ratio_is_told(
     robot: Robot, planted: Robot, stands: MeasuredStands

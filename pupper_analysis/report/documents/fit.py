@@ -1,17 +1,15 @@
-"""The document of a fit: what a robot really weighs, and what measurements cannot tell."""
+"""What documents of fits have in common: parameters, and what measurements cannot tell."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 
+from pupper_analysis.identification.correlation import Correlation
 from pupper_analysis.identification.parameters import OF_SURROUNDINGS, SHOWN_UNITS
-from pupper_analysis.identification.result import Estimate, Fit, StandFit
+from pupper_analysis.identification.result import Estimate, Fit
 from pupper_analysis.identification.told import Together, Told
 from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import join_words, text
-from pupper_analysis.robot.robot import Robot
 
 TITLES = {
     "mass": "fitted-mass",
@@ -33,18 +31,8 @@ TOLD_BY = {
 }
 
 
-@build_document.register(StandFit)
-def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
-    """Returns what stands at rest tell of a robot; see ``build_document``."""
-    told = (
-        text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
-        _total(fit.total_mass),
-    )
-    return describe_fit(fit, text("fit-of-stands"), told, _residuals(fit))
-
-
 def describe_fit(
-    fit: Fit, title: doc.Words, told: Iterable[doc.Words], figure: doc.Block
+    fit: Fit, title: doc.Words, told: Iterable[doc.Words], left: Iterable[doc.Block]
 ) -> doc.Document:
     """Returns the document of a fit.
 
@@ -52,12 +40,12 @@ def describe_fit(
         fit: The fit.
         title: Its title.
         told: What it rests on, and how well it explains that.
-        figure: What is left unexplained, and where.
+        left: What is left unexplained, and where.
     """
     return doc.Document(
         title,
         doc.Name(fit.name),
-        (*parameter_tables(fit.estimates), figure),
+        (*parameter_tables(fit.estimates), *_correlations(fit.correlations), *left),
         passed=fit.explained,
         verdict=text("model-explains") if fit.explained else text("model-does-not-explain"),
         failures=tuple(doc.tell(one) for one in fit.failures),
@@ -91,17 +79,6 @@ def open_lines(estimates: Iterable[Estimate], together: Iterable[Together]) -> l
     partly = [one for one in own if one.told is Told.PARTLY]
     untold = [one for one in own if one.told is Told.PRIOR]
     return [*_open(together), *_held(partly, untold)]
-
-
-def _total(mass: Estimate) -> doc.Words:
-    values = {
-        "mean": f"{mass.mean:.3f}",
-        "half": f"{mass.high - mass.mean:.3f}",
-        "stated": f"{mass.stated:.3f}",
-    }
-    if mass.told is Told.DATA:
-        return text("total-mass-told", **values)
-    return text("total-mass-not-told", **values)
 
 
 def _open(together: Iterable[Together]) -> Iterable[doc.Words]:
@@ -153,12 +130,21 @@ def _table(title: doc.Words, estimates: list[Estimate], *, detail: bool = False)
     return doc.Table(title, columns, rows, detail=detail)
 
 
-def _residuals(fit: StandFit) -> plots.BarPlot:
-    """Returns how well each stand is explained, the worst before."""
-    worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
-    return plots.BarPlot(
-        text("residuals-of-stands"),
-        plots.Axis(text("residual-rms"), "1", ".2f"),
-        [plots.Bar(doc.Name(name), value) for name, value in worst],
-        (text("residual-rms"), text("limit"), text("limit")),
+def _correlations(found: Sequence[Correlation]) -> Iterator[doc.Table]:
+    """Yields which parameters are off together, the strongest before."""
+    if not found:
+        return
+    rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
+        (doc.Name(one.one), doc.Name(one.other), doc.number_cell(one.correlation, "+.2f"))
+        for one in found[:MOST_ROWS]
     )
+    columns = (
+        doc.Column(text("parameter"), left=True),
+        doc.Column(text("other-parameter"), left=True),
+        doc.Column(text("correlation"), "1"),
+    )
+    yield doc.Table(text("parameters-off-together"), columns, rows, detail=True)
+
+
+MOST_ROWS = 20
+"""Of a table of what is strongest: all of it is in the JSON."""

@@ -21,7 +21,7 @@ def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
         *_errors(fit),
         text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
     )
-    return describe_fit(fit, text("fit-of-motions"), told, _joints(fit))
+    return describe_fit(fit, text("fit-of-motions"), told, [_joints(fit)])
 
 
 def _errors(fit: MotionFit) -> Iterator[doc.Words]:
