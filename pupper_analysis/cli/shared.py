@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -11,6 +10,7 @@ import click
 
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.units import UNITS
 
 if TYPE_CHECKING:
     from rich.status import Status
@@ -123,15 +123,6 @@ def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) ->
         click.get_current_context().with_resource(outputs.results_on_standard_output())
 
 
-UNITS = {
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
-    "angle": {"rad": 1.0, "deg": math.pi / 180},
-    "mass": {"kg": 1.0, "g": 1e-3},
-}
-UNITS["position"] = UNITS["angle"] | UNITS["length"]
-"""Units that a value may end in, per kind of quantity; the first is meant without one."""
-
-
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
     """A number with or without a unit: ``5deg``, ``10cm``, ``0.1``."""
 
@@ -185,7 +176,7 @@ def parse_measure(option: str, kind: str, text: str, given: str = "") -> float:
 
     Args:
         option: Its name.
-        kind: A key of ``UNITS``.
+        kind: A key of ``units.UNITS``.
         text: What was typed.
         given: In what: the whole of the option's value.
     """

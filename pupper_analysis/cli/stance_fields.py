@@ -9,6 +9,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.stance.fields import FIELDS, Field
+from pupper_analysis.units import UNITS
 
 if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
@@ -30,7 +31,7 @@ def option_of(field: Field) -> Callable[[Command], Command]:
     elif point:
         frame = "[FRAME,]" if field.frame else ""
         options |= {"metavar": frame + ",".join(field.axes or "xy").upper()}
-    elif field.kind in shared.UNITS:
+    elif field.kind in UNITS:
         options |= {"type": shared.QuantityType(field.kind), "default": field.usual}
     else:
         options |= {"type": float, "metavar": field.unit.upper(), "default": field.usual}

@@ -19,20 +19,9 @@ from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import MeasurementError
 from pupper_analysis.files import reason_of
+from pupper_analysis.units import UNITS
 
 Array = NDArray[np.float64]
-
-_UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "position": {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3, "m": 1.0, "mm": 1e-3},
-    "velocity": {
-        "rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "m/s": 1.0, "mm/s": 1e-3,
-    },
-    "torque": {"N m": 1.0, "Nm": 1.0, "N*m": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N": 1.0},
-    # Kitchen scales show mass.
-    "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
-}  # fmt: skip
-"""{quantity: {unit: its size in SI}}; the first of each is meant where none is said."""
 
 _MISSING = ("", "nan", "na", "null", "none")
 """Cells that say that nothing was measured."""
@@ -207,7 +196,7 @@ def _columns(
         if name in seen:
             raise MeasurementError(source, diagnose("column-twice", column=name))
         seen.add(name)
-        units = _UNITS.get(column.quantity, {})
+        units = UNITS.get(column.quantity, {})
         unit = (match["unit"] or "").strip()
         if unit and unit not in units:
             told = diagnose("column-unit", column=name, unit=unit, known=tuple(units))

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.units import UNITS
 
 Array = NDArray[np.float64]
 
@@ -125,25 +126,6 @@ class Prior:
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
 
-_UNITS: Mapping[str, tuple[str, float]] = {
-    "kg": ("kg", 1.0),
-    "g": ("kg", 1e-3),
-    "m": ("m", 1.0),
-    "cm": ("m", 1e-2),
-    "mm": ("m", 1e-3),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", math.pi / 180),
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-}
-
-SHOWN_UNITS: Mapping[str, tuple[float, str]] = {
-    "rad": (180 / math.pi, "deg"),
-    "m": (1e3, "mm"),
-}
-"""{unit of a parameter: what it is multiplied by to be shown, and the unit that is shown}."""
-
 _PRIOR = re.compile(r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[^=%a-zA-Z]+)(?P<unit>.*)")
 
 
@@ -167,11 +149,11 @@ def parse_prior(text: str) -> Prior:
         raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
     if unit == "%":
         return Prior(kind.name, subject, share=value / 100)
-    dimension, factor = _UNITS.get(unit, (kind.unit, 1.0) if unit in ("", kind.unit) else ("", 0.0))
-    if dimension != kind.unit:
+    sizes = next((own for own in UNITS.values() if next(iter(own)) == kind.unit), {kind.unit: 1.0})
+    if unit and unit not in sizes:
         told = diagnose("prior-unit", text=text, unit=unit, wanted=kind.unit)
         raise ConfigurationError("prior", told)
-    return Prior(kind.name, subject, width=value * factor)
+    return Prior(kind.name, subject, width=value * (sizes[unit] if unit else 1.0))
 
 
 def give_widths(

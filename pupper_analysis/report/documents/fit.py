@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from pupper_analysis.identification.correlation import Correlation
-from pupper_analysis.identification.parameters import OF_SURROUNDINGS, SHOWN_UNITS
+from pupper_analysis.identification.parameters import OF_SURROUNDINGS
 from pupper_analysis.identification.result import Estimate, Fit
 from pupper_analysis.identification.told import Together, Told
 from pupper_analysis.report import document as doc
@@ -23,6 +24,12 @@ TITLES = {
     "delay": "fitted-delay",
 }
 """{kind of parameter: title of its table}."""
+
+SHOWN_UNITS: Mapping[str, tuple[float, str]] = {
+    "rad": (180 / math.pi, "deg"),
+    "m": (1e3, "mm"),
+}
+"""{unit of a parameter: what it is multiplied by to be shown, and the unit that is shown}."""
 
 TOLD_BY = {
     Told.DATA: "told-by-data",

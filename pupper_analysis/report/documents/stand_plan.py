@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pupper_analysis.identification.parameters import SHOWN_UNITS
 from pupper_analysis.identification.plan import StandPlan
 from pupper_analysis.identification.told import Told
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.fit import TOLD_BY
+from pupper_analysis.report.documents.fit import SHOWN_UNITS, TOLD_BY
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot

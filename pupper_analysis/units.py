@@ -1,0 +1,24 @@
+"""Units in which numbers may be given: by option, by prior, by the header of a file's column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+_ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "angle": _ANGLES,
+    "length": _LENGTHS,
+    "position": _ANGLES | _LENGTHS,
+    "velocity": {
+        "rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30, "m/s": 1.0, "mm/s": 1e-3,
+    },
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "torque": {"N m": 1.0, "Nm": 1.0, "N*m": 1.0, "mN m": 1e-3, "mNm": 1e-3, "N": 1.0},
+    # Kitchen scales show mass.
+    "force": {"N": 1.0, "g": 9.80665e-3, "kg": 9.80665},
+}  # fmt: skip
+"""{quantity: {unit: its size in SI}}; the first of each is meant where none is said."""

@@ -1,0 +1,64 @@
+"""What is known of parameters before: as it is typed, and by whom it is meant."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.identification.parameters import (
+    ParameterTable,
+    Prior,
+    give_widths,
+    parse_prior,
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "prior"),
+    [
+        ("mass=50%", Prior("mass", "*", share=0.5)),
+        ("mass:leg_*=100g", Prior("mass", "leg_*", width=0.1)),
+        ("com:base=5mm", Prior("com", "base", width=0.005)),
+        ("offset=2 deg", Prior("offset", "*", width=math.radians(2))),
+        ("offset=0.1", Prior("offset", "*", width=0.1)),
+        ("kp=0", Prior("kp", "*", width=0.0)),
+        ("kp:knee=0.5N m/rad", Prior("kp", "knee", width=0.5)),
+        ("delay=3ms", Prior("delay", "*", width=0.003)),
+    ],
+)
+def test_a_prior_is_read_in_its_unit(text: str, prior: Prior) -> None:
+    found = parse_prior(text)
+    assert (found.kind, found.subject) == (prior.kind, prior.subject)
+    assert found.of(3.0) == pytest.approx(prior.of(3.0))
+
+
+@pytest.mark.parametrize(
+    "text", ["mass", "mass=", "weight=3", "mass=-1", "mass=nan", "mass=3deg", "com=3kg"]
+)
+def test_what_is_no_prior_is_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError):
+        parse_prior(text)
+
+
+def test_the_last_prior_that_means_a_parameter_counts_and_one_that_means_none_is_refused() -> None:
+    stated = [("mass", "base", "", 2.0), ("mass", "calf", "", 0.1), ("kp", "knee", "", 5.0)]
+    priors = [parse_prior(text) for text in ("mass=10%", "mass:calf=50g", "kp=0")]
+    found = give_widths(stated, priors)
+    assert [(one.name, one.width) for one in found] == [
+        ("mass base", pytest.approx(0.2)),
+        ("mass calf", pytest.approx(0.05)),
+    ]
+    with pytest.raises(ConfigurationError, match="tail"):
+        give_widths(stated, [parse_prior("mass:tail=1g")])
+
+
+def test_gains_of_servos_are_known_in_common() -> None:
+    """Of n gains, half of whose variance is common, the mean is known to sqrt((1 + 1 / n) / 2)."""
+    kinds = [("kp", f"j{number}", "", 5.0) for number in range(12)]
+    table = ParameterTable(give_widths(kinds))
+    mean = np.full(12, 1 / 12)
+    variance = mean @ np.linalg.inv(table.precision) @ mean  # in widths
+    assert variance == pytest.approx((1 + 1 / 12) / 2)
