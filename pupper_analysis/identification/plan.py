@@ -29,7 +29,12 @@ from pupper_analysis.identification.parameters import (
 )
 from pupper_analysis.identification.result import Expected
 from pupper_analysis.identification.stand_equations import StandEquations
-from pupper_analysis.identification.stand_fit import expected_noise, parameters_of, stated_stiffness
+from pupper_analysis.identification.stand_fit import (
+    SURE,
+    expected_noise,
+    parameters_of,
+    stated_stiffness,
+)
 from pupper_analysis.identification.stands import MeasuredStands
 from pupper_analysis.identification.told import told_by
 from pupper_analysis.results import Result
@@ -151,19 +156,20 @@ def plan_stands(
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     rng = np.random.default_rng(seed)
+    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    margin = SURE * _offset_width(robot, known)
     wanted = _CANDIDATES * count
     found: list[tuple[Stand, SteadyState]] = []
     for _ in range(_TRIES * wanted):
         if len(found) == wanted:
             break
-        if (stand := _random_stand(robot, rng, kp)) is not None:
+        if (stand := _random_stand(robot, rng, kp, margin)) is not None:
             found.append(stand)
     if len(found) < count:
         told = diagnose("too-few-candidates", found=len(found), wanted=count)
         raise MeasurementError(robot.name, told)
     stands = _predicted(robot, found, kp, both_sides=both_sides)
     stiffness, rubbing = stated_stiffness(robot, stands, kp), DryFriction.of(robot).joints
-    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
     noise, friction = expected_noise(robot, stands, rubbing, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
@@ -230,10 +236,20 @@ def _volume(information: Array) -> float:
     return float(np.linalg.slogdet(information)[1])
 
 
+def _offset_width(robot: Robot, priors: Sequence[Prior]) -> float:
+    """Returns how far an encoder's zero may be off (rad), as a standard deviation."""
+    offsets = [("offset", name, "", 0.0) for name in robot.joint_names]
+    named = [prior for prior in priors if prior.kind == "offset"]
+    return max((one.width for one in give_widths(offsets, named)), default=0.0)
+
+
 def _random_stand(
-    robot: Robot, rng: np.random.Generator, kp: ArrayLike | None
+    robot: Robot, rng: np.random.Generator, kp: ArrayLike | None, margin: float
 ) -> tuple[Stand, SteadyState] | None:
-    """Returns a stand that the robot's servos hold, and where they let it sag to; None of none."""
+    """Returns a stand that the robot's servos hold, and where they let it sag to; None of none.
+
+    Its joints keep off their limits: whose encoder is off may be at a stop that nobody sees.
+    """
     size = robot.stand_height
     feet = list(robot.feet)
     swing = {}
@@ -249,6 +265,7 @@ def _random_stand(
             com="inside",
             com_margin=_MARGIN * size / (2 if swing else 1),
             self_clearance=_CLEAR,
+            joint_margin=margin,
         )
         stand = solve_stand(robot, task)
         sagged = steady_state(robot, stand, kp=kp, feedforward=True)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import FitError, MeasurementError
-from pupper_analysis.identification.estimate import Linearised, estimate_parameters
+from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.identification.links import AXES, bodies_of
 from pupper_analysis.identification.noise_levels import find_noise
 from pupper_analysis.identification.parameters import (
@@ -87,25 +87,46 @@ def fit_stands(
             given.source, diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
         )
     stiffness = stated_stiffness(robot, given, kp)
-    given, notes = _without_stops(robot, given, stiffness)
     rubbing = DryFriction.of(robot).joints
     table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
     noise, friction = expected_noise(robot, given, rubbing, encoder)
-    equations = StandEquations(robot, given, table, stiffness, friction, noise)
     weighed = _weighed(robot, table, weight)
+    start, stopped = None, _at_stops(robot, given, *_offsets(robot, table))
+    while True:
+        used = _commands_of_servos(robot, given, stiffness, stopped)
+        equations = StandEquations(robot, used, table, stiffness, friction, noise)
+        posterior = _estimate(robot, used, equations, weighed, start)
+        # With what is known of the encoders now, fewer joints may be at a stop.
+        nearer = stopped & _at_stops(robot, given, *_offsets(robot, table, posterior))
+        if (nearer == stopped).all():
+            break
+        start, stopped = posterior.mean, nearer
+    notes = tuple(_unused(robot, given, stiffness, stopped))
+    return describe_fit(robot, used, equations, posterior, noise, notes, weight is not None)
+
+
+def _estimate(
+    robot: Robot,
+    stands: MeasuredStands,
+    equations: StandEquations,
+    weighed: Callable[[Array], Linearised],
+    start: Array | None,
+) -> Posterior:
+    """Returns the parameters that stands and priors make most probable, with the noise found."""
+    table = equations.table
 
     def linearise(x: Array, about: Array) -> Linearised:
         return equations.linearise(x, about) + weighed(x)
 
     try:
-        posterior = estimate_parameters(table, linearise)
+        posterior = estimate_parameters(table, linearise, start)
     except FitError:
-        _check_forces(robot, given, equations)  # which may tell why
+        _check_forces(robot, stands, equations)  # which may tell why
         raise
     equations.noise = find_noise(equations, table, posterior.mean, weighed)
     posterior = estimate_parameters(table, linearise, posterior.mean)
-    _check_forces(robot, given, equations)
-    return describe_fit(robot, given, equations, posterior, noise, notes, weight is not None)
+    _check_forces(robot, stands, equations)
+    return posterior
 
 
 def expected_noise(
@@ -182,24 +203,61 @@ def stated_stiffness(robot: Robot, stands: MeasuredStands, kp: ArrayLike | None)
 _AT_STOP = 2e-3
 """rad: as near as that to a limit, a stop may carry, and no servo tells what."""
 
+SURE = 3.0
+"""Standard deviations of an encoder's zero: a joint that is so far from a limit is not at it."""
 
-def _without_stops(
-    robot: Robot, stands: MeasuredStands, kp: Array
-) -> tuple[MeasuredStands, tuple[Diagnostic, ...]]:
-    """Returns stands without commands of joints at a stop, or whose motor gives all it can."""
+
+def _offsets(
+    robot: Robot, table: ParameterTable, posterior: Posterior | None = None
+) -> tuple[Array, Array]:
+    """Returns the zeros of encoders (nu,), and how sure: before measurements, or after (rad)."""
+    mean, std = np.zeros((2, robot.nu))
+    for joint, name in enumerate(robot.joint_names):
+        place = table.place("offset", name)
+        if place is not None:
+            std[joint] = table.width[place] if posterior is None else posterior.std[place]
+            mean[joint] = 0.0 if posterior is None else posterior.mean[place]
+    return mean, std
+
+
+def _at_stops(
+    robot: Robot, stands: MeasuredStands, offset: Array, sure: Array
+) -> NDArray[np.bool_]:
+    """Returns which joints may be at a stop (m, nu), as far as their encoders' zeros are known."""
+    true, margin = stands.position - offset, _AT_STOP + SURE * sure
+    found: NDArray[np.bool_] = (true < robot.lower_limits + margin) | (
+        true > robot.upper_limits - margin
+    )
+    return found
+
+
+def _with_full_torque(robot: Robot, stands: MeasuredStands, kp: Array) -> NDArray[np.bool_]:
+    """Returns which motors give all they can (m, nu): by how much a command leads, nobody knows."""
     lead = np.nan_to_num(stands.command - stands.position)
-    full = np.abs(kp * lead) > _FULL * robot.effort_limits
-    low, high = robot.lower_limits + _AT_STOP, robot.upper_limits - _AT_STOP
-    stopped = (stands.position < low) | (stands.position > high)
-    notes = []
-    if stopped.any():
-        where, names = _places(robot, stands, stopped)
-        notes.append(diagnose("stands-at-stops", stands=where, joints=names))
-    if (full & ~stopped).any():
-        where, names = _places(robot, stands, full & ~stopped)
-        notes.append(diagnose("stands-with-full-torque", stands=where, joints=names))
-    command = np.where(stopped | full, np.nan, stands.command)
-    return replace(stands, command=command), tuple(notes)
+    found: NDArray[np.bool_] = np.abs(kp * lead) > _FULL * robot.effort_limits
+    return found
+
+
+def _commands_of_servos(
+    robot: Robot, stands: MeasuredStands, kp: Array, stopped: NDArray[np.bool_]
+) -> MeasuredStands:
+    """Returns stands without commands of joints at a stop, or whose motor gives all it can."""
+    unused = stopped | _with_full_torque(robot, stands, kp)
+    return replace(stands, command=np.where(unused, np.nan, stands.command))
+
+
+def _unused(
+    robot: Robot, stands: MeasuredStands, kp: Array, stopped: NDArray[np.bool_]
+) -> Iterator[Diagnostic]:
+    """Yields which commands are not used, and why."""
+    commanded = np.isfinite(stands.command)
+    if (stopped & commanded).any():
+        where, names = _places(robot, stands, stopped & commanded)
+        yield diagnose("stands-at-stops", stands=where, joints=names)
+    full = _with_full_torque(robot, stands, kp) & ~stopped
+    if full.any():
+        where, names = _places(robot, stands, full)
+        yield diagnose("stands-with-full-torque", stands=where, joints=names)
 
 
 def _places(
