@@ -52,6 +52,11 @@ if TYPE_CHECKING:
     help="Share of each log, at its end, that is predicted instead of fitted.",
 )
 @click.option(
+    "--by",
+    type=click.Choice(("command", "torque")),
+    help="What a log is fitted by; by default its commands, and its torques if it has none.",
+)
+@click.option(
     "--plan",
     "count",
     type=int,
@@ -95,6 +100,7 @@ def fit(
     stands: Path | None,
     logs: tuple[Path, ...],
     hold_out: float,
+    by: str | None,
     count: int | None,
     degrees: bool,
     both_sides: bool,
@@ -113,7 +119,8 @@ def fit(
     A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
     each: command.<joint> and position.<joint> (rad, or [deg] in the header), and if they were read
     torque.<joint>, force.<foot>, roll and pitch, swing (feet in the air), from (above or below).
-    A log is of a robot that hangs or is bolted down: time, command.<joint>, position.<joint>.
+    A log is of a robot that hangs or is bolted down: time, position.<joint>, and command.<joint> or
+    torque.<joint> (measured at the joint).
 
     Every number comes with its interval; what the measurements cannot tell is named, with what else
     to measure.
@@ -144,7 +151,7 @@ def fit(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
         )
     elif stands is None:
-        result = _fit_logs(robot, logs, hold_out, priors, kp)
+        result = _fit_logs(robot, logs, hold_out, by, priors, kp)
     else:
         from pupper_analysis.identification.stand_fit import fit_stands
         from pupper_analysis.identification.stands import read_stands
@@ -187,16 +194,17 @@ def _fit_logs(
     robot: Robot,
     paths: tuple[Path, ...],
     hold_out: float,
+    by: str | None,
     priors: tuple[str, ...],
     kp: float | None,
 ) -> Fit:
     """Fits a robot's numbers to logs."""
+    from pupper_analysis.identification.fit import fit as fit_any
     from pupper_analysis.identification.log import read_log
-    from pupper_analysis.identification.motion import fit_motion
 
     logs = [read_log(path) for path in paths]
     with shared.show_progress("fitting the robot's numbers to its motions"):
-        return fit_motion(robot, logs, priors=priors, hold_out=hold_out, kp=kp)
+        return fit_any(robot, logs, priors=priors, hold_out=hold_out, kp=kp, by=by)
 
 
 def _plan(

@@ -15,3 +15,5 @@ from .result import Fit as Fit
 from .result import StandFit as StandFit
 from .stand_fit import fit_stands as fit_stands
 from .stands import MeasuredStands as MeasuredStands
+from .torque_fit import fit_torques as fit_torques
+from .torque_result import TorqueFit as TorqueFit

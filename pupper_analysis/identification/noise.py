@@ -59,7 +59,7 @@ class SeriesNoise:
         if count == 0:
             return SeriesNoise.white(_LEAST)
         moments = np.array(
-            [sum(float(one[lag:] @ one[: len(one) - lag]) for one in filled) / count
+            [sum(float(one[lag:] @ one[: max(len(one) - lag, 0)]) for one in filled) / count
              for lag in range(_MOST_LAGS + 1)]
         )  # fmt: skip
         deviation = math.sqrt(moments[0])

@@ -21,6 +21,8 @@ TITLES = {
     "friction": "fitted-friction",
     "damping": "fitted-damping",
     "armature": "fitted-armature",
+    "inertia": "fitted-inertia",
+    "bias": "fitted-bias",
     "delay": "fitted-delay",
 }
 """{kind of parameter: title of its table}."""

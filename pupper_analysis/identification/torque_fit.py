@@ -1,0 +1,266 @@
+"""Torques as measurements: what a log in which they were measured tells of the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.arrays import inertia_entries
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.errors import MeasurementError
+from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.links import AXES
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.log_quality import LogQuality, inspect_log
+from pupper_analysis.identification.motion import HOLD_OUT
+from pupper_analysis.identification.parameters import (
+    KINDS,
+    ParameterTable,
+    Prior,
+    give_widths,
+    parse_prior,
+)
+from pupper_analysis.identification.residuals import root_mean_square
+from pupper_analysis.identification.result import describe_parameters
+from pupper_analysis.identification.told import find_together
+from pupper_analysis.identification.torque_blocks import MeasuredTorques, measure_torques
+from pupper_analysis.identification.torque_equations import ENTRIES, OF_JOINTS
+from pupper_analysis.identification.torque_estimate import Torques
+from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_LACKS = 0.2
+"""Of a joint's torque: a model that leaves more, beyond the sensor's noise, is another robot's.
+Published identifications leave 3 to 15 %."""
+
+_AGAINST = -0.3
+"""Correlation of a measured torque with that of the file's own numbers, from which on it pulls the
+other way: where a file is wrong there is little of it, and not the opposite."""
+
+_TOLD = 1.0
+"""Of a direction's information in the priors' widths: measurements tell it as well as these."""
+
+
+@check_arguments
+def fit_torques(
+    robot: Robot,
+    logs: Sequence[Log],
+    *,
+    priors: Sequence[Prior | str] = (),
+    hold_out: float | Sequence[Log] = HOLD_OUT,
+) -> TorqueFit:
+    """Estimates a robot's numbers from torques that were measured while it moved.
+
+    The robot is bolted down, or hangs. Velocities and accelerations are those of its encoders,
+    filtered without a lag where they are louder than noise; torques are linear in masses, first
+    and second moments, dry and viscous friction, armature and a sensor's bias, with Pinocchio's
+    joint-torque regressor. Equations are means over half a period of the fastest motion, in which a
+    joint turns one way. What is left is taken for noise with a memory, of all joints together.
+
+    Args:
+        robot: The robot; a free base is held where its MJCF has it.
+        logs: Of its motions; each joint with its position and torque (at the joint: after the
+            gear).
+        priors: What is known before; as for ``fit_stands``. Of friction, damping, armature and
+            bias nothing is known by default, but that they make no more than the whole torque.
+        hold_out: The share of each log, at its end, that is predicted instead of fitted; or logs
+            that are.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range.
+        FitError: If it does not converge.
+        MeasurementError: If a log is none of this robot's, has no torques, or no motion.
+        UnknownNameError: If a log has joints that the robot has not.
+    """
+    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    if robot.floating:
+        robot = build_robot(robot.description, fixed_base=True)
+    robot.check_tree("fit")
+    share = hold_out if isinstance(hold_out, int | float) else 0.0
+    others = () if isinstance(hold_out, int | float) else tuple(hold_out)
+    whole = (*logs, *others)
+    qualities = tuple(inspect_log(robot, log) for log in whole)
+    for log in whole:
+        for at, name in enumerate(log.joints):
+            if log.torque is None or not np.isfinite(log.torque[:, at]).any():
+                raise MeasurementError(log.source, diagnose("joint-without-torque", joint=name))
+    shares = [*(share for _ in logs), *(1.0 for _ in others)]
+    measured = measure_torques([log.of(robot) for log in whole], shares, robot.home)
+    told = () if measured is None else tuple(measured.bands)
+    if measured is None or not any(_counted(measured, told, held_out=False)):
+        source = logs[0].source if logs else robot.name
+        raise MeasurementError(source, diagnose("nothing-to-fit"))
+    torques = Torques.of(robot, measured)
+    table = _parameters(torques, known)
+    posterior = torques.fit(table)
+    return _told(torques, logs, qualities, table, posterior)
+
+
+def _counted(measured: MeasuredTorques, joints: Iterable[int], *, held_out: bool) -> list[bool]:
+    """Returns of each joint whether any of its torques is to be fitted, or predicted."""
+    return [
+        any(
+            bool(np.isfinite(run.torque[run.held_out == held_out, joint]).any())
+            for run in measured.runs
+        )
+        for joint in joints
+    ]
+
+
+def _parameters(torques: Torques, priors: Sequence[Prior]) -> ParameterTable:
+    """Returns what is estimated: of joints whose torques are told, and of the links they move."""
+    equations, names = torques.equations, torques.equations.robot.joint_names
+    wanted: list[tuple[str, str, str, float]] = []
+    for joint in equations.joints:
+        wanted += [(kind, names[joint], "", equations.stated(joint)[kind]) for kind in OF_JOINTS]
+    for link in equations.links.values():
+        wanted.append(("mass", link, "", equations.mass[link]))
+        wanted += [
+            ("com", link, axis, value)
+            for axis, value in zip(AXES, equations.com[link].tolist(), strict=True)
+        ]
+        entries = inertia_entries(equations.inertia[link]).tolist()
+        wanted += [
+            ("inertia", link, entry, value) for entry, value in zip(ENTRIES, entries, strict=True)
+        ]
+    widths = dict(_own_widths(torques))
+    said = [(prior.kind, prior.subject) for prior in priors]
+    return ParameterTable(
+        one
+        if any(kind == one.kind and fnmatchcase(one.subject, name) for kind, name in said)
+        else replace(one, width=max(one.width, widths.get((one.kind, one.subject), 0.0)))
+        for one in give_widths(wanted, priors)
+    )
+
+
+def _own_widths(torques: Torques) -> Iterator[tuple[tuple[str, str], float]]:
+    """Yields what is known of a kind of number of a subject before, where kinds know too much.
+
+    Small servos are what widths of friction are made for. Of any joint it is known that friction,
+    damping, armature and bias each make no more than all of its torque. A body's products of
+    inertia, which files have as zero, are unknown as its moments are, and all of them at least by
+    what a com does that is elsewhere.
+    """
+    equations, measured = torques.equations, torques.measured
+    for at, joint in enumerate(equations.joints):
+        torque = root_mean_square(one[:, at] for one in torques.torques)
+        if not math.isfinite(torque):
+            continue
+        velocity = root_mean_square(run.velocity[..., joint] for run in measured.runs)
+        acceleration = root_mean_square(run.acceleration[..., joint] for run in measured.runs)
+        by_kind = (torque, torque / velocity, torque / acceleration, torque)
+        for kind, width in zip(OF_JOINTS, by_kind, strict=True):
+            yield (kind, equations.robot.joint_names[joint]), width
+    for link, inertia in equations.inertia.items():
+        moment = KINDS["inertia"].share * float(np.trace(inertia)) / 3
+        yield ("inertia", link), math.hypot(moment, equations.mass[link] * KINDS["com"].width ** 2)
+
+
+def _told(
+    torques: Torques,
+    logs: Sequence[Log],
+    qualities: tuple[LogQuality, ...],
+    table: ParameterTable,
+    posterior: Posterior,
+) -> TorqueFit:
+    """Returns a fit with how far its predictions are from what was measured."""
+    equations, measured = torques.equations, torques.measured
+    numbers = [equations.numbers(table, x)[0] for x in (table.stated, posterior.mean)]
+    before, after = ([torques.off(one, held_out=late) for late in (False, True)] for one in numbers)
+    late = bool(np.isfinite(root_mean_square(after[1])))
+    names = [equations.robot.joint_names[joint] for joint in equations.joints]
+    seen = [
+        np.where((run.held_out == late)[:, None], run.torque[:, equations.joints], np.nan)
+        for run in measured.runs
+    ]
+    by_joint, by_joint_before, size = (
+        np.array([root_mean_square(one[:, at] for one in whole) for at in range(len(names))])
+        for whole in (after[late], before[late], seen)
+    )
+    noise = np.array(
+        [_noise([one[:, at] for pair in after for one in pair]) for at in range(len(names))]
+    )
+    return TorqueFit(
+        name=equations.robot.name,
+        source=", ".join(log.source for log in logs),
+        estimates=tuple(describe_parameters(posterior)),
+        together=find_together(posterior),
+        failures=tuple(_unexplained(names, by_joint, noise, size)),
+        diagnostics=(
+            *(one for quality in qualities for one in quality.diagnostics),
+            *_notes(torques, names, numbers[0], root_mean_square(after[late]),
+                    root_mean_square(before[late])),
+        ),
+        posterior=posterior,
+        seconds=sum(run.seconds for run in measured.runs),
+        held_out=root_mean_square(after[1]),
+        held_out_before=root_mean_square(before[1]),
+        fitted=root_mean_square(after[0]),
+        fitted_before=root_mean_square(before[0]),
+        torque=root_mean_square(seen),
+        by_joint=dict(zip(names, by_joint.tolist(), strict=True)),
+        by_joint_before=dict(zip(names, by_joint_before.tolist(), strict=True)),
+        torque_noise=dict(zip(names, noise.tolist(), strict=True)),
+        cutoff={
+            name: measured.bands[joint].cutoff
+            for name, joint in zip(names, equations.joints, strict=True)
+        },
+        length=measured.length,
+        equations=posterior.rows,
+        directions=int((np.linalg.eigvalsh(posterior.information) > _TOLD).sum()),
+    )  # fmt: skip
+
+
+def _noise(series: Sequence[Array]) -> float:
+    """Returns the standard deviation of what is left that is another from mean to mean.
+
+    By third differences, whose variance is 20 times that of noise without memory.
+    """
+    steps = np.concatenate([np.diff(one, 3) for one in series])
+    return root_mean_square([steps]) / math.sqrt(20.0)
+
+
+def _unexplained(
+    names: Sequence[str], by_joint: Array, noise: Array, size: Array
+) -> Iterator[Diagnostic]:
+    """Yields what the fitted model does not explain."""
+    lacks = np.sqrt(np.maximum(by_joint**2 - np.nan_to_num(noise) ** 2, 0.0)) / size
+    bad = [at for at in np.argsort(-lacks).tolist() if lacks[at] > _LACKS]
+    if bad:
+        yield diagnose(
+            "torques-not-explained",
+            joints=[names[at] for at in bad],
+            worst=names[bad[0]],
+            left=Quantity(by_joint[bad[0]], "N m"),
+            torque=Quantity(size[bad[0]], "N m"),
+        )
+
+
+def _notes(
+    torques: Torques, names: Sequence[str], stated: Array, off: float, before: float
+) -> Iterator[Diagnostic]:
+    """Yields what else is to be said."""
+    if off > before:
+        yield diagnose(
+            "torques-predicted-worse", now=Quantity(off, "N m"), stated=Quantity(before, "N m")
+        )
+    backwards = []
+    for at, name in enumerate(names):
+        seen = np.concatenate([one[:, at] for one in torques.torques])
+        said = np.concatenate([matrix[:, at] @ stated for matrix in torques.matrices])
+        both = np.isfinite(seen)
+        if both.sum() < 2 or seen[both].std() * said[both].std() == 0:
+            continue
+        if np.corrcoef(seen[both], said[both])[0, 1] < _AGAINST:
+            backwards.append(name)
+    if backwards:
+        yield diagnose("torque-against-the-model", joints=backwards)

@@ -1,0 +1,301 @@
+"""Torques of two links in a plane, in closed form, tell planted errors, and what they cannot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pupper_analysis.convert.load import load_robot
+from pupper_analysis.errors import ConfigurationError, MeasurementError
+from pupper_analysis.identification.fit import fit
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.smoothing import find_band, smooth
+from pupper_analysis.identification.told import Told
+from pupper_analysis.identification.torque_blocks import measure_torques
+from pupper_analysis.identification.torque_fit import fit_torques
+from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+G, LENGTH = 9.81, 0.4  # m/s^2, m
+MASS, LEVER, TURNS = (2.0, 1.2), (0.18, 0.15), (0.02, 0.008)  # kg, m, kg m^2: as it is
+FILE_LEVER, FILE_TURNS = 0.13, 0.006  # of the second link, in the files
+FRICTION, DAMPING, ARMATURE, BIAS = (0.6, 0.25), (0.3, 0.1), (0.05, 0.02), (0.2, -0.1)
+JOINTS = ("hip", "knee")
+RATE, QUANTUM, NOISE = 250.0, 2 * np.pi / 2**16, (0.15, 0.05)
+
+
+def _link(name: str, mass: float, lever: float, turns: float) -> str:
+    return (
+        f'<link name="{name}"><inertial><origin xyz="0 0 {-lever}"/><mass value="{mass}"/><inertia '
+        f'ixx="{turns}" iyy="{turns}" izz="{turns}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+
+
+def _joint(name: str, parent: str, child: str, drop: float) -> str:
+    return (
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 0 {-drop}"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" effort="100" velocity="50"/></joint>'
+    )
+
+
+URDF = f"""<robot name="leg"><link name="base"/>{_link("thigh", MASS[0], LEVER[0], TURNS[0])}
+{_link("shank", MASS[1], FILE_LEVER, FILE_TURNS)}{_joint("hip", "base", "thigh", 0)}
+{_joint("knee", "thigh", "shank", LENGTH)}</robot>"""
+
+
+def _body(name: str, joint: str, numbers: tuple[float, float, float], inner: str = "") -> str:
+    mass, lever, turns = numbers
+    drop = LENGTH if name == "shank" else 0
+    return (
+        f'<body name="{name}" pos="0 0 {-drop}"><inertial pos="0 0 {-lever}" mass="{mass}" '
+        f'diaginertia="{turns} {turns} {turns}"/><joint name="{joint}" axis="0 1 0" range="-3 3"/>'
+        f"{inner}</body>"
+    )
+
+
+_SHANK = _body("shank", "knee", (MASS[1], FILE_LEVER, FILE_TURNS))
+_THIGH = _body("thigh", "hip", (MASS[0], LEVER[0], TURNS[0]), _SHANK)
+MJCF = (
+    '<mujoco model="leg"><compiler angle="radian"/><worldbody><body name="base">'
+    f'{_THIGH}</body></worldbody><actuator><position joint="hip" kp="50"/>'
+    '<position joint="knee" kp="30"/></actuator></mujoco>'
+)
+
+
+@cache
+def leg(base: str = "") -> Robot:
+    """Two links that hang from a base, which the MJCF may turn."""
+    with TemporaryDirectory() as folder:
+        files = Path(folder) / "leg.urdf", Path(folder) / "leg.xml"
+        mjcf = MJCF.replace('name="base"', f'name="base" {base}')
+        for file, text in zip(files, (URDF, mjcf), strict=True):
+            file.write_text(text, encoding="utf-8")
+        return load_robot(*files)
+
+
+def motion(time: Array) -> tuple[Array, Array, Array]:
+    """Angles of hip and knee, and their derivatives."""
+    sizes = np.array([[0.5, 0.35, 0.2], [0.6, 0.3, 0.25]])
+    rates = np.array([[1.3, 3.1, 5.3], [1.9, 2.7, 6.1]])
+    phases = np.array([[0.0, 1.0, 2.0], [0.5, 2.5, 1.5]])
+    angle = rates * time[:, None, None] + phases
+    return (
+        (sizes * np.sin(angle)).sum(axis=2),
+        (sizes * rates * np.cos(angle)).sum(axis=2),
+        -(sizes * rates**2 * np.sin(angle)).sum(axis=2),
+    )
+
+
+def torques(position: Array, velocity: Array, acceleration: Array, gravity: float = G) -> Array:
+    """What motors give, by Lagrange's equations of a double pendulum."""
+    (a, b), (da, db), (dda, ddb) = position.T, velocity.T, acceleration.T
+    (m, n), (c, d), (i, j) = MASS, LEVER, TURNS
+    both = j + n * (d**2 + LENGTH * d * np.cos(b))
+    whole = i + m * c**2 + j + n * (LENGTH**2 + d**2 + 2 * LENGTH * d * np.cos(b))
+    pull = n * LENGTH * d * np.sin(b)
+    hip = whole * dda + both * ddb - pull * (2 * da * db + db**2)
+    hip += gravity * ((m * c + n * LENGTH) * np.sin(a) + n * d * np.sin(a + b))
+    knee = both * dda + (j + n * d**2) * ddb + pull * da**2
+    knee += gravity * n * d * np.sin(a + b)
+    found: Array = np.column_stack([hip, knee]) + np.array(FRICTION) * np.sign(velocity)
+    return found + np.array(DAMPING) * velocity + np.array(ARMATURE) * acceleration + np.array(BIAS)
+
+
+@cache
+def log(seconds: float = 30.0, gravity: float = G) -> Log:
+    time = np.arange(0, seconds, 1 / RATE)
+    random = np.random.default_rng(0)
+    position, velocity, acceleration = motion(time)
+    torque = torques(position, velocity, acceleration, gravity)
+    torque += np.array(NOISE) * random.normal(size=torque.shape)
+    position = QUANTUM * np.round(position / QUANTUM)
+    blank = np.full(position.shape, np.nan)
+    return Log("leg.csv", time, JOINTS, blank, position, None, torque)
+
+
+PRIORS = ("mass=0",)
+
+
+@cache
+def fitted() -> TorqueFit:
+    return fit_torques(leg(), [log()], priors=PRIORS)
+
+
+@pytest.mark.parametrize(
+    ("kind", "subject", "component", "true"),
+    [
+        ("com", "shank", "z", -LEVER[1]),
+        ("com", "shank", "x", 0.0),
+        ("inertia", "shank", "yy", TURNS[1]),
+        ("armature", "knee", "", ARMATURE[1]),
+        *(("friction", name, "", value) for name, value in zip(JOINTS, FRICTION, strict=True)),
+        *(("damping", name, "", value) for name, value in zip(JOINTS, DAMPING, strict=True)),
+        *(("bias", name, "", value) for name, value in zip(JOINTS, BIAS, strict=True)),
+    ],
+)
+def test_planted_numbers_are_found_within_their_intervals(
+    kind: str, subject: str, component: str, true: float
+) -> None:
+    (found,) = (
+        one
+        for one in fitted().estimates
+        if (one.kind, one.subject, one.component) == (kind, subject, component)
+    )
+    assert abs(found.mean - true) < 4 * found.std
+    assert found.told is Told.DATA
+    assert found.std < 0.1 * abs(true) + 2e-3  # of the com's x, a length
+
+
+def test_what_turns_about_one_axis_is_told_as_a_sum() -> None:
+    """The hip's armature and its link's moments are one number; about other axes nothing turns."""
+    told = {one.name: one for one in fitted().estimates}
+    whole = told["inertia.yy thigh"].mean + told["armature hip"].mean
+    whole += MASS[0] * (told["com.z thigh"].mean ** 2 + told["com.x thigh"].mean ** 2)
+    assert whole == pytest.approx(TURNS[0] + ARMATURE[0] + MASS[0] * LEVER[0] ** 2, rel=0.05)
+    assert told["armature hip"].std > 5 * told["armature knee"].std
+    for name in ("inertia.yy thigh", "inertia.xx thigh", "inertia.xz shank", "com.y shank"):
+        assert told[name].told is Told.PRIOR
+    # Friction, damping and bias of both joints, what gravity pulls at in two directions of each
+    # link, what turns about each joint, and the knee's armature.
+    assert fitted().directions <= 6 + 4 + 2 + 1
+
+
+def test_torques_that_were_not_fitted_are_predicted_to_their_noise() -> None:
+    found = fitted()
+    samples = round(found.length * RATE)
+    for name, noise in zip(JOINTS, NOISE, strict=True):
+        # What is left of noise after averaging, and what quanta do to accelerations.
+        assert found.by_joint[name] < 2 * noise / math.sqrt(samples)
+        assert found.by_joint[name] > 0.7 * noise / math.sqrt(samples)
+        assert found.torque_noise[name] == pytest.approx(found.by_joint[name], rel=0.3)
+        assert found.by_joint_before[name] > 5 * found.by_joint[name]
+    assert found.held_out_before > 10 * found.held_out
+    assert found.held_out == pytest.approx(found.fitted, rel=0.3)
+    assert found.explained
+    assert found.diagnostics == ()
+    assert found.directions < len(found.estimates)
+
+
+def test_gravity_is_where_the_mjcf_holds_the_base() -> None:
+    """Upside down all of gravity's torques change their sign."""
+    turned = fit_torques(leg('euler="3.141592653589793 0 0"'), [log(gravity=-G)], priors=PRIORS)
+    assert turned.held_out == pytest.approx(fitted().held_out, rel=0.2)
+    upright = fit_torques(leg(), [log(gravity=-G)], priors=PRIORS)
+    assert upright.held_out > 5 * turned.held_out
+
+
+@pytest.mark.parametrize("sign", [(-1, -1), (1, -1)])
+def test_a_torque_of_the_other_sign_is_told(sign: tuple[int, int]) -> None:
+    torque = log().torque
+    assert torque is not None
+    found = fit_torques(leg(), [replace(log(), torque=torque * np.array(sign))])
+    codes = {one.code for one in found.diagnostics}
+    assert "torque-against-the-model" in codes
+    told = next(one for one in found.diagnostics if one.code == "torque-against-the-model")
+    wrong = [name for name, one in zip(JOINTS, sign, strict=True) if one < 0]
+    assert list(told.values["joints"]) == wrong
+    assert found.held_out > 3 * fitted().held_out
+
+
+def test_swapped_joints_are_not_explained() -> None:
+    torque = log().torque
+    assert torque is not None
+    found = fit_torques(leg(), [replace(log(), torque=torque[:, ::-1])], priors=PRIORS)
+    assert "torques-not-explained" in {one.code for one in found.failures}
+
+
+def test_a_log_that_is_held_out_is_predicted_and_not_fitted() -> None:
+    late = log().part(slice(3000, None))
+    found = fit_torques(leg(), [log().part(slice(0, 3000))], priors=PRIORS, hold_out=[late])
+    alone = fit_torques(leg(), [log().part(slice(0, 3000))], priors=PRIORS, hold_out=0.0)
+    # It tells at which frequencies joints move, and nothing else.
+    off = (found.posterior.mean - alone.posterior.mean) / alone.posterior.std
+    assert np.abs(off).max() < 0.05
+    assert math.isnan(alone.held_out)
+    assert found.held_out < 2 * fitted().held_out
+
+
+def test_motion_is_smoothed_without_a_lag() -> None:
+    interval, rate = 0.004, 2 * np.pi * 1.5
+    time = interval * np.arange(5000)
+    random = np.random.default_rng(1)
+    position = np.sin(rate * time) + 1e-4 * random.normal(size=len(time))
+    band = find_band([(position, interval)])
+    assert 4 < band.cutoff < 20  # above the motion, and below what only noise is
+    assert 0.7 < band.density / (2 * interval * 1e-8) < 4  # with what is left of the motion
+    at = time[500:-500] + 0.3 * interval
+    found = smooth(position, interval, band.cutoff, at)
+    assert found.velocity == pytest.approx(rate * np.cos(rate * at), abs=0.01 * rate)
+    assert found.acceleration == pytest.approx(-(rate**2) * np.sin(rate * at), abs=0.02 * rate**2)
+    left = found.velocity - rate * np.cos(rate * at)
+    assert band.velocity_noise / 3 < left.std() < band.velocity_noise
+
+
+def test_nothing_is_put_between_what_is_far_apart() -> None:
+    rows = np.r_[0:2000, 2200:4000]
+    whole = log()
+    assert whole.torque is not None
+    gap = replace(whole, time=whole.time[rows], command=whole.command[rows],
+                  position=whole.position[rows], torque=whole.torque[rows])  # fmt: skip
+    measured = measure_torques([gap.of(leg())], [0.0], leg().home)
+    assert measured is not None
+    assert len(measured.runs) == 2
+    seconds = [run.seconds for run in measured.runs]
+    assert seconds == pytest.approx([8.0, 7.2], abs=1.0)
+    some = whole.position.copy()
+    some[100:102, 1] = np.nan  # two samples alone
+    measured = measure_torques([replace(whole, position=some).of(leg())], [0.0], leg().home)
+    assert measured is not None
+    assert len(measured.runs) == 1
+
+
+def test_joints_that_stand_still_say_nothing_of_friction() -> None:
+    measured = measure_torques([log().of(leg())], [0.0], leg().home)
+    assert measured is not None
+    (run,) = measured.runs
+    told = np.isfinite(run.torque)
+    one_way = (np.sign(run.velocity) == np.sign(run.velocity[:, :1])).all(axis=1)
+    assert (told <= one_way).all()
+    assert 0.6 < told.mean() < 1.0
+
+
+def test_logs_choose_how_they_are_fitted() -> None:
+    """Commands by simulation, torques alone by equations; of both by what is asked for."""
+    assert isinstance(fit(leg(), log(), priors=PRIORS), TorqueFit)
+    both = replace(log(4.0), command=log(4.0).position + 0.01)
+    assert isinstance(fit(leg(), both, priors=PRIORS, by="torque"), TorqueFit)
+    with pytest.raises(ConfigurationError):
+        fit(leg(), both, by="force")
+    with pytest.raises(ConfigurationError):
+        fit(leg(), both, by="torque", kp=3.0)
+
+
+@pytest.mark.longest
+def test_logs_of_both_are_fitted_by_their_commands() -> None:
+    both = replace(log(4.0), command=log(4.0).position + 0.01)
+    assert isinstance(fit(leg(), both, priors=PRIORS), MotionFit)
+
+
+def test_logs_without_torques_or_motion_are_refused() -> None:
+    commanded = replace(log(), command=log().position, torque=None)
+    with pytest.raises(MeasurementError) as refused:
+        fit_torques(leg(), [commanded])
+    assert refused.value.cause.code == "joint-without-torque"
+    with pytest.raises(MeasurementError) as refused:
+        fit_torques(leg(), [log().part(slice(0, 150))])
+    assert refused.value.cause.code == "nothing-to-fit"
+    still = replace(log(), position=np.zeros_like(log().position))
+    with pytest.raises(MeasurementError) as refused:
+        fit_torques(leg(), [still])
+    assert refused.value.cause.code == "log-without-motion"
