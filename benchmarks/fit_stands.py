@@ -1,58 +1,108 @@
 """How often 95 % intervals of a fit to stands hold the truth: robots with planted errors.
 
-    python benchmarks/fit_stands.py [--robot v3] [--seeds 20] [--simulated] [--uneven 0.0003]
+    python benchmarks/fit_stands.py [--robot v3 --robot go2.xml] [--seeds 20] [--simulated]
 
-The robot's masses, coms and zeros of encoders are drawn from the priors that the fit is told. Its
-stands are predicted by the equations of sag, which share none with the fit's, on ground that is
-uneven; or simulated in MuJoCo for 12 s. Encoders have 14 bits.
+What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
+zeros of encoders (1.5 deg, less of stiff servos), kp (15 %, half of it common), dry friction (30 %), the IMU's turn
+(1 deg), the ground's slope (0.2 deg). Twice these widths hold 95 %: masses and kp to 30 %, coms to
+20 mm, zeros to 3 deg. Its stands are predicted by the equations of sag, which share none with the
+fit's, on ground that is uneven; or simulated in MuJoCo. Encoders have 12 bits and shake, an IMU and
+a scale are read, both with noise. Seeds are of a robot's own: runs are the same each time.
+
+``--slope`` and ``--soft`` are of the ground, and nobody tells the fit.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
+import json
 import math
+import sys
 import time
-from dataclasses import replace
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
 import pupper_analysis as pa
 from pupper_analysis.identification.links import bodies_of
+from pupper_analysis.identification.result import StandFit
 from pupper_analysis.identification.stand_fit import fit_stands
 from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, servo_gains
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
-from pupper_analysis.stance.sag.steady_state import follow_to_end
+from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
 from pupper_analysis.study.parameters import scale_robot
 
-STEP = 2 * math.pi / 2**14
-MASS, COM = 0.2, 0.01
-PRIORS = ("kp=0", "mass=20%", "com=10mm")
+MASS, COM, OFFSET, KP, FRICTION = 0.15, 0.01, math.radians(1.5), 0.15, 0.3
+IMU, SLOPE = math.radians(1.0), math.radians(0.2)
+PRIORS = ("mass=15%", "com=10mm", "kp=15%")
+STIFF = 0.05
+"""Of the weight times the height: torque of a servo by its zero's error, on average. With more of it
+a robot that is put on its feet slides, or lifts one: so stiff a robot is known to be off."""
+
+SHAKES, TILT, SCALE = 5e-4, math.radians(0.2), 0.002
+"""Of encoders (rad), of the IMU (rad), of a scale (of the weight)."""
+
+MOBILISED, SPREAD, FAST = 0.9, 0.3, 0.2
+"""Of dry friction, on average: how much of it holds a joint that came slowly from a known side, if it
+moved as fast as that, in parts of the fastest. (Simulated with friction that does not creep.)"""
+
 LEAST = 5
+KINDS = ("mass", "com", "offset", "kp", "friction", "slope", "imu")
 
 
 Commanded = tuple[Stand, np.ndarray]
 
 
+@dataclass(frozen=True, eq=False)
+class Planted:
+    """A robot with errors.
+
+    Attributes:
+        stated: The robot as its files have it.
+        robot: With true masses, coms, dry friction, and gravity on the slope.
+        kp: (nu,) true (N m/rad).
+        offsets: (nu,) true (rad).
+        imu: (2,) true (rad).
+        truth: What is true by the estimates' names.
+    """
+
+    stated: Robot
+    robot: Robot
+    kp: np.ndarray
+    offsets: np.ndarray
+    imu: np.ndarray
+    truth: dict[str, float]
+
+
 def random_stands(robot: Robot, rng: np.random.Generator, count: int) -> list[Commanded]:
     """Returns stands, and what servos are commanded to hold them, as far as the file is right."""
     found: list[Commanded] = []
-    size = robot.stand_height
-    while len(found) < count:
-        lifted = {rng.choice(list(robot.feet)): 0.1 * size} if rng.random() < 0.33 else {}
+    size, many, tried = robot.stand_height, len(robot.feet) > 3, 0
+    while len(found) < count and tried < 40 * count:
+        tried += 1
+        lifted = {rng.choice(list(robot.feet)): 0.1 * size} if many and rng.random() < 0.33 else {}
+        turns, steps = (0.25, 0.15) if many else (0.1, 0.05)
         task = pa.StandTask(
-            height=size * rng.uniform(0.75, 1.1),
-            roll=rng.uniform(-0.25, 0.25),
-            pitch=rng.uniform(-0.25, 0.25),
+            height=size * rng.uniform(0.75 if many else 0.85, 1.1 if many else 1.0),
+            roll=rng.uniform(-turns, turns),
+            pitch=rng.uniform(-turns, turns),
             swing=lifted,
-            foot_offsets={f: tuple(rng.uniform(-0.15, 0.15, 2) * size) for f in robot.feet},
+            foot_offsets={f: tuple(rng.uniform(-steps, steps, 2) * size) for f in robot.feet},
             com="inside",
-            com_margin=(0.03 if lifted else 0.05) * size,
+            com_margin=(0.03 if lifted or not many else 0.05) * size,
         )
         try:
             stand = pa.solve_stand(robot, task)
@@ -63,126 +113,238 @@ def random_stands(robot: Robot, rng: np.random.Generator, count: int) -> list[Co
     return found
 
 
-def plant(
-    robot: Robot, rng: np.random.Generator, offset: float = math.radians(2.0)
-) -> tuple[Robot, dict[str, float], np.ndarray]:
-    """Returns the robot with errors, what is true by the estimates' names, and offsets."""
-    factors, truth = {}, {}
+def offset_of(robot: Robot) -> float:
+    """Returns the standard deviation of encoders' zeros (rad)."""
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    return min(OFFSET, STIFF * weight * robot.stand_height / float(servo_gains(robot).kp.mean()))
+
+
+def plant(robot: Robot, rng: np.random.Generator, slope: float) -> Planted:
+    """Returns a robot with errors, on a slope beyond what is drawn (rad)."""
+    factors, truth, names = {}, {}, robot.joint_names
     for link, number in bodies_of(robot):
         body = robot.structure.model.inertias[number]
         factor, moved = max(0.3, 1 + MASS * rng.normal()), COM * rng.normal(size=3)
         factors[f"mass:{link}"], truth[f"mass {link}"] = factor, body.mass * factor
         for axis, stated, off in zip("xyz", body.lever, moved, strict=True):
             factors[f"com_{axis}:{link}"], truth[f"com.{axis} {link}"] = off, stated + off
-    offsets = offset * rng.normal(size=robot.nu)
-    truth |= {f"offset {n}": float(o) for n, o in zip(robot.joint_names, offsets, strict=True)}
-    return replace(scale_robot(robot, factors), fingerprint=robot.fingerprint), truth, offsets
+    common, own = rng.normal(), rng.normal(size=robot.nu)
+    stiffness = servo_gains(robot).kp * (1 + KP * math.sqrt(0.5) * (common + own))
+    rubbing, rubs = DryFriction.of(robot).joints, 1 + FRICTION * rng.normal(size=robot.nu)
+    rubs = np.maximum(0.1, rubs)
+    factors |= {
+        f"frictionloss:{name}": float(one)
+        for name, one, has in zip(names, rubs, rubbing, strict=True)
+        if has
+    }
+    offsets, imu = offset_of(robot) * rng.normal(size=robot.nu), IMU * rng.normal(size=2)
+    tilt, way = SLOPE * rng.normal(size=2), rng.uniform(0, 2 * math.pi)
+    tilt += slope * np.array([math.cos(way), math.sin(way)])
+    for kind, values in (("kp", stiffness), ("friction", rubbing * rubs), ("offset", offsets)):
+        truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
+    truth |= {f"slope.{axis} floor": float(one) for axis, one in zip("xy", tilt, strict=True)}
+    truth |= {f"imu.{n} imu": float(one) for n, one in zip(("roll", "pitch"), imu, strict=True)}
+    true = scale_robot(robot, factors)
+    size, models = float(np.linalg.norm(robot.gravity)), (true.pin_model.copy(), true.mj_model)
+    down = size * np.array([*tilt, -math.sqrt(1 - tilt @ tilt)])
+    models[0].gravity.linear, models[1].opt.gravity[:] = down, down
+    true = replace(true, pin_model=models[0], fingerprint=robot.fingerprint)
+    return Planted(robot, true, stiffness, offsets, imu, truth)
+
+
+def held_back(
+    robot: Robot, stand: Stand, side: str, rng: np.random.Generator, otherwise: np.ndarray
+) -> np.ndarray:
+    """Returns shares (nu,) of dry friction where a robot came to a stand from a side."""
+    higher = replace(stand.task, height=1.01 * stand.task.height)
+    try:
+        moved = pa.solve_stand(robot, higher).qpos[7:] - stand.qpos[7:]
+    except pa.PupperAnalysisError:
+        return otherwise
+    share = np.clip(MOBILISED + SPREAD * rng.normal(size=robot.nu), -1, 1) * np.sign(moved)
+    fast = np.abs(moved) > FAST * np.abs(moved).max()
+    return np.where(fast, share if side == "above" else -share, otherwise)
 
 
 def predict(
-    true: Robot, commanded: Commanded, offsets: np.ndarray, rng: np.random.Generator, uneven: float
+    planted: Planted,
+    commanded: Commanded,
+    side: str,
+    rng: np.random.Generator,
+    uneven: float,
+    soft: float,
 ) -> np.ndarray | None:
-    """Returns where joints come to rest: dry friction anywhere in its band, steps under feet."""
-    (stand, command), kp = commanded, servo_gains(true).kp
-    rubbing = true.mj_model.dof_frictionloss[true.mj_convention.qvel_index[6:]]
+    """Returns qpos at rest: dry friction anywhere in its band, or of a side; steps under feet."""
+    (stand, command), true, kp = commanded, planted.robot, planted.kp
+    rubbing, share = DryFriction.of(true).joints, rng.uniform(-1, 1, true.nu)
+    if side:
+        share = held_back(planted.stated, stand, side, rng, share)
     heights = {foot: float(rng.normal(0, uneven)) for foot in true.feet}
     on_steps = replace(stand, task=replace(stand.task, ground=Ground(heights=heights)))
-    end = command - offsets + rng.uniform(-1, 1, true.nu) * rubbing / kp
+    end = command - planted.offsets + share * rubbing / kp
     try:
-        way = HomotopyPath(SagEquilibrium(true, on_steps, kp, "pinned"), end)
-        pose = follow_to_end(way, feedforward=False)
+        system = SagEquilibrium(true, on_steps, kp, "pinned")
+        system.laws = {
+            foot: replace(law, stiffness=law.stiffness / soft) for foot, law in system.laws.items()
+        }
+        way = HomotopyPath(system, end)
+        way.follow(1.0)
+        pose = describe_pose(way, release_margin(way))
     except pa.PupperAnalysisError:
         return None
     same = set(pose.stance_feet) == set(stand.stance_feet)
-    return pose.qpos[7:] if same and not pose.failures else None
+    return pose.qpos if same and not pose.failures else None
 
 
 def simulate(
-    true: Robot, commanded: Commanded, offsets: np.ndarray, seconds: float
+    planted: Planted, commanded: Commanded, seconds: float, soft: float
 ) -> np.ndarray | None:
-    """Returns where joints are after some seconds in MuJoCo, if the feet stand as they should."""
-    (stand, command), drive = commanded, model_with_servos(true)
-    model, where = drive.model, true.mj_convention.qpos_index
+    """Returns qpos after some seconds in MuJoCo, if the feet stand as they should."""
+    (stand, command), true = commanded, planted.robot
+    drive = model_with_servos(true, planted.kp, servo_gains(true).kd)
+    model, where = copy.copy(drive.model), true.mj_convention.qpos_index
+    stiff = model.geom_solref[:, 0] > 0
+    model.geom_solref[:, 0] *= np.where(stiff, math.sqrt(soft), 1 / soft)
     data = mujoco.MjData(model)
     data.qpos[where] = stand.qpos
-    data.ctrl[:] = drive.command(true, command - offsets)
+    data.ctrl[:] = drive.command(true, command - planted.offsets)
     for _ in range(int(seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
     touching = {
         true.foot_geoms.get(int(geom)) for contact in data.contact for geom in contact.geom
     } - {None}
-    at_limit = (data.qpos[where][7:] > true.upper_limits - 1e-3).any() or (
-        data.qpos[where][7:] < true.lower_limits + 1e-3
-    ).any()
-    alike = touching == set(stand.stance_feet) and data.ncon == len(touching)
-    return data.qpos[where][7:].copy() if alike and not at_limit else None
+    qpos = data.qpos[where].copy()
+    at_limit = (qpos[7:] > true.upper_limits - 1e-3) | (qpos[7:] < true.lower_limits + 1e-3)
+    points = sum(len(points) for foot, points in true.feet.items() if foot in touching)
+    alike = touching == set(stand.stance_feet) and data.ncon == points
+    still = np.abs(data.qvel).max() < 0.05
+    return qpos if alike and still and not at_limit.any() else None
 
 
-def measure(robot: Robot, rows: list[tuple[Commanded, np.ndarray]]) -> MeasuredStands:
-    blank = np.full((len(rows), robot.nu), np.nan)
+def measure(
+    planted: Planted,
+    rows: list[tuple[Commanded, str, np.ndarray]],
+    bits: int,
+    rng: np.random.Generator,
+) -> MeasuredStands:
+    """Returns what encoders and an IMU read of stands (qpos)."""
+    robot = planted.robot
+    step, shape = 2 * math.pi / 2**bits, (len(rows), robot.nu)
+    read = np.array([qpos[7:] for *_, qpos in rows]) + planted.offsets
+    read += SHAKES * rng.normal(size=shape)
+    up = -robot.gravity / np.linalg.norm(robot.gravity)
+    ups = [Configuration(robot, qpos).base_rotation().T @ up for *_, qpos in rows]
+    tilt = np.array([[math.atan2(y, z), -math.asin(x)] for x, y, z in ups]) + planted.imu
     return MeasuredStands(
         source="planted",
         names=tuple(str(row) for row in range(len(rows))),
         joints=robot.joint_names,
-        command=np.array([command for (_, command), _ in rows]),
-        position=np.array([np.round(read / STEP) * STEP for _, read in rows]),
-        torque=blank,
+        command=np.array([command for (_, command), *_ in rows]),
+        position=np.round(read / step) * step,
+        torque=np.full(shape, np.nan),
         force={},
-        tilt=np.full((len(rows), 2), np.nan),
-        swing=tuple(tuple(stand.task.swing) for (stand, _), _ in rows),
-        approach=("",) * len(rows),
+        tilt=tilt + TILT * rng.normal(size=tilt.shape),
+        swing=tuple(tuple(stand.task.swing) for (stand, _), *_ in rows),
+        approach=tuple(side for _, side, _ in rows),
     )
+
+
+def fits(
+    robot: Robot, given: argparse.Namespace
+) -> Iterator[tuple[int, Planted, StandFit | None, float]]:
+    """Yields seed, what is true, the fit (None: none, or too few stands), and seconds."""
+    pool = random_stands(robot, np.random.default_rng(0), 3 * given.stands)
+    rubs = bool(DryFriction.of(robot).joints.any())
+    for seed in range(given.first, given.first + given.seeds):
+        rng = np.random.default_rng([seed, zlib.crc32(robot.name.encode()), given.simulated])
+        planted = plant(robot, rng, math.radians(given.slope))
+        rows: list[tuple[Commanded, str, np.ndarray]] = []
+        for number in rng.permutation(len(pool)):
+            side = ("above", "below")[len(rows) % 2] if given.sides and rubs else ""
+            if given.simulated:
+                found = simulate(planted, pool[number], given.seconds, given.soft)
+            else:
+                found = predict(planted, pool[number], side, rng, given.uneven, given.soft)
+            if found is not None:
+                rows.append((pool[number], side, found))
+            if len(rows) == given.stands:
+                break
+        if len(rows) < LEAST:  # with these errors its feet slide, or it falls
+            yield seed, planted, None, 0.0
+            continue
+        stands = measure(planted, rows, given.bits, rng)
+        priors = (*PRIORS, f"offset={offset_of(robot)}rad")
+        priors += ("friction=30%",) if given.sides and rubs else ()
+        weight = planted.robot.total_mass * (1 + SCALE * rng.normal())
+        encoder = math.hypot(2 * math.pi / 2**given.bits / math.sqrt(12), SHAKES)
+        kp, begun = servo_gains(robot).kp, time.process_time()
+        try:
+            fit = fit_stands(robot, stands, priors=priors, weight=weight, kp=kp, encoder=encoder)
+        except pa.PupperAnalysisError as error:
+            print(f"{robot.name}, seed {seed}: {error}", file=sys.stderr)
+            yield seed, planted, None, 0.0
+            continue
+        yield seed, planted, fit, time.process_time() - begun
+
+
+def row_of(name: str, robot: Robot, given: argparse.Namespace) -> str:
+    """Returns a row of the table; writes what is found of each seed to a file, if one is named."""
+    held: dict[str, list[bool]] = {}
+    took, codes, failed = [], [], 0
+    for seed, planted, fit, seconds in fits(robot, given):
+        if fit is None:
+            failed += 1
+            continue
+        took.append(seconds)
+        codes.append([one.code for one in fit.failures])
+        truth = planted.truth | {"mass": planted.robot.total_mass}
+        whole = replace(fit.total_mass, name="mass")
+        rows = {}
+        for one in (whole, *fit.estimates):
+            if one.name not in truth:
+                continue
+            rows[one.name] = ((one.mean - truth[one.name]) / one.std, one.told.value)
+            inside = one.low <= truth[one.name] <= one.high
+            for key in ("all", one.told.value, "total" if one is whole else one.kind):
+                held.setdefault(key, []).append(inside)
+        if given.log:
+            line = {"robot": name, "seed": seed, "failures": codes[-1], "z": rows}
+            line |= {"noise": dict(fit.noise), "chi2": [fit.chi2, fit.freedom]}
+            with given.log.open("a") as file:
+                file.write(json.dumps(line) + "\n")
+    shares = [
+        f"{100 * np.mean(held[key]):.1f} ({len(held[key])})" if key in held else ""
+        for key in ("all", "data", "total", *KINDS)
+    ]
+    unexplained: dict[str, int] = {}
+    for code in (code for one in codes for code in set(one)):
+        unexplained[code] = unexplained.get(code, 0) + 1
+    said = ", ".join(f"{code} {count}" for code, count in sorted(unexplained.items()))
+    explained = sum(not one for one in codes)
+    cells = [name, f"{len(took)} ({failed} were not fitted)", str(explained), *shares, said]
+    return f"| {' | '.join(cells)} | {np.mean(took) if took else math.nan:.1f} |"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--robot", default="v3", help="a variant, or a file")
+    parser.add_argument("--robot", action="append", help="a variant, or a file; may be repeated")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--stands", type=int, default=25)
     parser.add_argument("--simulated", action="store_true", help="in MuJoCo, not predicted")
+    parser.add_argument("--seconds", type=float, default=12.0, help="that MuJoCo simulates")
+    parser.add_argument("--sides", action="store_true", help="come from above and from below")
     parser.add_argument("--uneven", type=float, default=3e-4, help="of the ground (m)")
-    parser.add_argument("--offset", type=float, default=2.0, help="of encoders (deg): stiff servos")
+    parser.add_argument("--bits", type=int, default=12, help="of encoders")
+    parser.add_argument("--slope", type=float, default=0.0, help="that nobody mentioned (deg)")
+    parser.add_argument("--soft", type=float, default=1.0, help="times as deep as feet should sink")
+    parser.add_argument("--log", type=Path, help="a file for what is found of each seed")
     given = parser.parse_args()
-    known = given.robot in pa.VARIANTS
-    robot = pa.load_variant(given.robot) if known else pa.load_robot(given.robot)
-    pool = random_stands(robot, np.random.default_rng(0), 3 * given.stands)
-    held: dict[str, list[bool]] = {}
-    explained, seconds, fits = 0, 0.0, 0
-    for seed in range(given.seeds):
-        rng = np.random.default_rng(1000 + seed)
-        true, truth, offsets = plant(robot, rng, math.radians(given.offset))
-        rows = []
-        for number in rng.permutation(len(pool)):
-            stand = pool[number]
-            if given.simulated:
-                found = simulate(true, stand, offsets, 12.0)
-            else:
-                found = predict(true, stand, offsets, rng, given.uneven)
-            if found is not None:
-                rows.append((stand, found + offsets))
-            if len(rows) == given.stands:
-                break
-        if len(rows) < LEAST:  # with these errors its feet slide, or it falls
-            continue
-        begun = time.process_time()
-        fit = fit_stands(robot, measure(robot, rows), priors=(*PRIORS, f"offset={given.offset}deg"))
-        seconds, fits = seconds + time.process_time() - begun, fits + 1
-        explained += fit.explained
-        whole = fit.total_mass
-        held.setdefault("total mass", []).append(whole.low <= true.total_mass <= whole.high)
-        for one in fit.estimates:
-            if one.name in truth:
-                inside = one.low <= truth[one.name] <= one.high
-                for key in ("all", f"{one.kind}, told by {one.told.value}"):
-                    held.setdefault(key, []).append(inside)
-    if not fits:
-        raise SystemExit(f"{robot.name}: with such errors it takes no stand as it is told to")
-    print(
-        f"{robot.name}: {fits} fits of up to {given.stands} stands, {explained} explained, ", end=""
-    )
-    print(f"{seconds / fits:.1f} s of processor each")
-    for key, inside in sorted(held.items()):
-        print(f"  {key:28s} {100 * np.mean(inside):5.1f} % of {len(inside)} intervals hold it")
+    heads = ("robot", "fits", "explained", "all %", "told by data", "total mass", *KINDS)
+    print(f"| {' | '.join(heads)} | not explained | s |\n|{'---|' * (len(heads) + 2)}")
+    for one in given.robot or ["v3"]:
+        robot = pa.load_variant(one) if one in pa.VARIANTS else pa.load_robot(one)
+        print(row_of(Path(one).stem, robot, given), flush=True)
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def find_noise(
 
     def unlikely(levels: Array) -> float:
         equations.noise = at(levels)
-        evidence = (equations.linearise(x, x) + more(x)).evidence(table, x)
+        evidence = (equations.linearise(x, x, 1) + more(x)).evidence(table, x)
         return float(levels @ levels) / (2 * _SPREAD**2) - evidence
 
     simplex = [[0.0, 0.0], [-1.0, 0.0], [0.0, -1.0]]

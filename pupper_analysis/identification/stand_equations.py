@@ -23,11 +23,20 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_WITHIN = 1e-9
-"""Of the largest singular value: forces within a rigid sole, which nothing shows."""
+_SHOWS = 1.0
+"""Standard deviations that the robot's weight makes: forces that show less are within a sole."""
 
 _LOOKS = 2
 """Steps of a stand's own unknowns for each of the parameters': equations are linear in forces."""
+
+_HARDLY_MOVES = 0.2
+"""Of the fastest joint's: a joint that moves no faster may have come from either side. Of v3, which
+is let down slowly in MuJoCo, on friction that does not creep, joints between 0.05 and 0.2 have 0.4
+of their friction on the side that this says, with a standard deviation of 0.8."""
+
+_MOBILISED = 0.9
+"""Of dry friction: how much of it holds a joint that came slowly from a known side, on average: 0.94
+and 0.88 of v3 with its own kp and with four times that, 0.8 of Go2."""
 
 
 class StandEquations:
@@ -51,6 +60,10 @@ class StandEquations:
         kp: (nu,) stated stiffness of the servos (N m/rad); 0 without a servo.
         friction: (nu,) stated dry friction of the joints (N m).
         noise: Of the measurements; may be set to another.
+
+    Attributes:
+        stiff: (nu,) kp by which an encoder's noise becomes torque; may be set to another. If it
+            followed the parameters from step to step, steps would go where noise is large.
     """
 
     def __init__(
@@ -63,37 +76,45 @@ class StandEquations:
         noise: StandNoise,
     ) -> None:
         self.robot, self.table, self.noise = robot, table, noise
-        self._kp, self._friction = kp, friction
+        self._kp, self._friction, self.stiff = kp, friction, kp
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
-        self._readings = list(_readings(robot, stands))
-        self._own = [self._begin(reading) for reading in self._readings]
+        readings = list(_readings(robot, stands))
+        self._own = [self._begin(reading) for reading in readings]
+        self._readings = [
+            replace(reading, sides=self._sides(reading, base, approach))
+            for reading, (base, _), approach in zip(
+                readings, self._own, stands.approach, strict=True
+            )
+        ]
 
-    def linearise(self, x: Array, about: Array) -> Linearised:
+    def linearise(self, x: Array, about: Array, looks: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of all stands; see ``estimate_parameters``.
 
-        Where they are only tried (x is not ``about``), stands' own unknowns stay as they are.
+        Where they are only tried (x is not ``about``), stands' own unknowns stay as they are. Where
+        these are known for about these parameters, one look is enough.
         """
-        numbers, total, had = self._numbers(x, about), Linearised.nothing(len(x)), list(self._own)
+        numbers, total, had = self._numbers(x), Linearised.nothing(len(x)), list(self._own)
         try:
             for stand in range(len(self._readings)):
-                total += self.stand(stand, numbers)
+                total += self.stand(stand, numbers, looks)
         except np.linalg.LinAlgError:  # far from anything that stands
             total = replace(total, chi2=math.inf)
         if x is not about:
             self._own = had
         return total
 
-    def stand(self, stand: int, numbers: Numbers) -> Linearised:
+    def stand(self, stand: int, numbers: Numbers, looks: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
-        for _ in range(_LOOKS):
+        least = _SHOWS / (self.robot.total_mass * float(np.linalg.norm(self.robot.gravity)))
+        for _ in range(looks):
             residual, by_x, by_own, log_noise = self._look(stand, numbers).rows.whiten(
                 self.noise.encoder
             )
             left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
-            rank = int(np.count_nonzero(lengths > _WITHIN * lengths.max()))
+            rank = int(np.count_nonzero(lengths > least))
             step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
             self._move(stand, step)
         rest = left[:, rank:].T
@@ -115,7 +136,7 @@ class StandEquations:
             self._regressor,
         )
 
-    def _numbers(self, x: Array, about: Array) -> Numbers:
+    def _numbers(self, x: Array) -> Numbers:
         robot, table = self.robot, self.table
         model, bodies = robot.pin_model.copy(), []
         for link, number, stated in self._bodies:
@@ -142,8 +163,8 @@ class StandEquations:
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
-            stiff=self._per_joint(about, "kp", self._kp),
-            rubbing=self._per_joint(about, "friction", self._friction),
+            stiff=self.stiff,
+            rubbing=self._friction,  # as stated: where little is estimated, torques were sure
         )
 
     def _per_joint(self, x: Array, kind: str, stated: Array) -> Array:
@@ -172,9 +193,26 @@ class StandEquations:
         forces[:, 2] = robot.total_mass * float(np.linalg.norm(robot.gravity)) / len(points)
         return np.array([turn.w, turn.x, turn.y, turn.z, height]), forces
 
+    def _sides(self, reading: Reading, base: Array, approach: str) -> Array:
+        """Returns how much of its dry friction holds each joint (nu,), on average.
+
+        Against the motion that brought the base to where it is, on feet that stay. It is taken
+        where encoders have it: joints that change sides from step to step would let no fit end.
+        """
+        robot = self.robot
+        if not approach:
+            return np.zeros(robot.nu)
+        qpos = robot.posed(reading.position)
+        qpos[2], qpos[3:7] = base[4], base[:4]
+        rates = Configuration(robot, qpos).foot_twists(reading.points)[:, :3].reshape(-1, robot.nv)
+        motion, *_ = np.linalg.lstsq(rates[:, 6:], rates[:, 2])  # base down: J_j v = J_z
+        fast = np.abs(motion) > _HARDLY_MOVES * np.abs(motion).max(initial=0.0)
+        against = np.where(fast, -_MOBILISED * np.sign(motion), 0.0)
+        return against if approach == "above" else -against
+
     def informations(self, x: Array) -> list[Array]:
         """Returns what each stand tells (n, n), where the priors' widths are the units."""
-        numbers, width = self._numbers(x, x), self.table.width
+        numbers, width = self._numbers(x), self.table.width
         found = [self.stand(stand, numbers).information for stand in range(len(self._readings))]
         return [width[:, None] * one * width for one in found]
 
@@ -189,7 +227,7 @@ class StandEquations:
 
     def residuals(self, x: Array) -> list[float]:
         """Returns the root mean square of each stand's whitened residuals."""
-        numbers, found = self._numbers(x, x), []
+        numbers, found = self._numbers(x), []
         for stand in range(len(self._readings)):
             left = self.stand(stand, numbers)
             found.append(math.sqrt(left.chi2 / max(left.rows, 1)))
@@ -220,7 +258,7 @@ class StandEquations:
 
     def further_readings(self, x: Array) -> dict[str, list[Reading]]:
         """Returns what else could be read of the stands, as it should be: {what: readings}."""
-        numbers, robot = self._numbers(x, x), self.robot
+        numbers, robot = self._numbers(x), self.robot
         torques, forces, tilts = [], [], []
         for stand, one in enumerate(self._readings):
             torque = numbers.kp * np.nan_to_num(one.command - one.position)
@@ -262,5 +300,5 @@ def _readings(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
                 if foot not in stands.swing[row]
                 for point in points
             ),
-            approach=stands.approach[row],
+            sides=np.zeros(robot.nu),
         )

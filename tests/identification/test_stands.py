@@ -117,9 +117,9 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
 
     def residual(x: Array) -> Array:
         system._own[0] = own
-        return system._look(0, system._numbers(x, truth)).rows.whiten(1e-4)[0]
+        return system._look(0, system._numbers(x)).rows.whiten(1e-4)[0]
 
-    by_x = system._look(0, system._numbers(truth, truth)).rows.whiten(1e-4)[1]
+    by_x = system._look(0, system._numbers(truth)).rows.whiten(1e-4)[1]
     for place in range(len(table)):
         step = np.zeros(len(table))
         step[place] = 1e-6
