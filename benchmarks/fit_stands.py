@@ -3,11 +3,12 @@
     python benchmarks/fit_stands.py [--robot v3 --robot go2.xml] [--seeds 20] [--simulated]
 
 What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
-zeros of encoders (1.5 deg, less of stiff servos), kp (15 %, half of it common), dry friction (30 %), the IMU's turn
-(1 deg), the ground's slope (0.2 deg). Twice these widths hold 95 %: masses and kp to 30 %, coms to
-20 mm, zeros to 3 deg. Its stands are predicted by the equations of sag, which share none with the
-fit's, on ground that is uneven; or simulated in MuJoCo. Encoders have 12 bits and shake, an IMU and
-a scale are read, both with noise. Seeds are of a robot's own: runs are the same each time.
+zeros of encoders (1.5 deg, less of stiff servos), kp (15 %, half of it common), dry friction
+(30 %), the IMU's turn (1 deg), the ground's slope (0.2 deg). Twice these widths hold 95 %: masses
+and kp to 30 %, coms to 20 mm, zeros to 3 deg. Its stands are predicted by the equations of sag,
+which share none with the fit's, on ground that is uneven; or simulated in MuJoCo. Encoders have 12
+bits and shake, an IMU and a scale are read, both with noise. Seeds are of a robot's own: runs are
+the same each time.
 
 ``--slope`` and ``--soft`` are of the ground, and nobody tells the fit.
 """
@@ -27,7 +28,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 
 import pupper_analysis as pa
 from pupper_analysis.identification.links import bodies_of
@@ -49,15 +49,15 @@ MASS, COM, OFFSET, KP, FRICTION = 0.15, 0.01, math.radians(1.5), 0.15, 0.3
 IMU, SLOPE = math.radians(1.0), math.radians(0.2)
 PRIORS = ("mass=15%", "com=10mm", "kp=15%")
 STIFF = 0.05
-"""Of the weight times the height: torque of a servo by its zero's error, on average. With more of it
-a robot that is put on its feet slides, or lifts one: so stiff a robot is known to be off."""
+"""Of the weight times the height: torque of a servo by its zero's error, on average. With more
+of it a robot that is put on its feet slides, or lifts one: so stiff a robot is known to be off."""
 
 SHAKES, TILT, SCALE = 5e-4, math.radians(0.2), 0.002
 """Of encoders (rad), of the IMU (rad), of a scale (of the weight)."""
 
 MOBILISED, SPREAD, FAST = 0.9, 0.3, 0.2
-"""Of dry friction, on average: how much of it holds a joint that came slowly from a known side, if it
-moved as fast as that, in parts of the fastest. (Simulated with friction that does not creep.)"""
+"""Of dry friction, on average: how much of it holds a joint that came slowly from a known side, if
+it moved as fast as that, in parts of the fastest. (Simulated with friction that does not creep.)"""
 
 LEAST = 5
 KINDS = ("mass", "com", "offset", "kp", "friction", "slope", "imu")

@@ -35,8 +35,8 @@ is let down slowly in MuJoCo, on friction that does not creep, joints between 0.
 of their friction on the side that this says, with a standard deviation of 0.8."""
 
 _MOBILISED = 0.9
-"""Of dry friction: how much of it holds a joint that came slowly from a known side, on average: 0.94
-and 0.88 of v3 with its own kp and with four times that, 0.8 of Go2."""
+"""Of dry friction: how much of it holds a joint that came slowly from a known side, on average:
+0.94 and 0.88 of v3 with its own kp and with four times that, 0.8 of Go2."""
 
 
 class StandEquations:
@@ -60,10 +60,6 @@ class StandEquations:
         kp: (nu,) stated stiffness of the servos (N m/rad); 0 without a servo.
         friction: (nu,) stated dry friction of the joints (N m).
         noise: Of the measurements; may be set to another.
-
-    Attributes:
-        stiff: (nu,) kp by which an encoder's noise becomes torque; may be set to another. If it
-            followed the parameters from step to step, steps would go where noise is large.
     """
 
     def __init__(
@@ -76,7 +72,7 @@ class StandEquations:
         noise: StandNoise,
     ) -> None:
         self.robot, self.table, self.noise = robot, table, noise
-        self._kp, self._friction, self.stiff = kp, friction, kp
+        self._kp, self._friction, self._stiff = kp, friction, kp
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
@@ -105,6 +101,13 @@ class StandEquations:
         if x is not about:
             self._own = had
         return total
+
+    def weigh_at(self, x: Array) -> None:
+        """Takes the kp by which encoders' noise becomes torque, the stated ones before, from x.
+
+        If it followed the parameters from step to step, steps would go where noise is large.
+        """
+        self._stiff = self._per_joint(x, "kp", self._kp)
 
     def stand(self, stand: int, numbers: Numbers, looks: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
@@ -163,7 +166,7 @@ class StandEquations:
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
-            stiff=self.stiff,
+            stiff=self._stiff,
             rubbing=self._friction,  # as stated: where little is estimated, torques were sure
         )
 
@@ -238,7 +241,7 @@ class StandEquations:
 
         (m, nu) each (rad), the second as standard deviations; NaN of joints without a command.
         """
-        numbers, nu = self._numbers(x, x), self.robot.nu
+        numbers, nu = self._numbers(x), self.robot.nu
         off, noise = np.full((2, len(self._readings), nu), np.nan)
         for stand, reading in enumerate(self._readings):
             left, deviation = self._look(stand, numbers).rows.left(

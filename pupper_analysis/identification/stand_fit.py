@@ -123,12 +123,7 @@ def _estimate(
     except FitError:
         _check_forces(robot, stands, equations)  # which may tell why
         raise
-    equations.stiff = np.array(
-        [
-            table.value(posterior.mean, "kp", name, "", own)
-            for name, own in zip(robot.joint_names, stiffness, strict=True)
-        ]
-    )
+    equations.weigh_at(posterior.mean)
     equations.noise = find_noise(equations, table, posterior.mean, weighed)
     posterior = estimate_parameters(table, linearise, posterior.mean)
     _check_forces(robot, stands, equations)
