@@ -84,7 +84,6 @@ def fit_torques(
     known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     if robot.floating:
         robot = build_robot(robot.description, fixed_base=True)
-    robot.check_tree("fit")
     share = hold_out if isinstance(hold_out, int | float) else 0.0
     others = () if isinstance(hold_out, int | float) else tuple(hold_out)
     whole = (*logs, *others)
@@ -93,6 +92,7 @@ def fit_torques(
         for at, name in enumerate(log.joints):
             if log.torque is None or not np.isfinite(log.torque[:, at]).any():
                 raise MeasurementError(log.source, diagnose("joint-without-torque", joint=name))
+        _check_free(robot, log)
     shares = [*(share for _ in logs), *(1.0 for _ in others)]
     measured = measure_torques([log.of(robot) for log in whole], shares, robot.home)
     told = () if measured is None else tuple(measured.bands)
@@ -103,6 +103,19 @@ def fit_torques(
     table = _parameters(torques, known)
     posterior = torques.fit(table)
     return _told(torques, logs, qualities, table, posterior)
+
+
+def _check_free(robot: Robot, log: Log) -> None:
+    """Checks that what is told moves by itself: fingers that are coupled rest as they are.
+
+    Raises:
+        ConfigurationError: If a loop or a coupling binds a joint of the log.
+    """
+    closure = robot.closure
+    if closure is not None:
+        bound = {robot.joint_names[joint] for joint in (*closure.leading, *closure.following)}
+        if not bound.isdisjoint(log.joints):
+            robot.check_tree("fit")
 
 
 def _counted(measured: MeasuredTorques, joints: Iterable[int], *, held_out: bool) -> list[bool]:
