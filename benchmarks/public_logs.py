@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import FitError
 from pupper_analysis.identification.fit import fit
-from pupper_analysis.identification.log import Log, read_log
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.log_files import read_log
 from pupper_analysis.identification.motion_result import MotionFit
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.result import Fit

@@ -100,7 +100,7 @@ from .errors import (
     VariantError as VariantError,
 )
 from .identification.fit import fit as fit
-from .identification.log import read_log as read_log
+from .identification.log_files import read_log as read_log
 from .identification.stands import read_stands as read_stands
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study

@@ -24,6 +24,9 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pupper_analysis.identification.log import Log
     from pupper_analysis.identification.plan import StandPlan
     from pupper_analysis.identification.result import Fit
     from pupper_analysis.pupper.variants import VariantSpec
@@ -41,7 +44,21 @@ if TYPE_CHECKING:
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="CSV or npz of motions, the base held: time, commands, positions. Repeatable.",
+    help="CSV, npz, MCAP or ROS bag of motions, the base held: time, positions, commands or "
+    "torques. Repeatable.",
+)
+@click.option(
+    "--topic",
+    "topics",
+    multiple=True,
+    metavar="ROLE=TOPIC",
+    help="Which topic of a bag tells the state or the command, where several do; e.g. "
+    "state=/joint_states. Repeatable.",
+)
+@click.option(
+    "--joints",
+    metavar="NAME,...",
+    help="Joints of a bag's messages that name none, in their order.",
 )
 @click.option(
     "--hold-out",
@@ -101,6 +118,8 @@ def fit(
     logs: tuple[Path, ...],
     hold_out: float,
     by: str | None,
+    topics: tuple[str, ...],
+    joints: str | None,
     count: int | None,
     degrees: bool,
     both_sides: bool,
@@ -151,7 +170,7 @@ def fit(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
         )
     elif stands is None:
-        result = _fit_logs(robot, logs, hold_out, by, priors, kp)
+        result = _fit_logs(robot, _read_logs(logs, topics, joints), hold_out, by, priors, kp)
     else:
         from pupper_analysis.identification.stand_fit import fit_stands
         from pupper_analysis.identification.stands import read_stands
@@ -190,9 +209,18 @@ def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, fold
     shared.confirm_written(folder)
 
 
+def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | None) -> list[Log]:
+    """Reads logs, of bags the topics that are said."""
+    from pupper_analysis.identification.log_files import read_log
+
+    said = dict(shared.parse_assignment("--topic", one) for one in topics)
+    names = joints.split(",") if joints else ()
+    return [read_log(path, topics=said, joints=names) for path in paths]
+
+
 def _fit_logs(
     robot: Robot,
-    paths: tuple[Path, ...],
+    logs: Sequence[Log],
     hold_out: float,
     by: str | None,
     priors: tuple[str, ...],
@@ -200,9 +228,7 @@ def _fit_logs(
 ) -> Fit:
     """Fits a robot's numbers to logs."""
     from pupper_analysis.identification.fit import fit as fit_any
-    from pupper_analysis.identification.log import read_log
 
-    logs = [read_log(path) for path in paths]
     with shared.show_progress("fitting the robot's numbers to its motions"):
         return fit_any(robot, logs, priors=priors, hold_out=hold_out, kp=kp, by=by)
 

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.identification.columns import Column, Columns, read_columns
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-COLUMNS = (
-    Column("time", "time"),
-    Column("command.*", "position"),
-    Column("position.*", "position"),
-    Column("velocity.*", "velocity"),
-    Column("torque.*", "torque"),
-)
-"""What may stand in a log."""
 
 LEAST_SAMPLES = 100
 """Half a second at 200 Hz: less tells nothing of a motion."""
@@ -100,32 +90,28 @@ class Log:
         )
 
 
-def read_log(path: str | Path) -> Log:
-    """Reads a log from a CSV file or an ``.npz``.
-
-    Columns are ``time``, ``position.<joint>``, and of each joint ``command.<joint>`` or
-    ``torque.<joint>`` or both; ``velocity.<joint>`` may be there. Units are SI unless they are said
-    in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A cell that is empty is missing.
+def make_log(
+    source: str, time: Array, kinds: Mapping[str, Mapping[str, Array]], lines: Sequence[int]
+) -> Log:
+    """Makes a log of columns.
 
     Args:
-        path: The file.
-
-    Returns:
-        The log. What is odd in it, ``inspect_log`` says, for a robot.
+        source: Where they are from.
+        time: (n,) s; empty if there is none.
+        kinds: {``position``, ``command``, ``velocity`` or ``torque``: {joint: (n,)}}.
+        lines: (n,) of the file.
 
     Raises:
-        MeasurementError: If it cannot be read or is no log: columns are missing or not known, a
-            cell is no number, time does not rise, samples are too few.
+        MeasurementError: If it is no log: columns are missing, time does not rise, samples are too
+            few.
     """
-    table = read_columns(path, COLUMNS)
-    source, time = table.source, table.numbers.get("time")
-    position = table.of("position")
-    if time is None or not position:
-        missing = "time" if time is None else "position.<joint>"
+    position = kinds["position"]
+    if not len(time) or not position:
+        missing = "position.<joint>" if len(time) else "time"
         raise MeasurementError(source, diagnose("column-missing", column=missing))
-    _check_time(table, time)
+    _check_time(source, time, lines)
     joints = tuple(position)
-    columns = {kind: table.of(kind) for kind in ("command", "velocity", "torque")}
+    columns = {kind: kinds[kind] for kind in ("command", "velocity", "torque")}
     for kind, found in columns.items():
         for joint in found:
             if joint not in position:
@@ -150,7 +136,7 @@ def read_log(path: str | Path) -> Log:
     )
 
 
-def _check_time(table: Columns, time: Array) -> None:
+def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
     """Checks that time is told in all rows, and rises.
 
     Raises:
@@ -158,17 +144,17 @@ def _check_time(table: Columns, time: Array) -> None:
     """
     if len(time) < LEAST_SAMPLES:
         told = diagnose("log-too-short", samples=len(time), least=LEAST_SAMPLES)
-        raise MeasurementError(table.source, told)
+        raise MeasurementError(source, told)
     if np.isnan(time).any():
-        line = table.lines[int(np.flatnonzero(np.isnan(time))[0])]
-        raise MeasurementError(table.source, diagnose("time-missing", line=line))
+        line = lines[int(np.flatnonzero(np.isnan(time))[0])]
+        raise MeasurementError(source, diagnose("time-missing", line=line))
     steps = np.diff(time)
     if (steps <= 0).any():
         row = int(np.flatnonzero(steps <= 0)[0])
         told = diagnose(
             "time-not-rising",
-            line=table.lines[row + 1],
+            line=lines[row + 1],
             back=Quantity(-steps[row], "s"),
             count=int((steps <= 0).sum()),
         )
-        raise MeasurementError(table.source, told)
+        raise MeasurementError(source, told)

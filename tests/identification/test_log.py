@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.identification.log import Log, read_log
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.log_files import read_log
 from pupper_analysis.identification.log_quality import find_quantum, inspect_log
 from tests.support.arm import arm
 

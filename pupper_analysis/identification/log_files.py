@@ -1,0 +1,66 @@
+"""Files of logs: CSV, npz, MCAP and ROS bags."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.identification.bags import is_bag, read_bag
+from pupper_analysis.identification.columns import Column, read_columns
+from pupper_analysis.identification.log import Log, make_log
+
+COLUMNS = (
+    Column("time", "time"),
+    Column("command.*", "position"),
+    Column("position.*", "position"),
+    Column("velocity.*", "velocity"),
+    Column("torque.*", "torque"),
+)
+"""What may stand in a log."""
+
+
+@check_arguments
+def read_log(
+    path: str | Path,
+    *,
+    topics: Mapping[str, str] | None = None,
+    joints: Sequence[str] = (),
+) -> Log:
+    """Reads a log from a CSV file, an ``.npz``, an ``.mcap`` or a ROS bag.
+
+    Columns are ``time``, ``position.<joint>``, and of each joint ``command.<joint>`` or
+    ``torque.<joint>`` or both; ``velocity.<joint>`` may be there. Units are SI unless they are said
+    in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A cell that is empty is missing.
+
+    Of a bag, topics are found by their types: states are those of ``sensor_msgs/JointState``, of a
+    trajectory controller or of Unitree's ``LowState``; commands those of such a controller, single
+    points of trajectories, arrays of numbers, or ``LowCmd``.
+
+    Args:
+        path: The file; of a ROS 2 bag also its folder.
+        topics: Of a bag: {``"state"`` or ``"command"``: the topic}, where there are several.
+        joints: Of a bag: names of joints in messages that have none, in their order.
+
+    Returns:
+        The log. What is odd in it, ``inspect_log`` says, for a robot.
+
+    Raises:
+        ConfigurationError: If topics or joints are given of what is no bag.
+        MeasurementError: If it cannot be read or is no log: columns are missing or not known, a
+            cell is no number, time does not rise, samples are too few.
+        MissingPackageError: If it is a bag, and rosbags is not installed.
+    """
+    if is_bag(Path(path)):
+        time, kinds = read_bag(Path(path), topics or {}, joints)
+        return make_log(str(path), time, kinds, range(len(time)))
+    for name, given in (("topics", topics), ("joints", joints)):
+        if given:
+            raise ConfigurationError(name, diagnose("no-bag-has-no-topics", file=str(path)))
+    table = read_columns(path, COLUMNS)
+    kinds = {kind: table.of(kind) for kind in ("position", "command", "velocity", "torque")}
+    return make_log(table.source, table.numbers.get("time", np.zeros(0)), kinds, table.lines)

@@ -1,0 +1,283 @@
+"""Bags: small ones are written with the library that reads them, and say the same again."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from pupper_analysis.errors import ConfigurationError, MeasurementError, MissingPackageError
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.log_files import read_log
+
+STATE, CONTROLLER = "sensor_msgs/msg/JointState", "control_msgs/msg/JointTrajectoryControllerState"
+TRAJECTORY, ARRAY = "trajectory_msgs/msg/JointTrajectory", "std_msgs/msg/Float64MultiArray"
+LOW = "unitree_go/msg/LowState"
+JOINTS = ("knee", "hip")
+TIME = 0.005 * np.arange(240)
+POSITION = np.column_stack([0.4 * np.sin(5 * TIME), 0.1 + 0.3 * np.sin(7 * TIME)])
+EFFORT = np.column_stack([2 * np.cos(5 * TIME), 3 * np.cos(7 * TIME)])
+STARTED, LATE = 1_700_000_000, 0.002  # s: of stamps; by so much recording is later
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+POINT = "trajectory_msgs/JointTrajectoryPoint"
+STORE.register(
+    {
+        **get_types_from_msg(
+            f"std_msgs/Header header\nstring[] joint_names\n{POINT} reference\n{POINT} feedback",
+            CONTROLLER,
+        ),
+        **get_types_from_msg("float32 q\nfloat32 dq\nfloat32 tau_est", "unitree_go/msg/MotorState"),
+        **get_types_from_msg("unitree_go/MotorState[20] motor_state", LOW),
+    }
+)
+
+
+def stamp(moment: float) -> Any:
+    whole = STARTED + int(moment)
+    header, clock = STORE.types["std_msgs/msg/Header"], STORE.types["builtin_interfaces/msg/Time"]
+    return header(clock(whole, round(1e9 * (moment - int(moment)))), "")
+
+
+def state(names: Sequence[str], position: Any, effort: Any = (), moment: float = 0.0) -> Any:
+    arrays = (np.array(one, dtype=float) for one in (position, (), effort))
+    return STORE.types[STATE](stamp(moment), list(names), *arrays)
+
+
+def point(positions: Any) -> Any:
+    blank = np.zeros(0)
+    duration = STORE.types["builtin_interfaces/msg/Duration"](0, 0)
+    values = np.array(positions, dtype=float)
+    return STORE.types["trajectory_msgs/msg/JointTrajectoryPoint"](
+        values, blank, blank, blank, duration
+    )
+
+
+def array(values: Any) -> Any:
+    layout = STORE.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+    return STORE.types[ARRAY](layout, np.array(values, dtype=float))
+
+
+Message = tuple[str, str, float, Any]
+"""Topic, type, moment of recording (s), message."""
+
+
+def bag(
+    folder: Path, messages: Sequence[Message], plugin: StoragePlugin = StoragePlugin.MCAP
+) -> Path:
+    path = folder / "bag"
+    connections: dict[str, Any] = {}
+    with Writer(path, version=9, storage_plugin=plugin) as writer:
+        for topic, kind, moment, message in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=STORE)
+            raw = STORE.serialize_cdr(message, kind)
+            writer.write(connections[topic], round(1e9 * (STARTED + moment)), raw)
+    return path
+
+
+def states(
+    *, effort: bool = True, topic: str = "/joint_states"
+) -> list[tuple[str, str, float, Any]]:
+    return [
+        (topic, STATE, now + LATE, state(JOINTS, POSITION[row], EFFORT[row] if effort else (), now))
+        for row, now in enumerate(TIME.tolist())
+    ]
+
+
+def commands(make: Callable[[float, Any], Any], kind: str) -> list[Message]:
+    """Each fourth sample's position is asked for, and that of hip and knee in the other order."""
+    return [
+        ("/command", kind, now + LATE, make(now, POSITION[row, ::-1]))
+        for row, now in enumerate(TIME.tolist())
+        if row % 4 == 0
+    ]
+
+
+def trajectory(now: float, values: Any) -> Any:
+    return STORE.types[TRAJECTORY](stamp(now), list(JOINTS[::-1]), [point(values)])
+
+
+def held(rows: int = 4) -> Any:
+    return POSITION[rows * (np.arange(len(TIME)) // rows)]
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_states_and_torques_are_read_at_their_stamps(tmp_path: Path, plugin: StoragePlugin) -> None:
+    path = bag(tmp_path, states(), plugin)
+    found = read_log(path)
+    assert found.joints == JOINTS
+    assert found.time == pytest.approx(TIME, abs=1e-6)
+    assert found.position == pytest.approx(POSITION)
+    assert found.torque == pytest.approx(EFFORT)
+    assert found.velocity is None
+    assert np.isnan(found.command).all()
+    (file,) = (one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
+    assert read_log(file).position == pytest.approx(POSITION)
+
+
+def test_a_command_holds_until_the_next(tmp_path: Path) -> None:
+    found = read_log(bag(tmp_path, [*states(effort=False), *commands(trajectory, TRAJECTORY)]))
+    assert found.command == pytest.approx(held())
+    assert found.torque is None
+
+
+def test_numbers_without_names_are_those_of_joints_that_are_given(tmp_path: Path) -> None:
+    messages = [*states(), *commands(lambda _, values: array(values), ARRAY)]
+    path = bag(tmp_path, messages)
+    found = read_log(path, joints=("hip", "knee"))
+    # Arrays have no stamps, so that all is when it was recorded, both as late.
+    assert found.command == pytest.approx(held())
+    swapped = read_log(path, joints=("knee", "hip"))
+    assert swapped.command == pytest.approx(held()[:, ::-1])
+    with pytest.raises(MeasurementError) as refused:
+        read_log(path)
+    assert refused.value.cause.code == "joints-not-named"
+    with pytest.raises(MeasurementError) as refused:
+        read_log(path, joints=("hip", "knee", "toe"))
+    assert refused.value.cause.code == "message-of-other-joints"
+
+
+def test_a_controller_tells_both(tmp_path: Path) -> None:
+    kind = STORE.types[CONTROLLER]
+    messages = [
+        ("/controller_state", CONTROLLER, now,
+         kind(stamp(now), list(JOINTS), point(POSITION[row] + 0.01), point(POSITION[row])))
+        for row, now in enumerate(TIME.tolist())
+    ]  # fmt: skip
+    found = read_log(bag(tmp_path, messages))
+    assert found.position == pytest.approx(POSITION)
+    assert found.command == pytest.approx(POSITION + 0.01)
+
+
+def test_motors_of_unitree_are_read_by_names_that_are_given(tmp_path: Path) -> None:
+    motor = STORE.types["unitree_go/msg/MotorState"]
+    messages = []
+    for row, now in enumerate(TIME.tolist()):
+        motors = [
+            motor(*POSITION[row, at : at + 1], 0.5, *EFFORT[row, at : at + 1]) for at in (0, 1)
+        ]
+        motors += [motor(0, 0, 0)] * 18
+        messages.append(("/lowstate", LOW, now, STORE.types[LOW](motors)))
+    found = read_log(bag(tmp_path, messages), joints=JOINTS)
+    assert found.position == pytest.approx(POSITION, abs=1e-6)
+    assert found.torque == pytest.approx(EFFORT, abs=1e-6)
+
+
+def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
+    """The hip's messages are others, half as many and later, and some are lost."""
+    messages: list[Message] = []
+    for row, now in enumerate(TIME.tolist()):
+        messages.append(("/joint_states", STATE, now, state(["knee"], POSITION[row, :1],
+                                                            EFFORT[row, :1], now)))  # fmt: skip
+        if row % 2 == 0 and not 100 <= row < 120:
+            angle = 0.1 + 0.3 * np.sin(7 * (now + 0.001))
+            messages.append(
+                ("/joint_states", STATE, now, state(["hip"], [angle], [1.0], now + 0.001))
+            )
+    found = read_log(bag(tmp_path, messages))
+    assert found.position[:, 0] == pytest.approx(POSITION[:, 0])
+    lost = np.isnan(found.position[:, 1])
+    assert lost[0]  # before its first
+    assert np.flatnonzero(lost[1:-2]).tolist() == list(range(98, 120))
+    assert found.position[~lost, 1] == pytest.approx(POSITION[~lost, 1], abs=2e-4)
+
+
+def test_zeros_of_a_driver_without_sensors_are_no_torques(tmp_path: Path) -> None:
+    messages = [
+        ("/joint_states", STATE, now, state(JOINTS, POSITION[row], (0.0, 0.0), now))
+        for row, now in enumerate(TIME.tolist())
+    ]
+    with pytest.raises(MeasurementError) as refused:
+        read_log(bag(tmp_path, messages))
+    assert refused.value.cause.code == "joint-without-command"
+
+
+def test_of_several_topics_one_is_to_be_said(tmp_path: Path) -> None:
+    other = [(*one[:1], *one[1:3], state(JOINTS, [9, 9], [1, 1], one[2])) for one in
+             states(topic="/sim/joint_states")]  # fmt: skip
+    path = bag(tmp_path, [*states(), *other])
+    with pytest.raises(MeasurementError) as refused:
+        read_log(path)
+    assert refused.value.cause.code == "topics-of-one-kind"
+    found = read_log(path, topics={"state": "/joint_states"})
+    assert found.position == pytest.approx(POSITION)
+    asked = read_log(path, topics={"state": "/joint_states", "command": "/sim/joint_states"})
+    assert asked.command[-1] == pytest.approx([9, 9])
+    assert asked.position == pytest.approx(POSITION)
+    for wrong in ({"state": "/tf"}, {"torque": "/joint_states"}):
+        with pytest.raises(ConfigurationError):
+            read_log(path, topics=wrong)
+
+
+def _backwards(folder: Path) -> Path:
+    messages = states()
+    messages.append(("/joint_states", STATE, 2.0, state(JOINTS, [0, 0], [1, 1], -30.0)))
+    return bag(folder, messages)
+
+
+def _points(folder: Path) -> Path:
+    whole = STORE.types[TRAJECTORY](stamp(0), list(JOINTS), [point([0, 0]), point([1, 1])])
+    return bag(folder, [*states(), ("/trajectory", TRAJECTORY, 0.0, whole)])
+
+
+def _of_nothing(folder: Path) -> Path:
+    return bag(folder, [("/numbers", ARRAY, 0.0, array([1.0]))])
+
+
+def _broken(folder: Path) -> Path:
+    path = folder / "broken.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(200)))
+    return path
+
+
+def _empty(folder: Path) -> Path:
+    path = folder / "empty.db3"
+    path.write_bytes(b"")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("make", "code"),
+    [
+        (_backwards, "stamps-go-back"),
+        (_points, "trajectory-of-points"),
+        (_of_nothing, "bag-without-states"),
+        (_broken, "no-bag"),
+        (_empty, "no-bag"),
+        (lambda folder: folder / "none.mcap", "no-bag"),
+    ],
+)
+def test_bad_bags_get_one_line(tmp_path: Path, make: Callable[[Path], Path], code: str) -> None:
+    with pytest.raises(MeasurementError) as refused:
+        read_log(make(tmp_path))
+    assert refused.value.cause.code == code
+    assert "\n" not in str(refused.value)
+
+
+def test_topics_are_said_of_bags_alone(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError):
+        read_log(tmp_path / "log.csv", topics={"state": "/joint_states"})
+    with pytest.raises(ConfigurationError):
+        read_log(tmp_path / "log.csv", joints=JOINTS)
+
+
+def test_without_the_package_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(MissingPackageError) as refused:
+        read_log(_broken(tmp_path))
+    assert refused.value.extra == "bags"
+
+
+def test_a_log_of_a_bag_is_one_like_any_other(tmp_path: Path) -> None:
+    found = read_log(str(bag(tmp_path, states())))
+    assert isinstance(found, Log)
+    assert found.interval == pytest.approx(0.005, abs=1e-6)
