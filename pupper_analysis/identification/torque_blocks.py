@@ -82,6 +82,11 @@ class _Part:
     interval: float
     hold_out: float
 
+    @property
+    def fitted(self) -> Array:
+        """(n, nu) its positions, but for those that are held out."""
+        return self.position[: math.ceil((1 - self.hold_out) * len(self.position))]
+
 
 def measure_torques(
     logs: Sequence[Log], hold_out: Sequence[float], rest: Array
@@ -99,9 +104,10 @@ def measure_torques(
     parts = [part for log, share in zip(logs, hold_out, strict=True) for part in _parts(log, share)]
     bands: dict[int, Band] = {}
     for joint in range(len(rest)):
-        series = [part for part in parts if np.isfinite(part.position[0, joint])]
+        series = [(part.fitted[:, joint], part.interval) for part in parts]
+        series = [one for one in series if len(one[0]) >= _POINTS and np.isfinite(one[0][0])]
         if series:
-            bands[joint] = find_band([(one.position[:, joint], one.interval) for one in series])
+            bands[joint] = find_band(series)
     if not bands:
         return None
     # What is faster than a joint's cut-off its equation lacks; twice in a period is often enough.
@@ -109,7 +115,9 @@ def measure_torques(
     runs = [run for part in parts for run in _blocks(part, bands, length, rest)]
     if not runs:
         return None
-    rates = np.concatenate([run.velocity.reshape(-1, len(rest)) for run in runs])
+    rates = np.concatenate([run.velocity[~run.held_out].reshape(-1, len(rest)) for run in runs])
+    if not len(rates):
+        return None
     least = _STILL * np.sqrt(np.mean(rates**2, axis=0))
     for joint, band in bands.items():
         least[joint] = max(least[joint], _STILL_NOISE * band.velocity_noise)

@@ -163,13 +163,19 @@ def _own_widths(torques: Torques) -> Iterator[tuple[tuple[str, str], float]]:
     inertia, which files have as zero, are unknown as its moments are, and all of them at least by
     what a com does that is elsewhere.
     """
-    equations, measured = torques.equations, torques.measured
+    equations, runs = torques.equations, torques.measured.runs
+    fitted = [~run.held_out for run in runs]
     for at, joint in enumerate(equations.joints):
-        torque = root_mean_square(one[:, at] for one in torques.torques)
+        torque, velocity, acceleration = (
+            root_mean_square(one[rows] for one, rows in zip(series, fitted, strict=True))
+            for series in (
+                [one[:, at] for one in torques.torques],
+                [run.velocity[..., joint] for run in runs],
+                [run.acceleration[..., joint] for run in runs],
+            )
+        )
         if not math.isfinite(torque):
             continue
-        velocity = root_mean_square(run.velocity[..., joint] for run in measured.runs)
-        acceleration = root_mean_square(run.acceleration[..., joint] for run in measured.runs)
         by_kind = (torque, torque / velocity, torque / acceleration, torque)
         for kind, width in zip(OF_JOINTS, by_kind, strict=True):
             yield (kind, equations.robot.joint_names[joint]), width
