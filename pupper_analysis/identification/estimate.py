@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,11 +26,30 @@ a hundredth of a standard deviation, which no interval shows."""
 _STALLED = 0.01
 """Of a rough cost: where a step promises more and none gives it, derivatives are wrong."""
 
-_LEAST_DAMPING = 1e-9
-"""Levenberg's, in parts of the diagonal: none to speak of."""
+_NEAR = 100.0
+"""Times the step that is let go: derivatives from so near, a standard deviation as a rule, do."""
 
-_MOST_DAMPING = 1e6
-"""No step is left."""
+_KEPT = 0.5
+"""Of what a step promised: where less came, derivatives are made anew."""
+
+_LEAST_KEPT = 0.1
+"""Of what a step promised: with less it is not taken, and a shorter one tried."""
+
+_BENDS = 2
+"""Where mass moves far, inertia goes with the square: a step is led back once or twice."""
+
+_OPEN = 1.0
+"""Of the cost: a standard deviation, that is not looked for any more and widens intervals."""
+
+_MUDDY = 10.0
+"""Of the cost: where no more is gained, and little of what was promised, derivatives to one side
+misled, as where a joint begins to slip; of a longer step it is the way that bends."""
+
+_LEAST_DAMPING = 1e-3
+"""Levenberg's, in parts of the diagonal: less is none to speak of."""
+
+_MOST_DAMPING = 1e2
+"""A step of a hundredth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +127,7 @@ class Posterior:
         prior_chi2: Likewise of how far the parameters moved, in their widths.
         rows: How many residuals there are.
         steps: Gauss-Newton steps.
+        open_step: (n,) a step that was promised to be better and was not found; None as a rule.
     """
 
     parameters: tuple[Parameter, ...]
@@ -118,6 +139,7 @@ class Posterior:
     prior_chi2: float
     rows: int
     steps: int
+    open_step: Array | None = None
 
     @property
     def std(self) -> Array:
@@ -154,7 +176,9 @@ def estimate_parameters(
     table: ParameterTable,
     linearise: Callable[[Array, Array], Linearised],
     start: Array | None = None,
-    rough: float = 0.0,
+    *,
+    enough: float = _SETTLED,
+    slopes: Slopes | None = None,
 ) -> Posterior:
     """Returns the parameters that measurements and priors make most probable.
 
@@ -164,73 +188,234 @@ def estimate_parameters(
     derivative is taken of it: residuals would be made small by parameters that make noise large.
     What means nothing below zero stays above.
 
+    Derivatives that cost much are used again as long as steps keep what they promise; they are made
+    anew at the end. Where joints stick and slip a simulation's cost has steps, and even then there
+    may be none that gains: what was promised is added to what is not known.
+
     Args:
         table: The parameters.
         linearise: Called with parameters, and those at which noise is taken: returns the
             measurements' residuals about the first.
         start: (n,) to begin with; the stated values by default.
-        rough: By what costs of near parameters differ for no reason, in parts of them: where
-            joints stick and slip, a simulation's have steps. Where they cannot be made less by
-            more than that, they are least.
+        enough: A step that promises no more is not taken.
+        slopes: The derivatives that ``linearise`` uses. By default it makes its own each time.
 
     Raises:
         FitError: If it does not converge.
     """
-    width, before = table.width, table.precision
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
-    positive = np.array([KINDS[one.kind].positive for one in table], dtype=bool)
-    damping, stalled = _LEAST_DAMPING, 0
+    costly, damping = slopes is not None, 0.0
+    slopes = slopes or Slopes()
     for steps in range(1, _MOST_STEPS + 1):
-        here = linearise(x, x)
-        z = (x - table.stated) / width
-        cost = here.chi2 + z @ before @ z
-        information = width[:, None] * here.information * width
-        downhill = -(width * here.gradient + before @ z)
-        if not np.isfinite(information).all() or not np.isfinite(downhill).all():
+        slopes.prepare(x)
+        here = _Quadratic(table, linearise(x, x), x)
+        if not here.is_finite:
             break
-        whole = information + before
-        covariance = np.linalg.inv(whole)
-        covariance = (covariance + covariance.T) / 2
-        # What is zero, and would be less, stays there.
-        free = ~(positive & (x <= 0) & (downhill < 0))
-        whole_step = _step(whole, downhill, free, 0.0)
-        promised, least = float(whole_step @ downhill), max(_SETTLED, rough * cost)
-        done = promised < least
-        moved_on = False
-        while not done:
-            tried = x + width * _step(whole, downhill, free, damping)
-            tried[positive] = np.maximum(tried[positive], 0.0)
-            there, moved = linearise(tried, x), (tried - table.stated) / width
-            gain = cost - there.chi2 - moved @ before @ moved
-            if gain >= -_SETTLED:
-                moved_on = True
-                break
-            damping *= 10
-            if damping > _MOST_DAMPING:
-                break
-        if moved_on:
-            x, damping = tried, max(damping / 10, _LEAST_DAMPING)
-            stalled = stalled + 1 if gain < least else 0
-        if done or (rough > 0 and promised < _STALLED * cost and (not moved_on or stalled > 1)):
-            return Posterior(
-                parameters=table.parameters,
-                mean=x,
-                covariance=width[:, None] * covariance * width,
-                information=information,
-                precision=before,
-                chi2=here.chi2,
-                prior_chi2=float(z @ before @ z),
-                rows=here.rows,
-                steps=steps,
-            )
-        if not moved_on:
+        whole_step = here.step(0.0)
+        promised = here.promise(whole_step)
+        if promised < enough:
+            if slopes.are_near(here, _NEAR * enough):
+                return here.posterior(steps)
+            slopes.outdated = True
+            continue
+        moved, damping = _move(
+            here, linearise, damping, plain=not slopes.are_at(x), bends=_BENDS if costly else 0
+        )
+        at_x = slopes.are_at(x)
+        if moved is not None and (
+            moved.kept > _KEPT
+            or not (at_x and costly)
+            or moved.gain > max(_LEAST_KEPT * promised, _MUDDY)
+        ):
+            x, slopes.outdated = moved.x, moved.kept < _KEPT
+        elif not at_x:
+            slopes.outdated, damping = True, 0.0
+        elif slopes.improve(x):
+            damping = 0.0
+        elif costly and promised < (_OPEN if moved else _STALLED * here.cost):
+            return here.posterior(steps, whole_step)
+        elif moved is not None:
+            x, slopes.outdated = moved.x, True
+        else:
             break
     raise FitError(diagnose("fit-does-not-converge", steps=steps))
 
 
-def _step(whole: Array, downhill: Array, free: NDArray[np.bool_], damping: float) -> Array:
-    """Returns Levenberg's step of those parameters that are free, and zero of others."""
-    step = np.zeros(len(downhill))
-    own = whole[np.ix_(free, free)]
-    step[free] = cho_solve(cho_factor(own + damping * np.diag(np.diag(own))), downhill[free])
-    return step
+class Slopes:
+    """Derivatives that are made when they are needed, and how good they are.
+
+    Args:
+        renew: Makes those that ``linearise`` uses, at parameters; better ones, of twice the price,
+            if asked for. None: it makes its own each time.
+
+    Attributes:
+        outdated: Whether they are to be made anew.
+    """
+
+    def __init__(self, renew: Callable[[Array, bool], None] | None = None) -> None:
+        self._renew, self._both = renew, False
+        self._made: Array | None = None
+        self.outdated = True
+
+    def prepare(self, x: Array) -> None:
+        """Makes them at some parameters, if those that there are have misled."""
+        if self._renew is not None and self.outdated:
+            self._renew(x, self._both)
+            self._made = x.copy()
+        self.outdated = False
+
+    def improve(self, x: Array) -> bool:
+        """Makes better ones at some parameters; says no if it has them."""
+        if self._renew is None or self._both:
+            return False
+        self._renew(x, True)
+        self._made, self._both = x.copy(), True
+        return True
+
+    def are_at(self, x: Array) -> bool:
+        """Says whether they were made at some parameters."""
+        return self._renew is None or (self._made is not None and np.array_equal(self._made, x))
+
+    def are_near(self, here: _Quadratic, most: float) -> bool:
+        """Says whether they were made near by: what the cost rises there is at most so much."""
+        if self._renew is None or self._made is None:
+            return True
+        off = (here.x - self._made) / here.table.width
+        return float(off @ here.whole @ off) < most
+
+
+class _Quadratic:
+    """What is to be minimised, about a vector of parameters.
+
+    Args:
+        table: The parameters.
+        told: The measurements.
+        x: (n,) values.
+
+    Attributes:
+        table: The parameters.
+        told: The measurements.
+        x: (n,) values.
+        cost: What is minimised.
+    """
+
+    def __init__(self, table: ParameterTable, told: Linearised, x: Array) -> None:
+        self.table, self.told, self.x = table, told, x
+        self._z = (x - table.stated) / table.width
+        self.cost = told.chi2 + float(self._z @ table.precision @ self._z)
+
+    @cached_property
+    def information(self) -> Array:
+        """(n, n) of the measurements, in the priors' widths."""
+        width = self.table.width
+        found: Array = width[:, None] * self.told.information * width
+        return found
+
+    @cached_property
+    def whole(self) -> Array:
+        """(n, n) with what was known before."""
+        return self.information + self.table.precision
+
+    @cached_property
+    def downhill(self) -> Array:
+        """(n,) half the negative gradient."""
+        found: Array = -(self.table.width * self.told.gradient + self.table.precision @ self._z)
+        return found
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether it can be minimised."""
+        return bool(np.isfinite(self.whole).all() and np.isfinite(self.downhill).all())
+
+    def step(self, damping: float) -> Array:
+        """Returns Levenberg's step (n,) in the priors' widths; what would be below zero ends there.
+
+        The others' steps are those that are best then.
+        """
+        positive = np.array([KINDS[one.kind].positive for one in self.table], dtype=bool)
+        least = np.where(positive, -self.x / self.table.width, -np.inf)
+        step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)
+        whole = self.whole + damping * np.diag(np.diag(self.whole))
+        while free.any():
+            own = self.downhill[free] - whole[np.ix_(free, ~free)] @ step[~free]
+            step[free] = cho_solve(cho_factor(whole[np.ix_(free, free)]), own)
+            below = free & (step < least)
+            if not below.any():
+                break
+            step[below], free = least[below], free & ~below
+        return step
+
+    def promise(self, step: Array) -> float:
+        """Returns by how much a step makes the cost less, if derivatives are right."""
+        return float(step @ (2 * self.downhill - self.whole @ step))
+
+    def posterior(self, steps: int, open_step: Array | None = None) -> Posterior:
+        """Returns what is known, if these are the best parameters.
+
+        Args:
+            steps: How many were taken.
+            open_step: (n,) one that was promised and not found.
+        """
+        width, z = self.table.width, self._z
+        covariance = np.linalg.inv(self.whole)
+        covariance = (covariance + covariance.T) / 2
+        if open_step is not None:
+            covariance = covariance + np.outer(open_step, open_step)
+        return Posterior(
+            parameters=self.table.parameters,
+            mean=self.x,
+            covariance=width[:, None] * covariance * width,
+            information=self.information,
+            precision=self.table.precision,
+            chi2=self.told.chi2,
+            prior_chi2=float(z @ self.table.precision @ z),
+            rows=self.told.rows,
+            steps=steps,
+            open_step=None if open_step is None else width * open_step,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Moved:
+    """A step that was taken: to where, what it gained, and which part of its promise that is."""
+
+    x: Array
+    gain: float
+    kept: float
+
+
+def _move(
+    here: _Quadratic,
+    linearise: Callable[[Array, Array], Linearised],
+    damping: float,
+    *,
+    plain: bool,
+    bends: int,
+) -> tuple[_Moved | None, float]:
+    """Returns parameters of less cost, if there are any; and the damping.
+
+    Args:
+        here: Where it begins.
+        linearise: As ``estimate_parameters`` has it.
+        damping: To begin with.
+        plain: Whether other dampings are not tried, as derivatives may be at fault.
+        bends: How often a step that is not damped may be led back to less cost.
+    """
+    table, x = here.table, here.x
+    while damping <= _MOST_DAMPING:
+        step = here.step(damping)
+        promised, tried = here.promise(step), x + table.width * step
+        for bends_left in range(bends if damping == 0 else 0, -1, -1):
+            there = _Quadratic(table, linearise(tried, x), tried)
+            gain = here.cost - there.cost
+            if gain >= _LEAST_KEPT * promised - _SETTLED:
+                less = damping / 10 if damping > _LEAST_DAMPING else 0.0
+                return _Moved(tried, gain, gain / promised), less
+            if not bends_left or not there.is_finite:
+                break
+            # What the same derivatives make of what is left there is how the way bends.
+            tried = tried + table.width * there.step(0.0)
+        if plain:
+            break
+        damping = max(10 * damping, _LEAST_DAMPING)
+    return None, damping

@@ -10,7 +10,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.estimate import (
+    Linearised,
+    Posterior,
+    Slopes,
+    estimate_parameters,
+)
+from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.rollouts import Run, Simulator
 
@@ -20,26 +26,23 @@ IntArray = NDArray[np.int64]
 _ROUNDS = 4
 """Of fits, each with the noise that the one before has left."""
 
-_SAME_NOISE = 0.02
+_SAME_NOISE = 0.05
 """Of deviations: noise that changes by no more changes no interval that is shown."""
 
-_ROUGH, _FIRST_ROUGH = 1e-6, 1e-4
-"""Of costs: what joints that stick and slip change for no reason; and what is near enough
-while noise is not known."""
+_ENOUGH = 0.04
+"""Of the cost: a fifth of a standard deviation, by which an interval is 2 % too narrow."""
 
-_NEAR = 0.1
-"""Of the priors' widths: so far derivatives of a motion are the same within some percent, and steps
-with those lead to the same within so many percent of a standard deviation."""
+_ROUGHLY = 1.0
+"""Of the cost: a standard deviation, which is near enough while the noise is another."""
+
+_GLANCED = 1e-4
+"""Of the cost: near enough while noise is not known, as it is some times what it begins with."""
 
 _GLANCE = 12.0
 """s of motion that are fitted first: from there a step or two are left for all of it."""
 
 _MOST_STEPS = 16
 """Between two samples: 0.3 ms at 200 Hz. What changes still is an impact, and not the step."""
-
-_SAME_SLOPES = 4
-"""Points that are linearised with the same derivatives: where more are needed they mislead, and are
-made again by differences to both sides."""
 
 
 class Motion:
@@ -53,10 +56,10 @@ class Motion:
     def __init__(self, simulator: Simulator, runs: Sequence[Run]) -> None:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
+        self.moments = Moments(self.table)
         self._noise: tuple[SeriesNoise, ...] = ()
         self._last: tuple[Array, list[Array]] | None = None
-        self._slopes: tuple[Array, list[dict[int, tuple[IntArray, Array]]]] | None = None
-        self._used = 0
+        self._slopes: list[dict[int, tuple[IntArray, Array]]] = []
 
     def residuals(self, x: Array) -> list[Array]:
         """Returns predicted less measured positions (n, nu) of each run that is fitted (rad)."""
@@ -68,24 +71,30 @@ class Motion:
             self._last = x.copy(), found
         return self._last[1]
 
-    def slopes(self, x: Array) -> list[dict[int, tuple[IntArray, Array]]]:
-        """Returns derivatives of predicted positions of each run, from parameters near by."""
-        width = self.table.width
-        self._used += 1
-        far = self._slopes is None or np.abs((x - self._slopes[0]) / width).max() > _NEAR
-        if self._slopes is None or far or self._used > _SAME_SLOPES:
-            found, self._used = [], 0
-            for run, left in zip(self.fitted, self.residuals(x), strict=True):
-                measured = np.where(run.counts, run.position, 0.0)
-                here = np.where(run.counts, left + measured, np.nan)
-                here = self.simulator.predict(run, [x])[0] if np.isnan(here).any() else here
-                found.append(dict(self.simulator.jacobian(run, x, here, central=not far)))
-            self._slopes = x.copy(), found
-        return self._slopes[1]
+    def renew(self, moments: Array, both_sides: bool) -> None:
+        """Makes derivatives of predicted positions by moments.
 
-    def linearise(self, x: Array, _about: Array) -> Linearised:
-        """Returns whitened residuals as sums; derivatives are made when they are asked for."""
-        return _Lazy(self, x.copy(), self._noise)  # type: ignore[return-value]
+        Args:
+            moments: (n,) where.
+            both_sides: By differences to both sides, which a bend does not mislead.
+        """
+        x, by_moments = self.moments.to_parameters(moments), self.moments.derivative(moments)
+        made = []
+        for run in self.fitted:
+            here = self.simulator.predict(run, [x])[0]
+            found = self.simulator.jacobian(run, x, here, central=both_sides)
+            made.append(
+                {
+                    number: (places, slopes @ by_moments[np.ix_(places, places)])
+                    for number, (places, slopes) in found.items()
+                }
+            )
+        self._slopes = made
+
+    def linearise(self, moments: Array, _about: Array) -> Linearised:
+        """Returns whitened residuals as sums; these are made when they are asked for."""
+        left = self.residuals(self.moments.to_parameters(moments))
+        return _Lazy(left, self._slopes, self._noise, self.simulator.groups)  # type: ignore[return-value]
 
     def with_steps(self, steps: int) -> Motion:
         """Returns the same with other steps of the simulation between two samples."""
@@ -117,44 +126,74 @@ class Motion:
             FitError: If it does not converge.
         """
         x = self._glance() if start is None else start
-        for rough in (_FIRST_ROUGH, *(_ROUGH for _ in range(_ROUNDS - 1))):
-            left, before = self.residuals(x), self._noise
+        stated = self.moments.of_parameters(self.table.stated if x is None else x)
+        posterior = self._descend(stated, _ROUNDS, near=x is not None)
+        return self._with_memory(posterior)
+
+    def _descend(self, y: Array, rounds: int, *, near: bool) -> Posterior:
+        """Returns the most probable moments, in rounds with the noise that the one before has left.
+
+        Args:
+            y: (n,) moments to begin with.
+            rounds: How many at most; the last is the one that ends where it should.
+            near: Whether what is left at first is noise, rather than motion.
+        """
+        slopes = Slopes(self.renew)
+        for turn in range(rounds):
+            left, before = self.residuals(self.moments.to_parameters(y)), self._noise
             self._noise = tuple(
-                # At first without memory, as what is left is no noise yet.
                 SeriesNoise.of([one[:, joint] for one in left])
-                if before or start is not None
+                if turn or near
                 else SeriesNoise.white(root_mean_square(one[:, joint] for one in left))
                 for joint in range(left[0].shape[1])
             )
-            same = [
-                abs(one.long_run / other.long_run - 1) < _SAME_NOISE
-                for one, other in zip(self._noise, before, strict=bool(before))
-            ]
-            if same and all(same):
+            last = turn == _ROUNDS - 1 or (turn > 0 and _alike(before, self._noise))
+            rough = _ROUGHLY if turn or near else _GLANCED * sum(one.size for one in left)
+            posterior = estimate_parameters(
+                self.table,
+                self.linearise,
+                y,
+                enough=_ENOUGH if last else rough,
+                slopes=slopes,
+            )
+            y = posterior.mean
+            if last:
                 break
-            posterior = estimate_parameters(self.table, self.linearise, x, rough)
-            x = posterior.mean
-        return self._with_memory(posterior)
+        return posterior
 
     def _with_memory(self, posterior: Posterior) -> Posterior:
         """Returns the same with the covariance that the noise's memory makes."""
         size, width = len(self.table), self.table.width
         spread = np.zeros((size, size))
         groups = self.simulator.groups
-        for run, slopes in zip(self.fitted, self.slopes(posterior.mean), strict=True):
+        for run, slopes in zip(self.fitted, self._slopes, strict=True):
             for number, (places, by_places) in slopes.items():
                 for at, joint in enumerate(groups[number][0]):
                     noise = self._noise[joint]
                     counted = np.where(run.counts[:, joint, None], by_places[:, at], 0.0)
                     back = noise.spread(counted / noise.long_run**2)
                     spread[places[:, None], places] += back @ back.T
-        narrow = np.linalg.inv(posterior.information + np.eye(size))
-        spread = width[:, None] * spread * width + np.eye(size)
+        narrow = np.linalg.inv(posterior.information + posterior.precision)
+        spread = width[:, None] * spread * width + posterior.precision
         covariance = narrow @ spread @ narrow
+        if posterior.open_step is not None:
+            open_step = posterior.open_step / width
+            covariance += np.outer(open_step, open_step)
+        # From moments to coms.
+        turn = self.moments.derivative(posterior.mean) * width / width[:, None]
+        back = np.linalg.inv(turn)
+        covariance = turn @ covariance @ turn.T
         covariance = (covariance + covariance.T) / 2
-        return replace(posterior, covariance=width[:, None] * covariance * width)
+        return replace(
+            posterior,
+            mean=self.moments.to_parameters(posterior.mean),
+            covariance=width[:, None] * covariance * width,
+            information=back.T @ posterior.information @ back,
+            precision=back.T @ posterior.precision @ back,
+            open_step=None if posterior.open_step is None else width * (turn @ open_step),
+        )
 
-    def _glance(self) -> Array:
+    def _glance(self) -> Array | None:
         """Returns parameters that suit the first seconds, where there are many more."""
         left, first = _GLANCE, []
         for run in self.fitted:
@@ -162,34 +201,40 @@ class Motion:
                 first.append(run.until(left))
                 left -= float(first[-1].time[-1])
         if sum(len(run.time) for run in first) > 0.7 * sum(len(run.time) for run in self.fitted):
-            return self.table.stated.copy()
+            return None
         if not any(run.counts.any() for run in first):
-            return self.table.stated.copy()
-        return Motion(self.simulator, first).fit().mean
+            return None
+        motion = Motion(self.simulator, first)
+        found = motion._descend(motion.moments.of_parameters(self.table.stated), 2, near=False)
+        return self.moments.to_parameters(found.mean)
 
 
 class _Lazy:
-    """What ``Linearised`` has, but derivatives are made where they are needed: not of a trial."""
+    """What ``Linearised`` has, but sums are made where they are needed: not of a trial."""
 
     log_noise = 0.0
 
-    def __init__(self, motion: Motion, x: Array, noise: tuple[SeriesNoise, ...]) -> None:
-        self._motion, self._x, self._noise = motion, x, noise
-        self._white = [
-            left / np.array([one.long_run for one in noise]) for left in motion.residuals(x)
-        ]
+    def __init__(
+        self,
+        left: Sequence[Array],
+        slopes: Sequence[dict[int, tuple[IntArray, Array]]],
+        noise: tuple[SeriesNoise, ...],
+        groups: Sequence[tuple[list[int], list[int]]],
+    ) -> None:
+        self._slopes, self._noise, self._groups = slopes, noise, groups
+        self._white = [one / np.array([own.long_run for own in noise]) for one in left]
         told = [np.isfinite(white) for white in self._white]
         self.rows = int(sum(one.sum() for one in told))
         self.chi2 = float(sum((white[one] ** 2).sum() for white, one in zip(self._white, told)))  # noqa: B905
+        self._size = 1 + max(int(places.max()) for one in slopes for places, _ in one.values())
 
     @cached_property
     def _sums(self) -> tuple[Array, Array]:
-        size = len(self._motion.table)
+        size = self._size
         information, gradient = np.zeros((size, size)), np.zeros(size)
-        groups = self._motion.simulator.groups
-        for white, slopes in zip(self._white, self._motion.slopes(self._x), strict=True):
+        for white, slopes in zip(self._white, self._slopes, strict=True):
             for number, (places, by_places) in slopes.items():
-                for at, joint in enumerate(groups[number][0]):
+                for at, joint in enumerate(self._groups[number][0]):
                     told = np.isfinite(white[:, joint])
                     rows = by_places[told, at] / self._noise[joint].long_run
                     information[places[:, None], places] += rows.T @ rows
@@ -205,6 +250,14 @@ class _Lazy:
     def gradient(self) -> Array:
         """(n,) sum of A^T r."""
         return self._sums[1]
+
+
+def _alike(one: Sequence[SeriesNoise], other: Sequence[SeriesNoise]) -> bool:
+    """Says whether two noises of all joints are the same."""
+    return all(
+        abs(own.long_run / its.long_run - 1) < _SAME_NOISE
+        for own, its in zip(one, other, strict=True)
+    )
 
 
 def root_mean_square(series: Iterable[Array]) -> float:

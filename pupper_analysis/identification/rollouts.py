@@ -35,6 +35,9 @@ _STIFF = 0.5
 _FINEST = 20
 """Steps of the simulation between two samples, at most."""
 
+_EXACT = 1e-11
+"""Of the solver: what is not solved of dry friction is in derivatives by differences."""
+
 _STEP = 1e-2
 """Of a parameter's width: by that it is changed for a derivative. Smaller changes see single joints
 begin to slip, and not the motion; by larger ones it bends."""
@@ -152,13 +155,20 @@ class Simulator:
         self.bodies = MovingBodies(robot, drive.model)
         model = self.bodies.model
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4.value
-        # Legs in the air do not touch; a log in which they did is told of.
-        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+        # Legs in the air do not touch; a log in which they did is told of. Nobody reads sensors,
+        # and islands of one leg each are too small to be worth it.
+        disable = mujoco.mjtDisableBit
+        for needless in (disable.mjDSBL_CONTACT, disable.mjDSBL_SENSOR, disable.mjDSBL_ISLAND):
+            model.opt.disableflags |= needless.value
+        if not model.neq:  # dry friction alone: as many steps as there are joints at most
+            model.opt.solver = mujoco.mjtSolver.mjSOL_CG.value
+            model.opt.tolerance = _EXACT
         self._dofs = robot.mj_convention.qvel_index
         self.steps = steps or self._steps_needed(interval)
         model.opt.timestep = interval / self.steps
         self._model = model
         self._workers = [mujoco.MjData(model) for _ in range(os.cpu_count() or 1)]
+        self._models: list[mujoco.MjModel] = []
         self.groups = self.bodies.groups(table)
 
     def _steps_needed(self, interval: float) -> int:
@@ -179,7 +189,11 @@ class Simulator:
 
     def predict(self, run: Run, vectors: Sequence[Array] | Array) -> Array:
         """Returns the encoders' positions (vectors, n, nu) that parameters predict for a run."""
-        models = [self._with(vector) for vector in vectors]
+        while len(self._models) < len(vectors):
+            self._models.append(copy.copy(self._model))  # meshes too: 20 ms
+        models = self._models[: len(vectors)]
+        for model, vector in zip(models, vectors, strict=True):
+            self.put(model, vector)
         step = float(self._model.opt.timestep)
         count = int(np.ceil(run.time[-1] / step - 1e-9))
         commands = _Integral(run.time, run.command).means(step * np.arange(count + 1, dtype=float))
@@ -238,9 +252,9 @@ class Simulator:
             ]
         )
 
-    def _with(self, vector: Array) -> mujoco.MjModel:
-        """Returns a model with a vector of parameters. What cannot be below zero is zero there."""
-        model, dofs, drive = copy.copy(self._model), self._dofs, self.drive
+    def put(self, model: mujoco.MjModel, vector: Array) -> None:
+        """Gives a model all of a vector of parameters. What cannot be below zero is zero there."""
+        dofs, drive, stated = self._dofs, self.drive, self._model
         kp = np.maximum(self._per_joint(vector, "kp", drive.kp), 0.0)
         kd = np.maximum(self._per_joint(vector, "kd", drive.kd), 0.0)
         actuators = self.robot.mj_convention.actuator_index
@@ -249,15 +263,14 @@ class Simulator:
         model.actuator_gainprm[at, 0] = kp[driven] / squared
         model.actuator_biasprm[at, 1] = -kp[driven] / squared
         model.actuator_biasprm[at, 2] = -kd[driven] / squared
-        for kind, values in (
-            ("damping", model.dof_damping),
-            ("friction", model.dof_frictionloss),
-            ("armature", model.dof_armature),
+        for kind, values, own in (
+            ("damping", model.dof_damping, stated.dof_damping),
+            ("friction", model.dof_frictionloss, stated.dof_frictionloss),
+            ("armature", model.dof_armature, stated.dof_armature),
         ):
-            values[dofs] = np.maximum(self._per_joint(vector, kind, values[dofs]), 0.0)
+            values[dofs] = np.maximum(self._per_joint(vector, kind, own[dofs]), 0.0)
         self.bodies.put(model, self.table, vector)
         mujoco.mj_setConst(model, self._workers[-1])
-        return model
 
     def jacobian(
         self, run: Run, vector: Array, here: Array, *, central: bool = False

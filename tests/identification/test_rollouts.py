@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 
 import mujoco
@@ -96,7 +97,8 @@ def test_a_prediction_is_what_mujoco_does_step_by_step_with_late_commands_and_of
     (run,) = split_runs(moving(), (), MIDDLE, 0.2)
     found = simulator.predict(run, [x])[0]
 
-    model, step = simulator._with(x), 1.25e-4
+    model, step = copy.copy(simulator.bodies.model), 1.25e-4
+    simulator.put(model, x)
     model.opt.timestep, model.opt.integrator = step, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     offset = np.array([given.value(x, "offset", name, "", 0.0) for name in robot.joint_names])
     data, seen = mujoco.MjData(model), []

@@ -1,0 +1,164 @@
+"""Most probable parameters against closed forms: straight, bent, bounded, with dear derivatives."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pupper_analysis.errors import FitError
+from pupper_analysis.identification.estimate import (
+    Linearised,
+    Posterior,
+    Slopes,
+    estimate_parameters,
+)
+from pupper_analysis.identification.moments import Moments
+from pupper_analysis.identification.parameters import Parameter, ParameterTable
+
+Array = np.ndarray
+
+
+def table(*kinds: str) -> ParameterTable:
+    """Parameters about 2, 3 ..., of widths 0.5, 0.7 ..."""
+    return ParameterTable(
+        Parameter(kind, f"part {place}", "", 2.0 + place, 0.5 + 0.2 * place)
+        for place, kind in enumerate(kinds)
+    )
+
+
+def straight(size: int, rows: int = 40) -> tuple[Array, Array]:
+    """Whitened rows A and right sides b of A x = b, and noise of variance 1."""
+    random = np.random.default_rng(3)
+    rows_of = random.normal(size=(rows, size))
+    return rows_of, rows_of @ random.uniform(1, 4, size) + random.normal(size=rows)
+
+
+def test_straight_measurements_and_a_prior_give_the_normal_equations_answer() -> None:
+    """With kp, whose priors have half of their variance in common."""
+    given = table("kp", "kp", "offset")
+    rows, right = straight(3)
+    found = estimate_parameters(given, lambda x, _: Linearised.of(rows @ x - right, rows))
+    common = np.array([[1, 0.5, 0], [0.5, 1, 0], [0, 0, 1]])
+    prior = np.linalg.inv(common * np.outer(given.width, given.width))
+    covariance = np.linalg.inv(rows.T @ rows + prior)
+    mean = covariance @ (rows.T @ right + prior @ given.stated)
+    assert found.mean == pytest.approx(mean, rel=1e-9)
+    assert found.covariance == pytest.approx(covariance, rel=1e-9)
+    assert found.interval[0] == pytest.approx(
+        mean[0] + 1.959964 * np.sqrt(covariance[0, 0]) * np.array([-1, 1]), rel=1e-6
+    )
+    assert found.chi2 == pytest.approx(((rows @ mean - right) ** 2).sum())
+    off = mean - given.stated
+    assert found.prior_chi2 == pytest.approx(off @ prior @ off)
+    told = np.trace(covariance @ rows.T @ rows)
+    assert found.freedom == pytest.approx(40 - told)
+    assert found.shares == pytest.approx(np.diag(covariance) / given.width**2)
+    assert found.open_step is None
+
+
+def test_without_measurements_all_stays_as_it_was_said() -> None:
+    given = table("kp", "mass")
+    found = estimate_parameters(given, lambda _, __: Linearised.nothing(2))
+    assert found.mean == pytest.approx(given.stated)
+    assert found.shares == pytest.approx([1, 1])
+
+
+def test_what_means_nothing_below_zero_ends_there_and_the_others_are_best_then() -> None:
+    """Friction would be -3; an offset that goes with it is the best one for friction of zero."""
+    given = table("friction", "offset")
+    rows = np.array([[10.0, 6.0], [0.0, 5.0], [3.0, -4.0]])
+    right = rows @ [-3.0, 2.0]
+    found = estimate_parameters(given, lambda x, _: Linearised.of(rows @ x - right, rows))
+    weight = 1 / given.width[1] ** 2
+    alone = (rows[:, 1] @ right + weight * given.stated[1]) / (rows[:, 1] @ rows[:, 1] + weight)
+    assert found.mean == pytest.approx([0.0, alone], abs=1e-6)
+
+
+def bent(x: Array) -> tuple[Array, Array]:
+    """Residuals of a valley that bends: 10 (y - x^2) and 1 - x, and their derivative."""
+    return (
+        np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]]),
+        np.array([[-20 * x[0], 10.0], [-1.0, 0.0]]),
+    )
+
+
+WIDE = ParameterTable(
+    [Parameter("offset", "x", "", -1.2, 1e4), Parameter("offset", "y", "", 1.0, 1e4)]
+)
+
+
+def test_a_valley_that_bends_is_followed_to_its_end() -> None:
+    found = estimate_parameters(WIDE, lambda x, _: Linearised.of(*bent(x)), enough=1e-8)
+    assert found.mean == pytest.approx([1, 1], abs=1e-5)
+
+
+def search(enough: float = 1e-8) -> tuple[Posterior, list[bool]]:
+    """The same by derivatives that are dear: kept until they are asked for anew."""
+    kept, asked = {}, []
+
+    def renew(x: Array, both: bool) -> None:
+        kept["slopes"] = bent(x)[1]
+        asked.append(both)
+
+    def linearise(x: Array, _: Array) -> Linearised:
+        return Linearised.of(bent(x)[0], kept["slopes"])
+
+    return estimate_parameters(WIDE, linearise, enough=enough, slopes=Slopes(renew)), asked
+
+
+def test_derivatives_that_are_dear_are_made_less_often_and_the_answer_is_the_same() -> None:
+    found, asked = search()
+    assert found.mean == pytest.approx([1, 1], abs=1e-4)
+    assert len(asked) < found.steps
+    # They were made near the end, not where it began: the covariance there is known.
+    slopes = bent(np.array([1.0, 1.0]))[1]
+    assert found.covariance == pytest.approx(np.linalg.inv(slopes.T @ slopes), rel=1e-2)
+
+
+def test_where_no_step_keeps_its_promise_intervals_are_as_wide_as_what_was_promised() -> None:
+    """A derivative of the wrong sign: the cost rises whichever way it goes."""
+    given = ParameterTable([Parameter("offset", "x", "", 0.0, 1.0)])
+    asked: list[bool] = []
+
+    def linearise(x: Array, _: Array) -> Linearised:
+        left = np.array([3.0 + 0.1 * np.abs(x[0]), 100.0])
+        return Linearised.of(left, np.array([[0.5], [0.0]]))
+
+    slopes = Slopes(lambda _, both: asked.append(both))
+    found = estimate_parameters(given, linearise, slopes=slopes)
+    assert asked == [False, True]
+    assert found.open_step == pytest.approx([-1.5 / 1.25])
+    assert found.covariance[0, 0] == pytest.approx(1 / 1.25 + (1.5 / 1.25) ** 2)
+
+
+@pytest.mark.parametrize("left", [np.nan, np.inf])
+def test_what_is_no_number_does_not_converge(left: float) -> None:
+    rows = np.array([[1.0]])
+    with pytest.raises(FitError):
+        estimate_parameters(table("kp"), lambda _, __: Linearised.of(np.array([left]), rows))
+
+
+def test_moments_are_linear_in_what_gravity_feels_and_lead_back() -> None:
+    given = ParameterTable(
+        [
+            Parameter("com", "bar", "x", 0.1, 0.03),
+            Parameter("mass", "bar", "", 2.0, 1.0),
+            Parameter("com", "bar", "z", -0.2, 0.03),
+            Parameter("com", "lamp", "x", 0.4, 0.03),
+            Parameter("kp", "turn", "", 5.0, 1.5),
+        ]
+    )
+    moments = Moments(given)
+    x = np.array([0.13, 2.6, -0.17, 0.42, 6.0])
+    y = moments.of_parameters(x)
+    assert moments.to_parameters(y) == pytest.approx(x)
+    assert moments.of_parameters(given.stated) == pytest.approx(given.stated)
+    # m c = m c0 + m0 (y - c0): at twice the mass the same coordinate is half as far off.
+    assert x[1] * x[0] == pytest.approx(x[1] * 0.1 + 2.0 * (y[0] - 0.1))
+    # Of a lamp whose mass is known there is nothing to turn.
+    assert y[3:] == pytest.approx(x[3:])
+    step = 1e-6
+    slopes = np.column_stack(
+        [(moments.to_parameters(y + step * one) - x) / step for one in np.eye(5)]
+    )
+    assert moments.derivative(y) == pytest.approx(slopes, abs=1e-5)
