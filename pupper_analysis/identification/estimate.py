@@ -13,6 +13,7 @@ from scipy.linalg import cho_factor, cho_solve
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import FitError
 from pupper_analysis.identification.parameters import KINDS, Parameter, ParameterTable
+from pupper_analysis.identification.slopes import Slopes
 
 Array = NDArray[np.float64]
 
@@ -214,7 +215,7 @@ def estimate_parameters(
         whole_step = here.step(0.0)
         promised = here.promise(whole_step)
         if promised < enough:
-            if slopes.are_near(here, _NEAR * enough):
+            if slopes.are_near(x, here.curvature, _NEAR * enough):
                 return here.posterior(steps)
             slopes.outdated = True
             continue
@@ -239,49 +240,6 @@ def estimate_parameters(
         else:
             break
     raise FitError(diagnose("fit-does-not-converge", steps=steps))
-
-
-class Slopes:
-    """Derivatives that are made when they are needed, and how good they are.
-
-    Args:
-        renew: Makes those that ``linearise`` uses, at parameters; better ones, of twice the price,
-            if asked for. None: it makes its own each time.
-
-    Attributes:
-        outdated: Whether they are to be made anew.
-    """
-
-    def __init__(self, renew: Callable[[Array, bool], None] | None = None) -> None:
-        self._renew, self._both = renew, False
-        self._made: Array | None = None
-        self.outdated = True
-
-    def prepare(self, x: Array) -> None:
-        """Makes them at some parameters, if those that there are have misled."""
-        if self._renew is not None and self.outdated:
-            self._renew(x, self._both)
-            self._made = x.copy()
-        self.outdated = False
-
-    def improve(self, x: Array) -> bool:
-        """Makes better ones at some parameters; says no if it has them."""
-        if self._renew is None or self._both:
-            return False
-        self._renew(x, True)
-        self._made, self._both = x.copy(), True
-        return True
-
-    def are_at(self, x: Array) -> bool:
-        """Says whether they were made at some parameters."""
-        return self._renew is None or (self._made is not None and np.array_equal(self._made, x))
-
-    def are_near(self, here: _Quadratic, most: float) -> bool:
-        """Says whether they were made near by: what the cost rises there is at most so much."""
-        if self._renew is None or self._made is None:
-            return True
-        off = (here.x - self._made) / here.table.width
-        return float(off @ here.whole @ off) < most
 
 
 class _Quadratic:
@@ -320,6 +278,12 @@ class _Quadratic:
     def downhill(self) -> Array:
         """(n,) half the negative gradient."""
         found: Array = -(self.table.width * self.told.gradient + self.table.precision @ self._z)
+        return found
+
+    @property
+    def curvature(self) -> Array:
+        """(n, n) the same in the parameters' units."""
+        found: Array = self.whole / np.outer(self.table.width, self.table.width)
         return found
 
     @property

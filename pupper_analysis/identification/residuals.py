@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from pupper_analysis.identification.estimate import (
     Linearised,
     Posterior,
-    Slopes,
     estimate_parameters,
 )
 from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.rollouts import Run, Simulator
+from pupper_analysis.identification.slopes import Slopes
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -23,8 +23,8 @@ _ROUNDS = 6
 """Of fits, each with the noise that the one before has left."""
 
 _ROUGH = 1e-5
-"""Of the cost: a tenth of a standard deviation where there are a thousand equations. Where they are
-not explained, steps in masses and coms, which act by their product, get slow before."""
+"""Of each equation's cost: a tenth of a standard deviation where there are a thousand. Where they
+are not explained, steps in masses and coms, which act by their product, get slow before."""
 
 _SAME_NOISE = 0.02
 """Of deviations: noise that changes by no more changes no interval that is shown."""
@@ -97,7 +97,12 @@ class Torques:
                 for one, other in zip(noise, before, strict=True)
             ):
                 break
-            posterior = estimate_parameters(table, self._linearise(table, noise), x, _ROUGH)
+            posterior = estimate_parameters(
+                table,
+                self._linearise(table, noise),
+                x,
+                enough=_ROUGH * sum(int(np.isfinite(one).sum()) for one in left),
+            )
             x = posterior.mean
             left = self.off(self.equations.numbers(table, x)[0], held_out=False)
         return self._with_memory(table, posterior, noise, left)

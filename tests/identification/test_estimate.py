@@ -9,11 +9,11 @@ from pupper_analysis.errors import FitError
 from pupper_analysis.identification.estimate import (
     Linearised,
     Posterior,
-    Slopes,
     estimate_parameters,
 )
 from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.parameters import Parameter, ParameterTable
+from pupper_analysis.identification.slopes import Slopes
 
 Array = np.ndarray
 
