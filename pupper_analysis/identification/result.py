@@ -194,6 +194,7 @@ def describe_fit(
         freedom=posterior.freedom,
         noise={
             "encoder": equations.noise.encoder,
+            "moment": equations.noise.moment,
             "flatness": equations.noise.flatness,
             "friction": equations.noise.friction,
         },

@@ -113,9 +113,7 @@ class StandEquations:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
         least = _SHOWS / (self.robot.total_mass * float(np.linalg.norm(self.robot.gravity)))
         for _ in range(looks):
-            residual, by_x, by_own, log_noise = self._look(stand, numbers).rows.whiten(
-                self.noise.encoder
-            )
+            residual, by_x, by_own, log_noise = self._look(stand, numbers).rows.whiten()
             left, lengths, right = np.linalg.svd(by_own, full_matrices=True)
             rank = int(np.count_nonzero(lengths > least))
             step = right[:rank].T @ (left[:, :rank].T @ -residual / lengths[:rank])
@@ -244,9 +242,7 @@ class StandEquations:
         numbers, nu = self._numbers(x), self.robot.nu
         off, noise = np.full((2, len(self._readings), nu), np.nan)
         for stand, reading in enumerate(self._readings):
-            left, deviation = self._look(stand, numbers).rows.left(
-                self.noise.encoder, slice(6, 6 + nu)
-            )
+            left, deviation = self._look(stand, numbers).rows.left(slice(6, 6 + nu))
             # Rows of motors are torques: kp (command - position) less what is needed.
             told = np.isfinite(reading.command) & (numbers.stiff > 0)
             off[stand, told] = -left[told] / numbers.stiff[told]

@@ -44,6 +44,8 @@ class StandNoise:
 
     Attributes:
         encoder: Of a joint position (rad).
+        moment: Of the moment on a contact point, about each axis, in parts of the force on it (m):
+            a foot that turns on the ground, or rolls, keeps some of what stopped it.
         flatness: Of the ground's height under a foot, and of the links' lengths (m).
         friction: Factor on the stated dry friction of joints, of which nobody knows where in its
             band a joint came to rest.
@@ -53,6 +55,7 @@ class StandNoise:
     """
 
     encoder: float
+    moment: float = 3e-4
     flatness: float = 3e-4
     friction: float = 1.0
     torque: float = 0.02
@@ -85,23 +88,28 @@ class Reading:
 
 @dataclass(eq=False)
 class Rows:
-    """Residuals r, their derivatives by parameters x and own unknowns y, and by encoders' noise.
+    """Residuals r, their derivatives by parameters x and own unknowns y, and by sources of noise.
 
     Attributes:
-        sizes: How many parameters, own unknowns and encoders there are.
+        sizes: How many parameters and own unknowns there are.
+        sources: Standard deviations of noise that acts on several rows: of encoders (nu,), then of
+            the moments on contact points (three each).
         parts: (r, by x, by y, by noise, other standard deviations) of groups of rows.
     """
 
-    sizes: tuple[int, int, int]
+    sizes: tuple[int, int]
+    sources: Array
     parts: list[tuple[Array, ...]] = field(default_factory=list)
 
     def add(self, residual: Array, deviation: Array) -> tuple[Array, Array, Array]:
         """Adds rows (k,); returns their derivatives (k, ...), zero, to be filled in."""
-        by_x, by_own, by_noise = (np.zeros((len(residual), size)) for size in self.sizes)
+        by_x, by_own, by_noise = (
+            np.zeros((len(residual), size)) for size in (*self.sizes, len(self.sources))
+        )
         self.parts.append((residual, by_x, by_own, by_noise, deviation))
         return by_x, by_own, by_noise
 
-    def whiten(self, encoder: float) -> tuple[Array, Array, Array, float]:
+    def whiten(self) -> tuple[Array, Array, Array, float]:
         """Returns r, and its derivatives by x and y, of combinations with noise of variance 1.
 
         And the logarithm of the determinant of the noise's covariance.
@@ -109,14 +117,14 @@ class Rows:
         residual, by_x, by_own, by_noise, deviation = (
             np.concatenate(part) for part in zip(*self.parts, strict=True)
         )
-        covariance = encoder**2 * by_noise @ by_noise.T + np.diag(deviation**2)
+        covariance = self.sources**2 * by_noise @ by_noise.T + np.diag(deviation**2)
         factor = np.linalg.cholesky(covariance)
         white = np.linalg.solve(factor, np.column_stack([residual, by_x, by_own]))
         n = by_x.shape[1]
         log_noise = 2 * float(np.log(np.diag(factor)).sum())
         return white[:, 0], white[:, 1 : 1 + n], white[:, 1 + n :], log_noise
 
-    def left(self, encoder: float, rows: slice) -> tuple[Array, Array]:
+    def left(self, rows: slice) -> tuple[Array, Array]:
         """Returns residuals of some rows at the best own unknowns, and what noise makes of them.
 
         As standard deviations: of the noise less the part of it that own unknowns take up.
@@ -124,7 +132,7 @@ class Rows:
         residual, _, by_own, by_noise, deviation = (
             np.concatenate(part) for part in zip(*self.parts, strict=True)
         )
-        covariance = encoder**2 * by_noise @ by_noise.T + np.diag(deviation**2)
+        covariance = self.sources**2 * by_noise @ by_noise.T + np.diag(deviation**2)
         weighted = np.linalg.solve(covariance, by_own)
         taken = by_own @ np.linalg.pinv(by_own.T @ weighted, rcond=_RANK, hermitian=True) @ by_own.T
         return residual[rows], np.sqrt(np.maximum(np.diag(covariance - taken)[rows], 0.0))
@@ -199,7 +207,9 @@ class StandRows:
         limits = robot.effort_limits
         full = np.where(np.isfinite(limits), limits, self._scale * robot.stand_height)
         self._sensor = noise.torque * full
-        self.rows = Rows((len(table), 3 + 3 * len(points), robot.nu))
+        on_each = self._scale / len(points)  # N
+        sources = [noise.encoder] * robot.nu + [noise.moment * on_each] * 3 * len(points)
+        self.rows = Rows((len(table), 3 + 3 * len(points)), np.array(sources))
         self._balance()
         self._contact()
         self._torques()
@@ -236,8 +246,10 @@ class StandRows:
                 by_x[:, at] += self._deep[point] * moved[point]
         # A true position is the measured one less offset and noise; a servo's torque follows the
         # true one.
-        by_noise[6:] += np.diag(self._stiff)
-        by_noise += stiffness[:, 6:]
+        nu = self._robot.nu
+        by_noise[6:, :nu] += np.diag(self._stiff)
+        by_noise[:, :nu] += stiffness[:, 6:]
+        by_noise[:, nu:] = self._twists[:, 3:].reshape(-1, nv).T
         for joint, name in enumerate(self._names):
             row = 6 + joint
             for at in self._at("offset", name):
@@ -292,7 +304,7 @@ class StandRows:
         flatness = np.full(len(points), self._noise.flatness)
         by_x, by_own, by_noise = self.rows.add(residual, flatness)
         by_own[:, :3] = heights[:, _TURNS_AND_HEIGHT]
-        by_noise -= heights[:, 6:]
+        by_noise[:, : self._robot.nu] -= heights[:, 6:]
         for joint, name in enumerate(self._names):
             for at in self._at("offset", name):
                 by_x[:, at] -= heights[:, 6 + joint]

@@ -90,7 +90,7 @@ def stands(robot: Robot, planted: Robot) -> MeasuredStands:
 def equations(robot: Robot, stands: MeasuredStands) -> tuple[StandEquations, ParameterTable]:
     kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
     table = ParameterTable(give_widths(parameters_of(robot, stands, kp, np.zeros(robot.nu))))
-    noise = StandNoise(encoder=1e-4)
+    noise = StandNoise(encoder=1e-4, moment=0.0)
     return StandEquations(robot, stands, table, kp, np.zeros(robot.nu), noise), table
 
 
@@ -117,9 +117,9 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
 
     def residual(x: Array) -> Array:
         system._own[0] = own
-        return system._look(0, system._numbers(x)).rows.whiten(1e-4)[0]
+        return system._look(0, system._numbers(x)).rows.whiten()[0]
 
-    by_x = system._look(0, system._numbers(truth)).rows.whiten(1e-4)[1]
+    by_x = system._look(0, system._numbers(truth)).rows.whiten()[1]
     for place in range(len(table)):
         step = np.zeros(len(table))
         step[place] = 1e-6
