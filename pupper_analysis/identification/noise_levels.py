@@ -22,8 +22,8 @@ _FLATTEST = 1e-4
 """m: links and floors are no better; simulated ones are, but feet sink by more than is modelled."""
 
 _LEAST_MOMENT = 1e-4
-"""m: what feet keep alike in all stands, that are come to alike, hides in the zeros of encoders, and
-no evidence tells of it. Feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
+"""m: what feet keep alike in all stands, which are come to alike, hides in the zeros of encoders.
+No evidence tells of it. Feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
 
 _EVALUATIONS = 40
 """Of the evidence, in search of three levels: they are wanted to some ten per cent."""
