@@ -28,13 +28,14 @@ from numpy.typing import NDArray
 
 from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import FitError
+from pupper_analysis.identification.couplings import Coupling, parse_coupling
 from pupper_analysis.identification.fit import fit
 from pupper_analysis.identification.log import Log
 from pupper_analysis.identification.log_files import read_log
 from pupper_analysis.identification.motion_result import MotionFit
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.result import Fit
-from pupper_analysis.identification.torque_equations import OF_JOINTS, TorqueEquations
+from pupper_analysis.identification.torque_equations import TorqueEquations
 from pupper_analysis.identification.torque_result import TorqueFit
 from pupper_analysis.robot.robot import Robot
 
@@ -220,6 +221,7 @@ LOGS = {
         **FIGAROH,
         model="models/staubli_tx40_description/urdf/tx40_mdh_modified.urdf",
         read=read_tx40,
+        options={"couplings": ("motor_6=joint_5+joint_6",)},
         published="examples/staubli_TX40/results/TX40_bp_5.csv",
     ),
     "tiago": PublicLogs(
@@ -270,7 +272,8 @@ def fit_public(name: str, clone: Path, folder: Path) -> None:
     print(f"fitted in {time.perf_counter() - start:.1f} s")
     show(found)
     if public.published and isinstance(found, TorqueFit):
-        compare(robot, found, clone / public.published)
+        couplings = [parse_coupling(one) for one in public.options["couplings"]]
+        compare(robot, found, clone / public.published, couplings)
 
 
 def show(found: Fit) -> None:
@@ -294,12 +297,19 @@ def show(found: Fit) -> None:
 # --- published base parameters ----------------------------------------------------------------
 
 OF_BODY = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-OF_JOINT = {"fs": "friction", "fv": "damping", "Ia": "armature", "off": "bias"}
+OF_DRIVE = ("fs", "fv", "Ia")
+OF_MOTOR = ("fsm", "fvm", "Iam")
+COUPLED = (5, 6)
+"""Joints whose published viscous friction and armature are with those of the motor of both: they
+have it give joint 5 fvm6 q6' alone, where here it gives both fvm6 (q5' + q6')."""
 
 
 def weights_of(text: str, joints: int) -> Array | None:
     """Returns which sum of numbers ``m1 + 0.5*mx2`` is, (numbers,); None if one is none of ours."""
-    found = np.zeros((len(OF_BODY) + len(OF_JOINTS)) * joints)
+    first = len(OF_BODY) * joints
+    motor = first + len(OF_DRIVE) * joints
+    bias = motor + len(OF_MOTOR)
+    found = np.zeros(bias + joints)
     for term in text.replace(" - ", " + -").split(" + "):
         match = re.fullmatch(r"(-?)(?:([\d.]+)\*)?([A-Za-z]+)(\d+)", term.strip())
         if match is None:
@@ -307,19 +317,24 @@ def weights_of(text: str, joints: int) -> Array | None:
         sign, factor, kind, number = match.groups()
         if kind in OF_BODY:
             place = len(OF_BODY) * (int(number) - 1) + OF_BODY.index(kind)
-        elif kind in OF_JOINT:
-            own = OF_JOINTS.index(OF_JOINT[kind])
-            place = len(OF_BODY) * joints + len(OF_JOINTS) * (int(number) - 1) + own
+        elif kind in OF_DRIVE:
+            if kind != "fs" and int(number) in COUPLED:
+                found[motor + OF_DRIVE.index(kind)] += 1.0
+            place = first + len(OF_DRIVE) * (int(number) - 1) + OF_DRIVE.index(kind)
+        elif kind in OF_MOTOR:
+            place = motor + OF_MOTOR.index(kind)
+        elif kind == "off":
+            place = bias + int(number) - 1
         else:
             return None
         found[place] += float(factor or 1) * (-1 if sign else 1)
     return found
 
 
-def compare(robot: Robot, found: TorqueFit, path: Path) -> None:
+def compare(robot: Robot, found: TorqueFit, path: Path, couplings: Sequence[Coupling]) -> None:
     """Prints base parameters beside those that were published, with half of 95 % intervals."""
     table = ParameterTable(found.posterior.parameters)
-    equations = TorqueEquations(robot, list(range(robot.nu)))
+    equations = TorqueEquations(robot, list(range(robot.nu)), couplings)
     numbers, slopes = equations.numbers(table, found.posterior.mean)
     stated, _ = equations.numbers(table, table.stated)
     covariance = slopes @ found.posterior.covariance @ slopes.T

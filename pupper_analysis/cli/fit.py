@@ -74,6 +74,14 @@ if TYPE_CHECKING:
     help="What a log is fitted by; by default its commands, and its torques if it has none.",
 )
 @click.option(
+    "--coupling",
+    "couplings",
+    multiple=True,
+    metavar="NAME=JOINT+JOINT",
+    help="Of torques: a motor that turns with several joints and has friction of its own; e.g. "
+    "motor_6=joint_5+joint_6. Repeatable.",
+)
+@click.option(
     "--plan",
     "count",
     type=int,
@@ -120,6 +128,7 @@ def fit(
     by: str | None,
     topics: tuple[str, ...],
     joints: str | None,
+    couplings: tuple[str, ...],
     count: int | None,
     degrees: bool,
     both_sides: bool,
@@ -170,7 +179,9 @@ def fit(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
         )
     elif stands is None:
-        result = _fit_logs(robot, _read_logs(logs, topics, joints), hold_out, by, priors, kp)
+        result = _fit_logs(
+            robot, _read_logs(logs, topics, joints), hold_out, by, couplings, priors, kp
+        )
     else:
         from pupper_analysis.identification.stand_fit import fit_stands
         from pupper_analysis.identification.stands import read_stands
@@ -223,6 +234,7 @@ def _fit_logs(
     logs: Sequence[Log],
     hold_out: float,
     by: str | None,
+    couplings: tuple[str, ...],
     priors: tuple[str, ...],
     kp: float | None,
 ) -> Fit:
@@ -230,7 +242,9 @@ def _fit_logs(
     from pupper_analysis.identification.fit import fit as fit_any
 
     with shared.show_progress("fitting the robot's numbers to its motions"):
-        return fit_any(robot, logs, priors=priors, hold_out=hold_out, kp=kp, by=by)
+        return fit_any(
+            robot, logs, priors=priors, hold_out=hold_out, kp=kp, by=by, couplings=couplings
+        )
 
 
 def _plan(

@@ -1,3 +1,5 @@
+from .couplings import Coupling as Coupling
+from .couplings import parse_coupling as parse_coupling
 from .estimate import Posterior as Posterior
 from .log import Log as Log
 from .log_quality import LogQuality as LogQuality

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.identification.couplings import Coupling
 from pupper_analysis.identification.log import Log
 from pupper_analysis.identification.motion import HOLD_OUT, fit_motion
 from pupper_analysis.identification.parameters import Prior
@@ -32,6 +33,7 @@ def fit(
     encoder: float | None = None,
     hold_out: float | Sequence[Log] | None = None,
     by: str | None = None,
+    couplings: Sequence[Coupling | str] = (),
 ) -> Fit:
     """Fits a robot's numbers to what was measured of it: stands at rest, or logs of motions.
 
@@ -50,6 +52,7 @@ def fit(
         hold_out: Of logs: the share of each, at its end, that is predicted instead of fitted (0.2
             by default); or logs that are.
         by: Of logs: ``"command"`` or ``"torque"``; commands by default, where there are any.
+        couplings: Of torques: motors that turn with several joints (``motor_6=joint_5+joint_6``).
 
     Raises:
         ConfigurationError: If an option is none of these measurements.
@@ -57,8 +60,15 @@ def fit(
         MeasurementError: If the measurements are none of this robot's, or tell nothing.
     """
     measured = _kind(measurements, by)
-    given = {"kp": kp, "kd": kd, "weight": weight, "encoder": encoder, "hold_out": hold_out}
-    for name, value in {**given, "by": by}.items():
+    given: dict[str, object] = {
+        "kp": kp,
+        "kd": kd,
+        "weight": weight,
+        "encoder": encoder,
+        "hold_out": hold_out,
+    }
+    given |= {"by": by, "couplings": tuple(couplings) or None}
+    for name, value in given.items():
         if value is not None and name not in _OPTIONS[measured]:
             raise ConfigurationError(name, diagnose("option-of-others", measured=measured))
     if isinstance(measurements, MeasuredStands):
@@ -66,14 +76,14 @@ def fit(
     share = HOLD_OUT if hold_out is None else hold_out
     logs = [measurements] if isinstance(measurements, Log) else measurements
     if measured == "torques":
-        return fit_torques(robot, logs, priors=priors, hold_out=share)
+        return fit_torques(robot, logs, priors=priors, hold_out=share, couplings=couplings)
     return fit_motion(robot, logs, priors=priors, hold_out=share, kp=kp, kd=kd)
 
 
 _OPTIONS = {
     "stands": ("kp", "weight", "encoder"),
     "log": ("kp", "kd", "hold_out", "by"),
-    "torques": ("hold_out", "by"),
+    "torques": ("hold_out", "by", "couplings"),
 }
 """{what was measured: which options it has}."""
 

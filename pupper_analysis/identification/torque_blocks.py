@@ -89,7 +89,7 @@ class _Part:
 
 
 def measure_torques(
-    logs: Sequence[Log], hold_out: Sequence[float], rest: Array
+    logs: Sequence[Log], hold_out: Sequence[float], rest: Array, couplings: Array | None = None
 ) -> MeasuredTorques | None:
     """Returns the equations of some logs; None if no part of one is long enough.
 
@@ -100,6 +100,8 @@ def measure_torques(
         logs: With the robot's joints in its order, and with torques.
         hold_out: Of each, the share at the end of each of its runs that is not fitted.
         rest: (nu,) where joints that no log tells are (rad, m).
+        couplings: (couplings, nu) how far motors turn that turn with several joints: these are to
+            turn one way, too.
     """
     parts = [part for log, share in zip(logs, hold_out, strict=True) for part in _parts(log, share)]
     bands: dict[int, Band] = {}
@@ -118,13 +120,19 @@ def measure_torques(
     rates = np.concatenate([run.velocity[~run.held_out].reshape(-1, len(rest)) for run in runs])
     if not len(rates):
         return None
-    least = _STILL * np.sqrt(np.mean(rates**2, axis=0))
+    noise = np.zeros(len(rest))
     for joint, band in bands.items():
-        least[joint] = max(least[joint], _STILL_NOISE * band.velocity_noise)
+        noise[joint] = band.velocity_noise
+    drives = np.eye(len(rest)) if couplings is None else np.vstack([np.eye(len(rest)), couplings])
+    least = np.maximum(
+        _STILL * np.sqrt(np.mean((rates @ drives.T) ** 2, axis=0)),
+        _STILL_NOISE * np.sqrt(drives**2 @ noise**2),
+    )
     for run in runs:
-        slow = np.abs(run.velocity).min(axis=1) <= least
-        turns = run.velocity.min(axis=1) * run.velocity.max(axis=1) <= 0
-        run.torque[slow | turns] = np.nan
+        speed = run.velocity @ drives.T
+        slow = np.abs(speed).min(axis=1) <= least
+        turns = speed.min(axis=1) * speed.max(axis=1) <= 0
+        run.torque[(slow | turns) @ (drives != 0)] = np.nan
     return MeasuredTorques(tuple(runs), bands, length)
 
 

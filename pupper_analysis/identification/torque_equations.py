@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.identification.bodies import world_offset
+from pupper_analysis.identification.couplings import Coupling, coupling_rows
 from pupper_analysis.identification.links import AXES, link_of
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.torque_blocks import Blocks
@@ -17,9 +18,12 @@ from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-OF_JOINTS = ("friction", "damping", "armature", "bias")
-"""Kinds of numbers of a joint: what each is multiplied by is its velocity's sign, its velocity, its
-acceleration, and 1."""
+OF_DRIVES = ("friction", "damping", "armature")
+"""Kinds of numbers of what turns, a joint or a motor that turns with several: what each is
+multiplied by is its velocity's sign, its velocity and its acceleration."""
+
+OF_JOINTS = (*OF_DRIVES, "bias")
+"""Kinds of numbers of a joint; its bias is a torque."""
 
 ENTRIES = tuple(name[1:] for name in INERTIA_ENTRIES)
 """Components of an inertia."""
@@ -39,19 +43,28 @@ class TorqueEquations:
     torques are linear. Masses, coms and inertias about these are the parameters, as files state
     them; bodies whose numbers are none of the parameters are as the file has them.
 
+    A motor that turns with several joints, by c q', gives them c^T (friction sign(c q') + damping
+    c q' + armature c q''), as virtual work has it.
+
     Args:
         robot: A robot whose base is held.
         joints: The numbers of those whose torques are told.
+        couplings: Motors that turn with several of them.
 
     Attributes:
+        drives: {joint or motor: (joints,) how far it turns for a turn of each}.
         links: {number of a joint: the link its body is named by}, of those that are told.
         mass: {link: kg}, as the URDF has them.
         com: {link: (3,) in the link's frame (m)}.
         inertia: {link: (3, 3) about the com (kg m^2)}.
     """
 
-    def __init__(self, robot: Robot, joints: list[int]) -> None:
+    def __init__(self, robot: Robot, joints: list[int], couplings: Sequence[Coupling] = ()) -> None:
         self.robot, self.joints = robot, joints
+        names = [robot.joint_names[joint] for joint in joints]
+        rows = [*np.eye(len(joints)), *coupling_rows(robot, couplings, names)[:, joints]]
+        drives = (*names, *(one.name for one in couplings))
+        self.drives: dict[str, Array] = dict(zip(drives, rows, strict=True))
         self._model = robot.pin_model.copy()
         # Where the MJCF holds the base, gravity has this direction in the URDF's world.
         turned = np.array(world_offset(robot).rotation)
@@ -91,7 +104,7 @@ class TorqueEquations:
         known[own] = 0.0
         rows = self.robot.pin_convention.v_index[self.joints]
         size = len(own)
-        matrix = np.zeros((count, len(self.joints), size + len(OF_JOINTS) * len(self.joints)))
+        matrix = np.zeros((count, len(self.joints), size))
         rest = np.zeros((count, len(self.joints)))
         for block in range(count):
             for point in range(points):
@@ -100,21 +113,20 @@ class TorqueEquations:
                     blocks.velocity[block, point],
                     blocks.acceleration[block, point],
                 )[rows]
-                matrix[block, :, :size] += whole[:, own]
+                matrix[block] += whole[:, own]
                 rest[block] += whole @ known
         matrix /= points
         rest /= points
-        velocity, acceleration = blocks.velocity[:, :, self.joints], blocks.acceleration
-        columns = (
-            np.sign(velocity).mean(axis=1),
-            velocity.mean(axis=1),
-            acceleration[:, :, self.joints].mean(axis=1),
-            np.ones((count, len(self.joints))),
+        drives = np.array(list(self.drives.values()))
+        speed = blocks.velocity[:, :, self.joints] @ drives.T
+        gain = blocks.acceleration[:, :, self.joints] @ drives.T
+        means = (np.sign(speed).mean(axis=1), speed.mean(axis=1), gain.mean(axis=1))
+        by_kind = np.stack(means, axis=2)  # (blocks, drives, kinds)
+        columns = drives.T[None, :, :, None] * by_kind[:, None]
+        bias = np.broadcast_to(
+            np.eye(len(self.joints)), (count, len(self.joints), len(self.joints))
         )
-        for kind, column in enumerate(columns):
-            for at in range(len(self.joints)):
-                matrix[:, at, size + len(OF_JOINTS) * at + kind] = column[:, at]
-        return matrix, rest
+        return np.concatenate([matrix, columns.reshape(*rest.shape, -1), bias], axis=2), rest
 
     def _whole(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         convention = self.robot.pin_convention
@@ -135,7 +147,8 @@ class TorqueEquations:
             x: (parameters,) their values.
         """
         size = len(self._bodies) * _PER_BODY
-        found = np.zeros(size + len(OF_JOINTS) * len(self.joints))
+        own = self._own_kinds()
+        found = np.zeros(size + len(own))
         slopes = np.zeros((len(found), len(table)))
         for number, link in enumerate(self.links.values()):
             first = _PER_BODY * number
@@ -143,15 +156,19 @@ class TorqueEquations:
                 found[first : first + _PER_BODY] = value
                 if place is not None:
                     slopes[first : first + _PER_BODY, place] = slope
-        for at, joint in enumerate(self.joints):
-            for kind, name in enumerate(OF_JOINTS):
-                row = size + len(OF_JOINTS) * at + kind
-                subject = self.robot.joint_names[joint]
-                found[row] = table.value(x, name, subject, "", self.stated(joint)[name])
-                place = table.place(name, subject)
-                if place is not None:
-                    slopes[row, place] = 1.0
+        for row, (kind, subject) in enumerate(own, size):
+            found[row] = table.value(x, kind, subject, "", self.stated(subject)[kind])
+            place = table.place(kind, subject)
+            if place is not None:
+                slopes[row, place] = 1.0
         return found, slopes
+
+    def _own_kinds(self) -> list[tuple[str, str]]:
+        """Returns kind and subject of the numbers that are of no body."""
+        biased = list(self.drives)[: len(self.joints)]
+        return [(kind, name) for name in self.drives for kind in OF_DRIVES] + [
+            ("bias", name) for name in biased
+        ]
 
     def _of_body(
         self, table: ParameterTable, x: Array, link: str
@@ -178,8 +195,11 @@ class TorqueEquations:
             place = table.place("inertia", link, entry)
             yield place, value, _ten(0.0, np.zeros(3), inertia_tensor(unit))
 
-    def stated(self, joint: int) -> dict[str, float]:
-        """Returns what the file says of a joint, by kind; torque sensors have no bias."""
+    def stated(self, subject: str) -> dict[str, float]:
+        """Returns what the file says of a joint, by kind; of a motor of several, nothing."""
+        if subject not in self.robot.joint_names:
+            return dict.fromkeys(OF_DRIVES, 0.0)
+        joint = self.robot.joint_names.index(subject)
         model, dof = self.robot.mj_model, self.robot.mj_convention.qvel_index[joint]
         return {
             "friction": float(model.dof_frictionloss[dof]),

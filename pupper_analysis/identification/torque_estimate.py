@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from pupper_analysis.identification.couplings import Coupling
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import ParameterTable
@@ -47,10 +48,10 @@ class Torques:
     torques: tuple[Array, ...]
 
     @staticmethod
-    def of(robot: Robot, measured: MeasuredTorques) -> Torques:
+    def of(robot: Robot, measured: MeasuredTorques, couplings: Sequence[Coupling] = ()) -> Torques:
         """Returns the equations of what was measured."""
         joints = list(measured.bands)
-        equations = TorqueEquations(robot, joints)
+        equations = TorqueEquations(robot, joints, couplings)
         matrices, torques = [], []
         for run in measured.runs:
             matrix, rest = equations.regressor(run)
@@ -157,6 +158,7 @@ class Torques:
                 for beside, other in enumerate(backs):
                     spread += correlation[at, beside] * one @ other.T
         narrow = np.linalg.inv(posterior.information + posterior.precision)
+        spread *= posterior.rows / max(posterior.freedom, 1.0)  # what parameters took of the noise
         spread = width[:, None] * spread * width + posterior.precision
         covariance = narrow @ spread @ narrow
         covariance = (covariance + covariance.T) / 2

@@ -14,6 +14,11 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
+from pupper_analysis.identification.couplings import (
+    Coupling,
+    coupling_rows,
+    parse_coupling,
+)
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.log import Log
@@ -57,6 +62,7 @@ def fit_torques(
     *,
     priors: Sequence[Prior | str] = (),
     hold_out: float | Sequence[Log] = HOLD_OUT,
+    couplings: Sequence[Coupling | str] = (),
 ) -> TorqueFit:
     """Estimates a robot's numbers from torques that were measured while it moved.
 
@@ -74,6 +80,8 @@ def fit_torques(
             bias nothing is known by default, but that they make no more than the whole torque.
         hold_out: The share of each log, at its end, that is predicted instead of fitted; or logs
             that are.
+        couplings: Motors that turn with several joints and have friction of their own, as
+            ``motor_6=joint_5+joint_6`` of a wrist whose sixth motor turns with both.
 
     Raises:
         ConfigurationError: If an argument is out of its range.
@@ -94,12 +102,14 @@ def fit_torques(
                 raise MeasurementError(log.source, diagnose("joint-without-torque", joint=name))
         _check_free(robot, log)
     shares = [*(share for _ in logs), *(1.0 for _ in others)]
-    measured = measure_torques([log.of(robot) for log in whole], shares, robot.home)
+    bound = [parse_coupling(one) if isinstance(one, str) else one for one in couplings]
+    rows = coupling_rows(robot, bound, [name for log in logs for name in log.joints])
+    measured = measure_torques([log.of(robot) for log in whole], shares, robot.home, rows)
     told = () if measured is None else tuple(measured.bands)
     if measured is None or not any(_counted(measured, told, held_out=False)):
         source = logs[0].source if logs else robot.name
         raise MeasurementError(source, diagnose("nothing-to-fit"))
-    torques = Torques.of(robot, measured)
+    torques = Torques.of(robot, measured, bound)
     table = _parameters(torques, known)
     posterior = torques.fit(table)
     return _told(torques, logs, qualities, table, posterior)
@@ -131,10 +141,12 @@ def _counted(measured: MeasuredTorques, joints: Iterable[int], *, held_out: bool
 
 def _parameters(torques: Torques, priors: Sequence[Prior]) -> ParameterTable:
     """Returns what is estimated: of joints whose torques are told, and of the links they move."""
-    equations, names = torques.equations, torques.equations.robot.joint_names
-    wanted: list[tuple[str, str, str, float]] = []
-    for joint in equations.joints:
-        wanted += [(kind, names[joint], "", equations.stated(joint)[kind]) for kind in OF_JOINTS]
+    equations = torques.equations
+    wanted: list[tuple[str, str, str, float]] = [
+        (kind, name, "", value)
+        for name in equations.drives
+        for kind, value in equations.stated(name).items()
+    ]
     for link in equations.links.values():
         wanted.append(("mass", link, "", equations.mass[link]))
         wanted += [
@@ -165,20 +177,21 @@ def _own_widths(torques: Torques) -> Iterator[tuple[tuple[str, str], float]]:
     """
     equations, runs = torques.equations, torques.measured.runs
     fitted = [~run.held_out for run in runs]
-    for at, joint in enumerate(equations.joints):
-        torque, velocity, acceleration = (
-            root_mean_square(one[rows] for one, rows in zip(series, fitted, strict=True))
-            for series in (
-                [one[:, at] for one in torques.torques],
-                [run.velocity[..., joint] for run in runs],
-                [run.acceleration[..., joint] for run in runs],
-            )
-        )
-        if not math.isfinite(torque):
-            continue
-        by_kind = (torque, torque / velocity, torque / acceleration, torque)
-        for kind, width in zip(OF_JOINTS, by_kind, strict=True):
-            yield (kind, equations.robot.joint_names[joint]), width
+
+    def usual(series: Iterable[Array]) -> float:
+        return root_mean_square(one[rows] for one, rows in zip(series, fitted, strict=True))
+
+    sizes = np.array(
+        [usual([one[:, at] for one in torques.torques]) for at in range(len(equations.joints))]
+    )
+    for name, drive in equations.drives.items():
+        torque = float((sizes[drive != 0] / np.abs(drive[drive != 0])).min())
+        if math.isfinite(torque):
+            velocity = usual(run.velocity[..., equations.joints] @ drive for run in runs)
+            acceleration = usual(run.acceleration[..., equations.joints] @ drive for run in runs)
+            by_kind = (torque, torque / velocity, torque / acceleration, torque)
+            for kind, width in zip(OF_JOINTS, by_kind, strict=True):
+                yield (kind, name), width
     for link, inertia in equations.inertia.items():
         moment = KINDS["inertia"].share * float(np.trace(inertia)) / 3
         yield ("inertia", link), math.hypot(moment, equations.mass[link] * KINDS["com"].width ** 2)

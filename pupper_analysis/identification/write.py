@@ -144,6 +144,10 @@ def _numbers(
         ):
             why = diagnose("mjcf-alone-states-it" if one_file else "servo-of-no-file")
             left.append(diagnose("not-in-the-files", parameter=one.name, why=why))
+        elif one.kind in OF_JOINTS and one.subject not in robot.joint_names:
+            left.append(
+                diagnose("not-in-the-files", parameter=one.name, why=diagnose("motor-of-no-file"))
+            )
         elif one.kind in OF_BODIES and one.component:
             _put_component(numbers, robot, one, value)
         elif one.kind in (*OF_BODIES, *OF_JOINTS, *OF_SERVOS):

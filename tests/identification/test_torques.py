@@ -14,7 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 from pupper_analysis.convert.load import load_robot
-from pupper_analysis.errors import ConfigurationError, MeasurementError
+from pupper_analysis.errors import ConfigurationError, MeasurementError, UnknownNameError
+from pupper_analysis.identification.couplings import Coupling, parse_coupling
 from pupper_analysis.identification.fit import fit
 from pupper_analysis.identification.log import Log
 from pupper_analysis.identification.motion_result import MotionFit
@@ -23,6 +24,7 @@ from pupper_analysis.identification.told import Told
 from pupper_analysis.identification.torque_blocks import measure_torques
 from pupper_analysis.identification.torque_fit import fit_torques
 from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.identification.write import fit_files
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -278,6 +280,60 @@ def test_a_log_that_is_held_out_is_predicted_and_not_fitted() -> None:
     assert found.posterior.mean == pytest.approx(alone.posterior.mean, rel=1e-9, abs=1e-12)
     assert math.isnan(alone.held_out)
     assert found.held_out < 2 * fitted().held_out
+
+
+def test_a_motor_that_turns_with_both_joints_is_told_apart(tmp_path: Path) -> None:
+    """Its friction, damping and armature act on both, by the sum of their motions."""
+    whole = measured()
+    assert whole.torque is not None
+    _, velocity, acceleration = motion(whole.time)
+    true = {"friction": 0.4, "damping": 0.15, "armature": 0.03}
+    turn = velocity @ [1.0, -0.5]
+    gives = true["friction"] * np.sign(turn) + true["damping"] * turn
+    gives += true["armature"] * acceleration @ [1.0, -0.5]
+    coupled = replace(whole, torque=whole.torque + gives[:, None] * [1.0, -0.5])
+    found = fit(leg(), coupled, priors=PRIORS, couplings=["belt=hip+-0.5*knee"])
+    assert isinstance(found, TorqueFit)
+    told = {one.name: one for one in found.estimates}
+    for kind, value in true.items():
+        own = told[f"{kind} belt"]
+        assert abs(own.mean - value) < 4 * own.std, kind
+        assert own.std < 0.25 * value, kind  # an armature is told apart from moments alone
+    files = tmp_path / "leg.urdf", tmp_path / "leg.xml"
+    for file, text in zip(files, (URDF, MJCF), strict=True):
+        file.write_text(text, encoding="utf-8")
+    made = fit_files(leg(), found.posterior, files=files)
+    left = [one for one in made.diagnostics if one.code == "not-in-the-files"]
+    assert {str(one.values["parameter"]) for one in left} == {f"{kind} belt" for kind in true}
+    assert found.held_out < 1.3 * fitted().held_out
+    assert fit_torques(leg(), [coupled], priors=PRIORS).held_out > 2 * found.held_out
+
+
+@pytest.mark.parametrize(
+    ("text", "factors"),
+    [
+        ("motor_6=joint_5+joint_6", {"joint_5": 1.0, "joint_6": 1.0}),
+        (" belt = l-hip + -0.5*l-knee ", {"l-hip": 1.0, "l-knee": -0.5}),
+        ("m=2*a+-b+.25 * c", {"a": 2.0, "b": -1.0, "c": 0.25}),
+    ],
+)
+def test_couplings_are_read(text: str, factors: dict[str, float]) -> None:
+    assert parse_coupling(text) == Coupling(text.split("=")[0].strip(), factors)
+
+
+@pytest.mark.parametrize("text", ["", "hip", "m=hip", "=hip+knee", "m=hip+", "m=hip+hip", "m=2*+a"])
+def test_what_is_no_coupling_is_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError):
+        parse_coupling(text)
+
+
+def test_a_coupling_is_of_joints_in_the_log_and_has_its_own_name() -> None:
+    with pytest.raises(UnknownNameError):
+        fit_torques(leg(), [log()], couplings=["belt=hip+toe"])
+    with pytest.raises(ConfigurationError):
+        fit_torques(leg(), [log()], couplings=["knee=hip+knee"])
+    with pytest.raises(ConfigurationError):
+        fit(leg(), replace(log(), command=log().position), couplings=["belt=hip+knee"])
 
 
 def test_motion_is_smoothed_without_a_lag() -> None:
