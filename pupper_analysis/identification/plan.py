@@ -91,14 +91,14 @@ class PlannedStand(Result):
         swing: The feet in the air.
         approach: From where it is to be come to, ``above`` or ``below``; empty if it is all one.
         command: {joint: command of its servo (rad)}.
-        utilisation: Of the motor that gives most of what it can.
+        utilisation: Of the motor that gives most of what it can; None if none has a limit.
     """
 
     name: str
     swing: tuple[str, ...]
     approach: str
     command: Mapping[str, float]
-    utilisation: float
+    utilisation: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,7 +263,7 @@ def _random_stand(
             swing=swing,
             foot_offsets={foot: tuple(rng.uniform(-_STEP, _STEP, 2) * size) for foot in feet},
             com="inside",
-            com_margin=_MARGIN * size / (2 if swing else 1),
+            com_margin=_MARGIN * size,
             self_clearance=_CLEAR,
             joint_margin=margin,
         )
@@ -290,7 +290,7 @@ def _predicted(
     rows = [one for one in found for _ in range(times)]
     blank = np.full((len(rows), robot.nu), np.nan)
     return MeasuredStands(
-        source="predicted",
+        source=robot.name,
         names=tuple(str(row) for row in range(len(rows))),
         joints=robot.joint_names,
         command=np.array([_command(robot, sagged, kp) for _, sagged in rows]),
@@ -335,7 +335,7 @@ def _plan(
             swing=tuple(stand.task.swing),
             approach="",
             command=dict(zip(robot.joint_names, _command(robot, sagged, kp).tolist(), strict=True)),
-            utilisation=share,
+            utilisation=share if np.isfinite(robot.effort_limits).any() else None,
         )
         sides = ("above", "below") if both_sides else ("",)
         planned += [replace(one, approach=side) for side in sides]
