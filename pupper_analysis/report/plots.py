@@ -112,12 +112,12 @@ class BarPlot(Plot):
     Attributes:
         axis: What they measure.
         bars: The bars, from above.
-        legend: What a bar's value, the other value and the limit are.
+        legend: What a bar's value, the other value and the limit are; None of what no bar has.
     """
 
     axis: Axis
     bars: Sequence[Bar]
-    legend: tuple[Words, Words, Words]
+    legend: tuple[Words, Words | None, Words | None]
 
 
 @dataclass(frozen=True, eq=False)

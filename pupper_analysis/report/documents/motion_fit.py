@@ -51,5 +51,5 @@ def _joints(fit: MotionFit) -> plots.BarPlot:
         text("off-at-joints"),
         plots.Axis(text("root-mean-square"), "mrad", ".2f"),
         bars,
-        (text("root-mean-square"), text("encoder-noise"), text("limit")),
+        (text("root-mean-square"), text("encoder-noise"), None),
     )

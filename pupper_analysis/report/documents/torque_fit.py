@@ -57,5 +57,5 @@ def _joints(fit: TorqueFit) -> plots.BarPlot:
         text("torque-off-at-joints"),
         plots.Axis(text("root-mean-square"), "N m", ".3g"),
         bars,
-        (text("root-mean-square"), text("torque-noise"), text("limit")),
+        (text("root-mean-square"), text("torque-noise"), None),
     )

@@ -164,9 +164,9 @@ def _bars(plot: BarPlot, axes: Axes) -> list[Artist]:
     axes.set_axisbelow(True)
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.set_yticks(places, [in_english(bar.name) for bar in plot.bars], parse_math=False)
-    name, limit = in_english(plot.axis.name), in_english(plot.legend[2])
+    said = ["" if words is None else in_english(words) for words in plot.legend]
+    name, limit = in_english(plot.axis.name), said[2]
     axes.set_xlabel(f"{name} / {limit} (%)", size=style.FONT, parse_math=False)
-    said = [in_english(words) for words in plot.legend]
     return [
         Line2D([], [], **_VALUE, label=said[0]),
         Line2D([], [], **_OUTLIER_STYLE, label=said[1]),

@@ -165,7 +165,8 @@ def _bars(plot: BarPlot) -> Drawing:
         marks.append(word_at(WIDTH - 4, middle + 4, Name(draw_label(axis, bar.value)), "end"))
     marks.append(draw_line(at(0.0), TOP, at(0.0), TOP + tall, "axis"))
     marks.append(word_at(names + wide / 2, TOP + tall + 36, axis.name, "middle", axis.unit))
-    legend = tuple(zip(plot.legend, ("bar", "other", "limit"), strict=True))
+    kinds = zip(plot.legend, ("bar", "other", "limit"), strict=True)
+    legend = tuple((words, kind) for words, kind in kinds if words is not None)
     return Drawing(plot.title, WIDTH, TOP + tall + BOTTOM, tuple(marks), legend)
 
 
