@@ -75,7 +75,7 @@ def _residuals(fit: StandFit) -> plots.BarPlot:
     worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
     return plots.BarPlot(
         text("residuals-of-stands"),
-        plots.Axis(text("residual-rms"), "σ", ".2f"),
+        plots.Axis(text("residual-rms"), "sigma", ".2f"),
         [plots.Bar(doc.Name(name), value) for name, value in worst],
         (text("residual-rms"), None, None),
     )
