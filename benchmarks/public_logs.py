@@ -284,6 +284,8 @@ def show(found: Fit) -> None:
     if isinstance(found, TorqueFit):
         print(f"held out {found.held_out:.3g} N m, {100 * found.held_out / found.torque:.1f} %,")
         print(f"file {found.held_out_before:.3g} N m; {found.equations} equations")
+        (lag,) = (one for one in found.estimates if one.kind == "lag")
+        print(f"torques are told {1e3 * lag.mean:.2f} +- {1e3 * (lag.high - lag.mean):.2f} ms late")
         print("joint: off, file's own, noise (N m); cut-off (Hz)")
         for joint, off in found.by_joint.items():
             print(
@@ -309,7 +311,7 @@ def weights_of(text: str, joints: int) -> Array | None:
     first = len(OF_BODY) * joints
     motor = first + len(OF_DRIVE) * joints
     bias = motor + len(OF_MOTOR)
-    found = np.zeros(bias + joints)
+    found = np.zeros(bias + joints + 1)
     for term in text.replace(" - ", " + -").split(" + "):
         match = re.fullmatch(r"(-?)(?:([\d.]+)\*)?([A-Za-z]+)(\d+)", term.strip())
         if match is None:

@@ -61,6 +61,8 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("inertia", "kg m^2", share=0.5, width=1e-5),
         # What a torque sensor says of nothing; told by how large the measured torques are.
         ParameterKind("bias", "N m", width=0.05),
+        # Drivers filter and send torques and positions on their own ways.
+        ParameterKind("lag", "s", width=0.01),
         ParameterKind("delay", "s", width=0.01, positive=True),
         # What a spirit level leaves, or the one of a telephone.
         ParameterKind("slope", "rad", width=math.radians(0.2)),

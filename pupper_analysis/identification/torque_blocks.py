@@ -47,6 +47,7 @@ class Blocks:
         torque: (blocks, nu) mean of what was measured (N m, N); NaN where there is nothing, or
             where the joint does not turn one way all the time.
         held_out: (blocks,) whether it is one to predict.
+        slopes: (points,) what makes the slope of a line of numbers at the points (1/s).
         seconds: How long they are together.
     """
 
@@ -55,6 +56,7 @@ class Blocks:
     acceleration: Array
     torque: Array
     held_out: NDArray[np.bool_]
+    slopes: Array
     seconds: float
 
 
@@ -66,11 +68,13 @@ class MeasuredTorques:
         runs: Each without a gap.
         bands: {number of a joint: the frequencies in which it moves}.
         length: Of a block (s).
+        lag: By how much later than positions torques are taken to be told (s).
     """
 
     runs: tuple[Blocks, ...]
     bands: Mapping[int, Band]
     length: float
+    lag: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +93,11 @@ class _Part:
 
 
 def measure_torques(
-    logs: Sequence[Log], hold_out: Sequence[float], rest: Array, couplings: Array | None = None
+    logs: Sequence[Log],
+    hold_out: Sequence[float],
+    rest: Array,
+    couplings: Array | None = None,
+    lag: float = 0.0,
 ) -> MeasuredTorques | None:
     """Returns the equations of some logs; None if no part of one is long enough.
 
@@ -102,6 +110,7 @@ def measure_torques(
         rest: (nu,) where joints that no log tells are (rad, m).
         couplings: (couplings, nu) how far motors turn that turn with several joints: these are to
             turn one way, too.
+        lag: By how much torques are told later than positions (s).
     """
     parts = [part for log, share in zip(logs, hold_out, strict=True) for part in _parts(log, share)]
     bands: dict[int, Band] = {}
@@ -114,7 +123,7 @@ def measure_torques(
         return None
     # What is faster than a joint's cut-off its equation lacks; twice in a period is often enough.
     length = 1.0 / (2 * min(band.cutoff for band in bands.values()))
-    runs = [run for part in parts for run in _blocks(part, bands, length, rest)]
+    runs = [run for part in parts for run in _blocks(part, bands, length, rest, lag)]
     if not runs:
         return None
     rates = np.concatenate([run.velocity[~run.held_out].reshape(-1, len(rest)) for run in runs])
@@ -133,7 +142,7 @@ def measure_torques(
         slow = np.abs(speed).min(axis=1) <= least
         turns = speed.min(axis=1) * speed.max(axis=1) <= 0
         run.torque[(slow | turns) @ (drives != 0)] = np.nan
-    return MeasuredTorques(tuple(runs), bands, length)
+    return MeasuredTorques(tuple(runs), bands, length, lag)
 
 
 def _parts(log: Log, hold_out: float) -> Iterator[_Part]:
@@ -157,16 +166,19 @@ def _parts(log: Log, hold_out: float) -> Iterator[_Part]:
         yield _Part(position, torque, interval, hold_out)
 
 
-def _blocks(part: _Part, bands: Mapping[int, Band], length: float, rest: Array) -> Iterator[Blocks]:
+def _blocks(
+    part: _Part, bands: Mapping[int, Band], length: float, rest: Array, lag: float
+) -> Iterator[Blocks]:
     """Yields a part's blocks, if there are any."""
     size = max(round(length / part.interval), 1)
-    ends = math.ceil(_ENDS / min(band.cutoff for band in bands.values()) / part.interval)
+    ends = _ENDS / min(band.cutoff for band in bands.values()) + abs(lag)
+    ends = math.ceil(ends / part.interval)
     count = (len(part.position) - 2 * ends) // size
     if count < 1:
         return
     first = ends + size * np.arange(count)
     points = (np.arange(_POINTS) + 0.5) / _POINTS * size - 0.5
-    at = part.interval * (first[:, None] + points).ravel()
+    at = part.interval * (first[:, None] + points).ravel() - lag
     motion = np.zeros((3, len(at), len(rest)))
     motion[0] = rest
     for joint, band in bands.items():
@@ -177,4 +189,6 @@ def _blocks(part: _Part, bands: Mapping[int, Band], length: float, rest: Array) 
     torque = part.torque[ends : ends + size * count].reshape(count, size, -1).mean(axis=1)
     late = np.arange(count) >= math.ceil((1 - part.hold_out) * count)
     position, velocity, acceleration = motion.reshape(3, count, _POINTS, -1)
-    yield Blocks(position, velocity, acceleration, torque, late, count * size * part.interval)
+    slopes = (points - points.mean()) / ((points - points.mean()) ** 2).sum() / part.interval
+    seconds = count * size * part.interval
+    yield Blocks(position, velocity, acceleration, torque, late, slopes, seconds)

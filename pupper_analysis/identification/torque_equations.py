@@ -92,8 +92,8 @@ class TorqueEquations:
             blocks: Of a run.
 
         Returns:
-            The matrix (blocks, joints, numbers) of means over blocks, and (blocks, joints) the
-            torque that bodies need whose numbers are none of the parameters (N m, N).
+            The matrix (blocks, joints, numbers) of means over blocks, and how it changes in them
+            (1/s). The last column is the torque of bodies whose numbers are none of the parameters.
         """
         count, points, _ = blocks.position.shape
         own = np.concatenate(
@@ -103,9 +103,10 @@ class TorqueEquations:
         known = np.concatenate([one.toDynamicParameters() for one in self._model.inertias[1:]])
         known[own] = 0.0
         rows = self.robot.pin_convention.v_index[self.joints]
-        size = len(own)
-        matrix = np.zeros((count, len(self.joints), size))
-        rest = np.zeros((count, len(self.joints)))
+        found = np.zeros((2, count, len(self.joints), len(own)))
+        rest = np.zeros((2, count, len(self.joints), 1))
+        # Means, and slopes of lines through the points.
+        weights = np.array([np.full(points, 1 / points), blocks.slopes])
         for block in range(count):
             for point in range(points):
                 whole = self._whole(
@@ -113,20 +114,20 @@ class TorqueEquations:
                     blocks.velocity[block, point],
                     blocks.acceleration[block, point],
                 )[rows]
-                matrix[block] += whole[:, own]
-                rest[block] += whole @ known
-        matrix /= points
-        rest /= points
+                part = weights[:, point, None, None]
+                found[:, block] += part * whole[:, own]
+                rest[:, block] += part * (whole @ known)[:, None]
         drives = np.array(list(self.drives.values()))
         speed = blocks.velocity[:, :, self.joints] @ drives.T
         gain = blocks.acceleration[:, :, self.joints] @ drives.T
-        means = (np.sign(speed).mean(axis=1), speed.mean(axis=1), gain.mean(axis=1))
-        by_kind = np.stack(means, axis=2)  # (blocks, drives, kinds)
-        columns = drives.T[None, :, :, None] * by_kind[:, None]
-        bias = np.broadcast_to(
-            np.eye(len(self.joints)), (count, len(self.joints), len(self.joints))
-        )
-        return np.concatenate([matrix, columns.reshape(*rest.shape, -1), bias], axis=2), rest
+        by_kind = np.stack([np.sign(speed), speed, gain], axis=3)
+        by_kind = np.einsum("wp,bpdk->wbdk", weights, by_kind)
+        columns = drives.T[:, :, None] * by_kind[:, :, None]
+        bias = np.zeros((*rest.shape[:3], len(self.joints)))
+        bias[0] = np.eye(len(self.joints))
+        columns = columns.reshape(*rest.shape[:3], -1)
+        matrix, rate = np.concatenate([found, columns, bias, rest], axis=3)
+        return matrix, rate
 
     def _whole(self, position: Array, velocity: Array, acceleration: Array) -> Array:
         convention = self.robot.pin_convention
@@ -140,7 +141,8 @@ class TorqueEquations:
     def numbers(self, table: ParameterTable, x: Array) -> tuple[Array, Array]:
         """Returns the numbers (n,) that torques are linear in, and how parameters change them.
 
-        The inertia about a joint's frame is I + m (c.c 1 - c c^T), with I that about the com c.
+        The last is 1, of what is known. The inertia about a joint's frame is I + m (c.c 1 - c c^T),
+        with I that about the com c.
 
         Args:
             table: The parameters.
@@ -148,7 +150,7 @@ class TorqueEquations:
         """
         size = len(self._bodies) * _PER_BODY
         own = self._own_kinds()
-        found = np.zeros(size + len(own))
+        found = np.append(np.zeros(size + len(own)), 1.0)
         slopes = np.zeros((len(found), len(table)))
         for number, link in enumerate(self.links.values()):
             first = _PER_BODY * number

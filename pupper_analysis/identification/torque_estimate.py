@@ -31,20 +31,29 @@ _SAME_NOISE = 0.02
 """Of deviations: noise that changes by no more changes no interval that is shown."""
 
 
+TORQUES = "torques"
+"""Subject of the lag of torques behind positions: one for all of them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Torques:
     """Measured torques of some runs, and what they are linear in.
+
+    What is told at a moment is the torque of the motion before, by a lag: that is taken to be the
+    torque of the motion as it was taken, less its change in the time in which the lag is longer.
 
     Attributes:
         equations: How.
         measured: What was measured.
         matrices: Of each run (blocks, joints, numbers).
-        torques: Of each run (blocks, joints), less those of bodies that are known (N m, N).
+        rates: How these change (1/s).
+        torques: Of each run (blocks, joints) (N m, N).
     """
 
     equations: TorqueEquations
     measured: MeasuredTorques
     matrices: tuple[Array, ...]
+    rates: tuple[Array, ...]
     torques: tuple[Array, ...]
 
     @staticmethod
@@ -52,23 +61,42 @@ class Torques:
         """Returns the equations of what was measured."""
         joints = list(measured.bands)
         equations = TorqueEquations(robot, joints, couplings)
-        matrices, torques = [], []
-        for run in measured.runs:
-            matrix, rest = equations.regressor(run)
-            matrices.append(matrix)
-            torques.append(run.torque[:, joints] - rest)
-        return Torques(equations, measured, tuple(matrices), tuple(torques))
+        matrices, rates = zip(*(equations.regressor(run) for run in measured.runs), strict=True)
+        torques = tuple(run.torque[:, joints] for run in measured.runs)
+        return Torques(equations, measured, matrices, rates, torques)
 
-    def off(self, numbers: Array, *, held_out: bool) -> list[Array]:
+    def predicted(self, table: ParameterTable, x: Array) -> list[Array]:
+        """Returns torques (blocks, joints) of each run that parameters predict (N m, N)."""
+        numbers, _ = self.equations.numbers(table, x)
+        return [matrix @ numbers for matrix in self._at(table, x)]
+
+    def off(self, table: ParameterTable, x: Array, *, held_out: bool) -> list[Array]:
         """Returns predicted less measured torques (blocks, joints) of each run; NaN of others."""
         return [
-            np.where((run.held_out == held_out)[:, None], matrix @ numbers - torque, np.nan)
-            for run, matrix, torque in zip(
-                self.measured.runs, self.matrices, self.torques, strict=True
+            np.where((run.held_out == held_out)[:, None], predicted - torque, np.nan)
+            for run, predicted, torque in zip(
+                self.measured.runs, self.predicted(table, x), self.torques, strict=True
             )
         ]
 
-    def fit(self, table: ParameterTable) -> Posterior:
+    def _at(self, table: ParameterTable, x: Array) -> list[Array]:
+        """Returns what torques are linear in, at a lag."""
+        longer = table.value(x, "lag", TORQUES, "", 0.0) - self.measured.lag
+        return [
+            matrix - longer * rate for matrix, rate in zip(self.matrices, self.rates, strict=True)
+        ]
+
+    def _slopes(self, table: ParameterTable, x: Array) -> list[Array]:
+        """Returns how predicted torques change with parameters (blocks, joints, parameters)."""
+        numbers, slopes = self.equations.numbers(table, x)
+        found = [matrix @ slopes for matrix in self._at(table, x)]
+        place = table.place("lag", TORQUES)
+        if place is not None:
+            for one, rate in zip(found, self.rates, strict=True):
+                one[:, :, place] = -rate @ numbers
+        return found
+
+    def fit(self, table: ParameterTable, start: Array | None = None) -> Posterior:
         """Returns the parameters, with the covariance that the noise's memory makes.
 
         Each joint counts by its noise's long-run deviation, as in fits of motions; the covariance
@@ -77,13 +105,14 @@ class Torques:
 
         Args:
             table: The parameters.
+            start: To begin with; the stated values by default.
 
         Raises:
             FitError: If it does not converge.
         """
-        x = table.stated.copy()
+        x = table.stated.copy() if start is None else start
         noise: list[SeriesNoise] = []
-        left = self.off(self.equations.numbers(table, x)[0], held_out=False)
+        left = self.off(table, x, held_out=False)
         for turn in range(_ROUNDS):
             before = noise
             noise = [
@@ -105,34 +134,20 @@ class Torques:
                 enough=_ROUGH * sum(int(np.isfinite(one).sum()) for one in left),
             )
             x = posterior.mean
-            left = self.off(self.equations.numbers(table, x)[0], held_out=False)
+            left = self.off(table, x, held_out=False)
         return self._with_memory(table, posterior, noise, left)
 
     def _linearise(
         self, table: ParameterTable, noise: Sequence[SeriesNoise]
     ) -> Callable[[Array, Array], Linearised]:
         """Returns what whitens torques by each joint's noise."""
-        rows: list[Array] = []
-        asked: list[Array] = []
-        for run, matrix, torque in zip(
-            self.measured.runs, self.matrices, self.torques, strict=True
-        ):
-            for at, one in enumerate(noise):
-                counted = np.isfinite(torque[:, at]) & ~run.held_out
-                rows.append(matrix[counted, at] / one.long_run)
-                asked.append(torque[counted, at] / one.long_run)
-        whole, right = np.concatenate(rows), np.concatenate(asked)
-        squared = whole.T @ whole
+        sizes = np.array([one.long_run for one in noise])
 
         def linearise(x: Array, _about: Array) -> Linearised:
-            numbers, slopes = self.equations.numbers(table, x)
-            left = whole @ numbers - right
-            return Linearised(
-                information=slopes.T @ squared @ slopes,
-                gradient=slopes.T @ (whole.T @ left),
-                chi2=float(left @ left),
-                rows=len(left),
-            )
+            left = np.concatenate(self.off(table, x, held_out=False)) / sizes
+            rows = np.concatenate(self._slopes(table, x)) / sizes[:, None]
+            counted = np.isfinite(left)
+            return Linearised.of(left[counted], rows[counted])
 
         return linearise
 
@@ -144,14 +159,13 @@ class Torques:
         left: Sequence[Array],
     ) -> Posterior:
         """Returns the same with the covariance that the noise makes, by its memory."""
-        slopes, width = self.equations.numbers(table, posterior.mean)[1], table.width
+        width = table.width
         correlation = _innovations_together(noise, left)
         spread = np.zeros((len(table), len(table)))
-        for off, matrix in zip(left, self.matrices, strict=True):
+        for off, slopes in zip(left, self._slopes(table, posterior.mean), strict=True):
             counted = np.isfinite(off)
             backs = [
-                one.spread(np.where(counted[:, at, None], matrix[:, at] @ slopes, 0.0))
-                / one.long_run**2
+                one.spread(np.where(counted[:, at, None], slopes[:, at], 0.0)) / one.long_run**2
                 for at, one in enumerate(noise)
             ]
             for at, one in enumerate(backs):

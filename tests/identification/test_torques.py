@@ -226,7 +226,7 @@ def test_what_turns_about_one_axis_is_told_as_a_sum() -> None:
         assert told[name].told is Told.PRIOR
     # Friction, damping and bias of both joints, what gravity pulls at in two directions of each
     # link, what turns about each joint, and the knee's armature.
-    assert fitted().directions <= 6 + 4 + 2 + 1
+    assert fitted().directions <= 6 + 4 + 2 + 1 + 1  # and when torques are told
 
 
 def test_torques_that_were_not_fitted_are_predicted_to_their_noise() -> None:
@@ -334,6 +334,27 @@ def test_a_coupling_is_of_joints_in_the_log_and_has_its_own_name() -> None:
         fit_torques(leg(), [log()], couplings=["knee=hip+knee"])
     with pytest.raises(ConfigurationError):
         fit(leg(), replace(log(), command=log().position), couplings=["belt=hip+knee"])
+
+
+@pytest.mark.parametrize("late", [0.03, -0.012])
+def test_torques_that_are_told_late_are_put_where_they_belong(late: float) -> None:
+    """Without that gravity that is told late would look as friction does."""
+    time = log().time
+    shifted = measured(true=TRUE)
+    random = np.random.default_rng(5)
+    torque = torques(*motion(time - late)) + np.array(NOISE) * random.normal(size=(len(time), 2))
+    found = fit_torques(leg(), [replace(shifted, torque=torque)], priors=PRIORS)
+    told = {one.name: one for one in found.estimates}
+    lag = told["lag torques"]
+    assert abs(lag.mean - late) < 4 * lag.std
+    assert lag.std < 1e-3
+    for name, damping in zip(JOINTS, TRUE.damping, strict=True):
+        own = told[f"damping {name}"]
+        assert abs(own.mean - damping) < 4 * own.std
+    assert found.held_out == pytest.approx(fitted().held_out, rel=0.3)
+    known = fit_torques(leg(), [replace(shifted, torque=torque)], priors=[*PRIORS, "lag=0"])
+    assert "lag torques" not in {one.name for one in known.estimates}
+    assert known.held_out > 1.5 * found.held_out
 
 
 def test_motion_is_smoothed_without_a_lag() -> None:

@@ -23,6 +23,7 @@ TITLES = {
     "armature": "fitted-armature",
     "inertia": "fitted-inertia",
     "bias": "fitted-bias",
+    "lag": "fitted-lag",
     "delay": "fitted-delay",
 }
 """{kind of parameter: title of its table}."""
