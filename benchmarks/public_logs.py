@@ -165,6 +165,7 @@ def read_tensors(path: Path) -> dict[str, NDArray[Any]]:
 
         class Reader(pickle.Unpickler):
             def find_class(self, module: str, name: str) -> Any:
+                module = module.replace("numpy.core", "numpy._core")  # before NumPy 2
                 if (module, name) == ("torch._utils", "_rebuild_tensor_v2"):
                     return tensor
                 if module == "torch" and name in kinds:
