@@ -224,8 +224,8 @@ def estimate_parameters(
         )
         at_x = slopes.are_at(x)
         if moved is not None and (
-            moved.kept > _KEPT
-            or not (at_x and costly)
+            not (at_x and costly)
+            or moved.gain > _KEPT * promised
             or moved.gain > max(_LEAST_KEPT * promised, _MUDDY)
         ):
             x, slopes.outdated = moved.x, moved.kept < _KEPT

@@ -34,8 +34,13 @@ Array = NDArray[np.float64]
 HOLD_OUT = 0.2
 """Of each log, at its end: what is predicted, and not fitted."""
 
-_STEP_ERROR = 0.1
-"""What half the simulation's step changes, in parts of what is left: 0.5 % of its square."""
+_STEP_ERROR = 0.3
+"""What finer steps of the simulation change, in parts of what is left: of more than that, what is
+added to coarse ones is not the same for near parameters."""
+
+_SHIFT, _CORRECTIONS = 0.04, 3
+"""Of the cost: where finer steps move parameters by a fifth of a standard deviation, what they
+change is added to what coarse ones predict, and the fit goes on; so often at most."""
 
 _LOOKS = 200
 """Postures of a log in which parts are looked at that may touch."""
@@ -77,6 +82,30 @@ def fit_motion(
         ModelError: If the model has no servos and no gains are given.
         UnknownNameError: If a log has joints that the robot has not.
     """
+    motion, qualities = begin_motion(robot, logs, priors, hold_out, kp, kd)
+    posterior = motion.fit()
+    while motion.step_error(posterior.mean) > _STEP_ERROR:
+        motion = motion.with_steps(2 * motion.simulator.steps)
+        posterior = motion.fit(posterior.mean)
+    for _ in range(_CORRECTIONS):
+        if motion.correct(posterior) < _SHIFT:
+            break
+        posterior = motion.fit(posterior.mean)
+    return _told(motion.simulator.robot, logs, qualities, motion, posterior)
+
+
+def begin_motion(
+    robot: Robot,
+    logs: Sequence[Log],
+    priors: Sequence[Prior | str],
+    hold_out: float | Sequence[Log],
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> tuple[Motion, tuple[LogQuality, ...]]:
+    """Returns logs beside simulations of the same robot, and what the logs are.
+
+    The arguments, and what is raised, are those of ``fit_motion``.
+    """
     known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
     if robot.floating:
         robot = build_robot(robot.description, fixed_base=True)
@@ -91,13 +120,7 @@ def fit_motion(
     _check(robot, drive, logs, runs)
     table = _parameters(robot, drive, qualities, known)
     interval = float(np.median([quality.interval for quality in qualities]))
-    simulator = Simulator(robot, drive, table, interval)
-    motion = Motion(simulator, runs)
-    posterior = motion.fit()
-    while motion.step_error(posterior.mean) > _STEP_ERROR:
-        motion = motion.with_steps(2 * motion.simulator.steps)
-        posterior = motion.fit(posterior.mean)
-    return _told(robot, logs, qualities, motion, posterior)
+    return Motion(Simulator(robot, drive, table, interval), runs), qualities
 
 
 def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
@@ -161,7 +184,7 @@ def _told(
     """Returns a fit with how far its predictions are from what was measured."""
     off = {}
     for name, x in (("before", motion.table.stated), ("after", posterior.mean)):
-        found = [motion.simulator.predict(run, [x])[0] - run.position for run in motion.runs]
+        found = [motion.finer.predict(run, [x])[0] - run.position for run in motion.runs]
         off[name] = [
             [np.where(getattr(run, part), one, np.nan) for run, one in zip(motion.runs, found)]  # noqa: B905
             for part in ("counts", "held_out")
@@ -197,7 +220,7 @@ def _told(
         repeatability=_repeatability(motion.runs),
         by_joint=dict(zip(names, by_joint.tolist(), strict=True)),
         encoder_noise=dict(zip(names, noise.tolist(), strict=True)),
-        steps=motion.simulator.steps,
+        steps=motion.finer.steps,
     )
 
 

@@ -296,9 +296,9 @@ class Simulator:
         for _, columns in self.groups:
             changes[np.arange(len(columns)), columns] = step[columns]
         changes[turns + np.arange(len(shared)), shared] = step[shared]
-        moved = self._moved(run, vector + changes) - here
+        moved = self.predict_all(run, vector + changes) - here
         if central:
-            moved = (moved + here - self._moved(run, vector - changes)) / 2
+            moved = (moved + here - self.predict_all(run, vector - changes)) / 2
         for number, (joints, columns) in enumerate(self.groups):
             rows = [*range(len(columns)), *range(turns, turns + len(shared))]
             places = np.array([*columns, *shared], dtype=np.int64)
@@ -306,7 +306,7 @@ class Simulator:
             found[number] = places, np.moveaxis(slopes, 0, 2)
         return found
 
-    def _moved(self, run: Run, vectors: Array) -> Array:
+    def predict_all(self, run: Run, vectors: Array) -> Array:
         """Returns predictions for many vectors, some at a time: states of all take much memory."""
         parts = range(0, len(vectors), _AT_ONCE)
         return np.concatenate([self.predict(run, vectors[at : at + _AT_ONCE]) for at in parts])

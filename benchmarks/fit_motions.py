@@ -1,0 +1,221 @@
+"""How often 95 % intervals of a fit to a motion hold the truth, and how long it takes.
+
+    python benchmarks/fit_motions.py [--robot v3 --robot go2.xml] [--seeds 20] [--seconds 10]
+    python benchmarks/fit_motions.py --log 0.npz --log 1.npz --hold-out 5.npz --robot go2.xml
+        [--kp 20 --kd 1] [--start 3]
+
+What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
+zeros of encoders (1.5 deg), kp (15 %, half of it common), dry friction, damping, armature (30 %)
+and the delay of commands (10 ms). It hangs by its base, and its servos follow sines and steps; it
+is simulated step by step in MuJoCo, a quarter of a millisecond each. (An Euler's step of 0.1 ms is
+seen: its lag is half of that, seven standard deviations of the delay.) Encoders have 12 bits and
+shake. Seeds are of a robot's own: runs are the same each time.
+
+With ``--log`` it is a real robot's; ``--start`` fits again from so many other starts, a prior's
+width away, and says how far the answers are from each other, in their standard deviations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+import zlib
+
+import mujoco
+import numpy as np
+
+import pupper_analysis as pa
+from pupper_analysis.identification.bodies import MovingBodies
+from pupper_analysis.identification.links import bodies_of
+from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.log_files import read_log
+from pupper_analysis.identification.motion import begin_motion, fit_motion
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
+from pupper_analysis.study.parameters import scale_robot
+
+MASS, COM, OFFSET, KP, RUBS, DELAY = 0.15, 0.01, math.radians(1.5), 0.15, 0.3, 0.01
+PRIORS = (
+    "mass=15%", "com=10mm", "offset=1.5deg", "kp=15%",
+    "friction=30%", "damping=30%", "armature=30%", "delay=10ms",
+)  # fmt: skip
+INTERVAL, TICKS = 0.005, 20
+QUANTUM, SHAKES = 2 * math.pi / 4096, 3e-4
+
+
+def positive(rng: np.random.Generator, mean: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Draws from normal distributions, again where it is not positive."""
+    drawn = rng.normal(mean, width)
+    while (drawn < 0).any():
+        drawn = np.where(drawn < 0, rng.normal(mean, width), drawn)
+    return drawn
+
+
+def commands(robot: Robot, rng: np.random.Generator, seconds: float) -> np.ndarray:
+    """Returns sines of 0.3 to 3 Hz and a step every second or so (n, nu), inside of limits."""
+    clock = np.arange(0, seconds, INTERVAL)
+    wide = np.minimum(robot.upper_limits - robot.lower_limits, 2.0)
+    middle = np.clip(
+        robot.home[-robot.nu :], robot.lower_limits + wide / 4, robot.upper_limits - wide / 4
+    )
+    found = np.empty((len(clock), robot.nu))
+    for joint in range(robot.nu):
+        rates, phases = rng.uniform(0.3, 3, 3), rng.uniform(0, 2 * math.pi, 3)
+        sines = np.sin(2 * math.pi * np.outer(clock, rates) + phases).mean(axis=1)
+        steps = rng.uniform(-1, 1, int(seconds) + 2)[(clock + rng.uniform()).astype(int)]
+        found[:, joint] = middle[joint] + wide[joint] / 8 * (sines + steps)
+    return found
+
+
+def drive_joints(
+    robot: Robot, rng: np.random.Generator, seconds: float, gains: Gains
+) -> tuple[Log, dict[str, float]]:
+    """Returns a log of a robot with planted errors, and what is true of it by estimates' names."""
+    factors, truth = {}, {}
+    names = robot.joint_names
+    held = build_robot(robot.description, fixed_base=True)
+    bodies = MovingBodies(held, held.mj_model)
+    by_link = {link: number for link, number in bodies_of(robot) if link in bodies.links}
+    for link in by_link:
+        at, factor = bodies.links.index(link), max(0.3, 1 + MASS * rng.normal())
+        factors[f"mass:{link}"], truth[f"mass {link}"] = factor, factor * bodies.mass[at]
+        for axis, stated in zip("xyz", bodies.com[at], strict=True):
+            factors[f"com_{axis}:{link}"] = off = COM * rng.normal()
+            truth[f"com.{axis} {link}"] = stated + off
+    true = build_robot(scale_robot(robot, factors).description, fixed_base=True)
+    kp = gains.kp * np.maximum(
+        1 + KP * (math.sqrt(0.5) * (rng.normal() + rng.normal(size=robot.nu))), 0.3
+    )
+    model = model_with_servos(true, kp, gains.kd).model
+    dofs, where = true.mj_convention.qvel_index, true.mj_convention.qpos_index
+    for kind, values in (
+        ("friction", model.dof_frictionloss),
+        ("damping", model.dof_damping),
+        ("armature", model.dof_armature),
+    ):
+        values[dofs] = positive(rng, values[dofs], RUBS * values[dofs])
+        truth |= {
+            f"{kind} {name}": float(values[dof]) for name, dof in zip(names, dofs, strict=True)
+        }
+    offsets, delay = OFFSET * rng.normal(size=robot.nu), abs(DELAY * rng.normal())
+    truth |= {f"kp {name}": float(one) for name, one in zip(names, kp, strict=True)}
+    truth |= {f"offset {name}": float(one) for name, one in zip(names, offsets, strict=True)}
+    command, late = commands(robot, rng, seconds), round(delay / INTERVAL * TICKS)
+    truth["delay servos"] = late / TICKS * INTERVAL
+    model.opt.timestep, model.opt.integrator = INTERVAL / TICKS, INTEGRATOR
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT.value
+    data, seen = mujoco.MjData(model), []
+    true.mj_convention.set_state(data, command[0] - offsets)
+    actuators = true.mj_convention.actuator_index
+    for tick in range(TICKS * len(command)):
+        if tick % TICKS == 0:
+            seen.append(data.qpos[where] + offsets)
+        asked = command[max(tick - late, 0) // TICKS] - offsets
+        data.ctrl[model.actuator_ctrladr[actuators]] = gains.gear * asked
+        mujoco.mj_step(model, data)
+    read = np.array(seen) + SHAKES * rng.normal(size=command.shape)
+    clock = INTERVAL * np.arange(len(command))
+    return Log("planted", clock, names, command, QUANTUM * np.round(read / QUANTUM)), truth
+
+
+INTEGRATOR = mujoco.mjtIntegrator.mjINT_RK4.value
+
+
+def cover(name: str, given: argparse.Namespace) -> None:
+    """Fits robots with planted errors, and says how often intervals hold them."""
+    robot = pa.load_variant(name) if name in pa.VARIANTS else pa.load_robot(name)
+    gains, seeds, seconds = servo_gains(robot, given.kp, given.kd), given.seeds, given.seconds
+    held: dict[str, list[bool]] = {}
+    spent, waited, explained = [], [], 0
+    for seed in range(seeds):
+        rng = np.random.default_rng([zlib.crc32(robot.name.encode()), seed])
+        log, truth = drive_joints(robot, rng, seconds, gains)
+        begun, waiting = time.process_time(), time.monotonic()
+        fit = fit_motion(robot, [log], priors=PRIORS, kp=given.kp, kd=given.kd)
+        spent.append(time.process_time() - begun)
+        waited.append(time.monotonic() - waiting)
+        explained += fit.explained
+        own = []
+        for one in fit.estimates:
+            if one.name in truth:
+                inside = one.low <= truth[one.name] <= one.high
+                own.append(inside)
+                for key in ("all", f"told by {one.told.value}", f"{one.kind}, {one.told.value}"):
+                    held.setdefault(key, []).append(inside)
+                if abs(truth[one.name] - one.mean) > FAR * one.std:
+                    off = (truth[one.name] - one.mean) / one.std
+                    print(f"  seed {seed}: {one.name} is {off:.1f} standard deviations off")
+        print(
+            f"  seed {seed}: {100 * np.mean(own):.1f} %, held out {1e3 * fit.held_out:.2f} mrad "
+            f"({1e3 * fit.held_out_before:.1f} before), {spent[-1]:.1f} s of processor",
+            flush=True,
+        )
+    print(f"{robot.name}: {seeds} logs of {seconds:g} s, {explained} explained, ", end="")
+    print(f"{np.mean(spent):.1f} s of processor each, {np.mean(waited):.1f} s waited")
+    for key, inside in sorted(held.items()):
+        print(f"  {key:28s} {100 * np.mean(inside):5.1f} % of {len(inside)} intervals hold it")
+
+
+FAR = 4.0
+"""Standard deviations: one of 16,000 normal numbers is as far off."""
+
+
+def fit_logs(given: argparse.Namespace) -> None:
+    """Fits real logs, and says how far predictions of others are from them."""
+    name = given.robot[0]
+    robot = pa.load_variant(name) if name in pa.VARIANTS else pa.load_robot(name)
+    logs = [read_log(one) for one in given.log]
+    others = [read_log(one) for one in given.hold_out]
+    begun, waiting = time.process_time(), time.monotonic()
+    fit = fit_motion(robot, logs, hold_out=others or 0.2, kp=given.kp, kd=given.kd)
+    spent, waited = time.process_time() - begun, time.monotonic() - waiting
+    print(f"{robot.name}: {sum(one.duration for one in logs):.0f} s of log fitted in ", end="")
+    print(f"{spent:.0f} s of processor, {waited:.0f} s waited, {fit.posterior.steps} steps at last")
+    print(
+        f"  held out {1e3 * fit.held_out:.3f} mrad, the file's own {1e3 * fit.held_out_before:.3f},"
+    )
+    print(f"  fitted {1e3 * fit.fitted:.3f} ({1e3 * fit.fitted_before:.3f}), ", end="")
+    print(f"the robot from itself {1e3 * fit.repeatability:.3f}")
+    told = [one.told.value for one in fit.estimates]
+    print(f"  { ({kind: told.count(kind) for kind in sorted(set(told))}) } of {len(told)}")
+    known, rng = fit.posterior, np.random.default_rng(0)
+    for _ in range(given.start):
+        motion, _ = begin_motion(robot, logs, (), others or 0.2, given.kp, given.kd)
+        table = motion.table
+        start = np.abs(table.stated + table.width * rng.normal(size=len(table)))
+        start = np.where(table.stated < 0, -start, start)
+        other = motion.fit(start, near=False)
+        off = (other.mean - known.mean) / known.std
+        worst = int(np.argmax(np.abs(off)))
+        print(f"  from another start: {np.sqrt(np.mean(off**2)):.2f} standard deviations, ", end="")
+        print(f"{known.parameters[worst].name} {off[worst]:.2f}; cost {other.chi2:.1f}, ", end="")
+        print(f"{known.chi2:.1f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--robot", action="append", help="a variant, or a file")
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of a simulated log")
+    parser.add_argument("--log", action="append", default=[], help="of a real robot")
+    parser.add_argument("--hold-out", action="append", default=[], help="to be predicted")
+    parser.add_argument("--kp", type=float, nargs="*", help="of servos (N m/rad)")
+    parser.add_argument("--kd", type=float, nargs="*", help="of servos (N m s/rad)")
+    parser.add_argument("--start", type=int, default=0, help="other starts")
+    given = parser.parse_args()
+    given.robot = given.robot or ["v3"]
+    for gain in ("kp", "kd"):
+        values = getattr(given, gain)
+        if values and len(values) == 1:
+            setattr(given, gain, values[0])
+    if given.log:
+        fit_logs(given)
+        return
+    for name in given.robot:
+        cover(name, given)
+
+
+if __name__ == "__main__":
+    main()
