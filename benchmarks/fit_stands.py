@@ -52,8 +52,8 @@ STIFF = 0.05
 """Of the weight times the height: torque of a servo by its zero's error, on average. With more
 of it a robot that is put on its feet slides, or lifts one: so stiff a robot is known to be off."""
 
-SHAKES, TILT, SCALE = 5e-4, math.radians(0.2), 0.002
-"""Of encoders (rad), of the IMU (rad), of a scale (of the weight)."""
+TILT, SCALE = math.radians(0.2), 0.002
+"""Noise of the IMU (rad), of a scale (of the weight)."""
 
 MOBILISED, SPREAD, FAST = 0.9, 0.3, 0.2
 """Of dry friction, on average: how much of it holds a joint that came slowly from a known side, if
@@ -171,21 +171,27 @@ def predict(
     commanded: Commanded,
     side: str,
     rng: np.random.Generator,
-    uneven: float,
-    soft: float,
+    given: argparse.Namespace,
 ) -> np.ndarray | None:
     """Returns qpos at rest: dry friction anywhere in its band, or of a side; steps under feet."""
     (stand, command), true, kp = commanded, planted.robot, planted.kp
     rubbing, share = DryFriction.of(true).joints, rng.uniform(-1, 1, true.nu)
     if side:
         share = held_back(planted.stated, stand, side, rng, share)
-    heights = {foot: float(rng.normal(0, uneven)) for foot in true.feet}
+    heights = {foot: float(rng.normal(0, given.uneven)) for foot in true.feet}
     on_steps = replace(stand, task=replace(stand.task, ground=Ground(heights=heights)))
     end = command - planted.offsets + share * rubbing / kp
     try:
         system = SagEquilibrium(true, on_steps, kp, "pinned")
         system.laws = {
-            foot: replace(law, stiffness=law.stiffness / soft) for foot, law in system.laws.items()
+            foot: replace(law, stiffness=law.stiffness / given.soft)
+            for foot, law in system.laws.items()
+        }
+        pressed = float(np.linalg.norm(true.gravity)) * true.total_mass / len(stand.stance_feet)
+        system.moments = {
+            foot: given.rub * rng.uniform(-1, 1, 3) * turning * pressed
+            for foot, turning in DryFriction.of(true).turning.items()
+            if foot in stand.stance_feet and turning.any()
         }
         way = HomotopyPath(system, end)
         way.follow(1.0)
@@ -197,18 +203,19 @@ def predict(
 
 
 def simulate(
-    planted: Planted, commanded: Commanded, seconds: float, soft: float
+    planted: Planted, commanded: Commanded, given: argparse.Namespace
 ) -> np.ndarray | None:
     """Returns qpos after some seconds in MuJoCo, if the feet stand as they should."""
     (stand, command), true = commanded, planted.robot
     drive = model_with_servos(true, planted.kp, servo_gains(true).kd)
     model, where = copy.copy(drive.model), true.mj_convention.qpos_index
     stiff = model.geom_solref[:, 0] > 0
-    model.geom_solref[:, 0] *= np.where(stiff, math.sqrt(soft), 1 / soft)
+    model.geom_solref[:, 0] *= np.where(stiff, math.sqrt(given.soft), 1 / given.soft)
+    model.opt.noslip_iterations = 20 if given.grip else model.opt.noslip_iterations
     data = mujoco.MjData(model)
     data.qpos[where] = stand.qpos
     data.ctrl[:] = drive.command(true, command - planted.offsets)
-    for _ in range(int(seconds / model.opt.timestep)):
+    for _ in range(int(given.seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
     touching = {
         true.foot_geoms.get(int(geom)) for contact in data.contact for geom in contact.geom
@@ -224,14 +231,14 @@ def simulate(
 def measure(
     planted: Planted,
     rows: list[tuple[Commanded, str, np.ndarray]],
-    bits: int,
+    given: argparse.Namespace,
     rng: np.random.Generator,
 ) -> MeasuredStands:
     """Returns what encoders and an IMU read of stands (qpos)."""
     robot = planted.robot
-    step, shape = 2 * math.pi / 2**bits, (len(rows), robot.nu)
+    step, shape = 2 * math.pi / 2**given.bits, (len(rows), robot.nu)
     read = np.array([qpos[7:] for *_, qpos in rows]) + planted.offsets
-    read += SHAKES * rng.normal(size=shape)
+    read += given.shakes * rng.normal(size=shape)
     up = -robot.gravity / np.linalg.norm(robot.gravity)
     ups = [Configuration(robot, qpos).base_rotation().T @ up for *_, qpos in rows]
     tilt = np.array([[math.atan2(y, z), -math.asin(x)] for x, y, z in ups]) + planted.imu
@@ -262,9 +269,9 @@ def fits(
         for number in rng.permutation(len(pool)):
             side = ("above", "below")[len(rows) % 2] if given.sides and rubs else ""
             if given.simulated:
-                found = simulate(planted, pool[number], given.seconds, given.soft)
+                found = simulate(planted, pool[number], given)
             else:
-                found = predict(planted, pool[number], side, rng, given.uneven, given.soft)
+                found = predict(planted, pool[number], side, rng, given)
             if found is not None:
                 rows.append((pool[number], side, found))
             if len(rows) == given.stands:
@@ -272,11 +279,11 @@ def fits(
         if len(rows) < LEAST:  # with these errors its feet slide, or it falls
             yield seed, planted, None, 0.0
             continue
-        stands = measure(planted, rows, given.bits, rng)
+        stands = measure(planted, rows, given, rng)
         priors = (*PRIORS, f"offset={offset_of(robot)}rad")
         priors += ("friction=30%",) if given.sides and rubs else ()
         weight = planted.robot.total_mass * (1 + SCALE * rng.normal())
-        encoder = math.hypot(2 * math.pi / 2**given.bits / math.sqrt(12), SHAKES)
+        encoder = math.hypot(2 * math.pi / 2**given.bits / math.sqrt(12), given.shakes)
         kp, begun = servo_gains(robot).kp, time.process_time()
         try:
             fit = fit_stands(robot, stands, priors=priors, weight=weight, kp=kp, encoder=encoder)
@@ -333,9 +340,12 @@ def main() -> None:
     parser.add_argument("--stands", type=int, default=25)
     parser.add_argument("--simulated", action="store_true", help="in MuJoCo, not predicted")
     parser.add_argument("--seconds", type=float, default=12.0, help="that MuJoCo simulates")
+    parser.add_argument("--grip", action="store_true", help="MuJoCo's feet do not creep")
     parser.add_argument("--sides", action="store_true", help="come from above and from below")
     parser.add_argument("--uneven", type=float, default=3e-4, help="of the ground (m)")
+    parser.add_argument("--rub", type=float, default=0.0, help="of the dry friction of feet")
     parser.add_argument("--bits", type=int, default=12, help="of encoders")
+    parser.add_argument("--shakes", type=float, default=5e-4, help="noise of encoders (rad)")
     parser.add_argument("--slope", type=float, default=0.0, help="that nobody mentioned (deg)")
     parser.add_argument("--soft", type=float, default=1.0, help="times as deep as feet should sink")
     parser.add_argument("--log", type=Path, help="a file for what is found of each seed")

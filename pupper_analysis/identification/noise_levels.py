@@ -49,6 +49,7 @@ def find_noise(
     from scipy import optimize  # slow to import
 
     expected = equations.noise
+    equations.linearise(x, x)  # finds stands' own unknowns
 
     def at(levels: Array) -> StandNoise:
         moment, flatness, friction = np.exp(levels)
