@@ -123,7 +123,7 @@ def _estimate(
         return equations.linearise(x, about) + weighed(x)
 
     try:
-        posterior = estimate_parameters(equations.table, linearise, start, _ROUGH)
+        posterior = estimate_parameters(equations.table, linearise, start, enough=_ENOUGH)
     except FitError:
         _check_forces(robot, stands, equations)  # which may tell why
         raise
@@ -131,9 +131,9 @@ def _estimate(
     return posterior
 
 
-_ROUGH = 1e-5
-"""Of the cost: by as much it is not known, as what noise does depends on contact forces and places
-a little, of which no derivative is taken. Of 200 rows, less than a twentieth of a deviation."""
+_ENOUGH = 2e-3
+"""Of the cost: a step that promises no more is one of a twentieth of a standard deviation. What
+noise does depends a little on contact forces, of which no derivative is taken: less is not kept."""
 
 
 def expected_noise(
