@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -209,13 +209,22 @@ def _remarks(robot: Robot, log: Log, named: list[int], found: LogQuality) -> Ite
         yield diagnose("motors-saturated", joints=list(full), worst=worst, most=most)
 
 
-def _units(robot: Robot, log: Log, named: list[int]) -> Iterator[Diagnostic]:
-    """Finds columns in another unit than they are said to be in."""
+def find_degrees(
+    robot: Robot, joints: Iterable[int], position: Array, command: Array
+) -> Iterator[Diagnostic]:
+    """Finds columns that are not in the unit that they are said to be in.
+
+    Args:
+        robot: The robot.
+        joints: Those to look at.
+        position: (n, nu) of them (rad, m); NaN are passed over.
+        command: (n, nu) likewise.
+    """
     farthest = np.maximum(np.abs(robot.lower_limits), np.abs(robot.upper_limits))
     farthest = np.where(np.isfinite(farthest) & (farthest > 0), farthest, 2 * np.pi)
-    for index in named:
+    for index in joints:
         name = robot.joint_names[index]
-        for kind, values in (("position", log.position), ("command", log.command)):
+        for kind, values in (("position", position), ("command", command)):
             column = values[:, index]
             column = column[np.isfinite(column)]
             # Its median: servos may be asked for what is far beyond a limit, for a moment.
@@ -230,6 +239,11 @@ def _units(robot: Robot, log: Log, named: list[int]) -> Iterator[Diagnostic]:
                     limit=Quantity(farthest[index], "rad"),
                     degrees=bool(looks),
                 )
+
+
+def _units(robot: Robot, log: Log, named: list[int]) -> Iterator[Diagnostic]:
+    """Finds columns in another unit than they are said to be in."""
+    yield from find_degrees(robot, named, log.position, log.command)
     together = _ratio(log.command[:, named], log.position[:, named])
     if together is not None and not _SAME_UNIT[0] < together < _SAME_UNIT[1]:
         header = f"position.{log.joints[named[0]]} [deg]"

@@ -130,7 +130,13 @@ class Prior:
         return self.share * abs(stated) if math.isnan(self.width) else self.width
 
 
-_PRIOR = re.compile(r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[^=%a-zA-Z]+)(?P<unit>.*)")
+_PRIOR = re.compile(
+    r"(?P<kind>[a-z]+)(?::(?P<subject>[^=]+))?=(?P<value>[-+.\d]+(?:[eE][-+]?\d+)?)(?P<unit>.*)"
+)
+
+
+_NARROWEST = 1e-9
+"""Of any unit: what is known better is known, and the square of a width is a number yet."""
 
 
 def parse_prior(text: str) -> Prior:
@@ -149,7 +155,7 @@ def parse_prior(text: str) -> Prior:
         value = float(found["value"])
     except ValueError:
         value = math.nan
-    if not 0 <= value < math.inf:
+    if value != 0 and not _NARROWEST < value < 1 / _NARROWEST:
         raise ConfigurationError("prior", diagnose("no-prior", text=text, kinds=tuple(KINDS)))
     if unit == "%":
         return Prior(kind.name, subject, share=value / 100)

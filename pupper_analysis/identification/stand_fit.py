@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
+from pupper_analysis.arguments import check_arguments, check_finite
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import FitError, MeasurementError
+from pupper_analysis.errors import ConfigurationError, FitError, MeasurementError
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.identification.links import AXES, bodies_of
 from pupper_analysis.identification.noise_levels import find_noise
@@ -75,10 +75,13 @@ def fit_stands(
     Raises:
         MeasurementError: If they are none of this robot's: joints or feet that it has not, too few
             stands, one that is not at rest, a foot that would have to pull.
-        ConfigurationError: If a prior says nothing, or the base is fixed.
+        ConfigurationError: If a prior says nothing, a weight is none, or the base is fixed.
         FitError: If it does not converge.
     """
     wanted = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    for name, value in (("weight", weight), ("encoder", encoder)):
+        if value is not None and check_finite(name, value) <= 0:
+            raise ConfigurationError(name, diagnose("not-positive", value=value))
     robot.check_floating()
     robot.check_tree("fit")
     given = stands.of(robot).repeated()
@@ -258,6 +261,8 @@ def _unused(
 ) -> Iterator[Diagnostic]:
     """Yields which commands are not used, and why."""
     commanded = np.isfinite(stands.command)
+    if not commanded.any() and not np.isfinite(stands.torque).any():
+        yield diagnose("stands-without-torques")
     if (stopped & commanded).any():
         where, names = _places(robot, stands, stopped & commanded)
         yield diagnose("stands-at-stops", stands=where, joints=names)

@@ -275,10 +275,11 @@ class StandRows:
         It is positions that are measured. By torques, masses and kp that are all too small would
         fit best: what is off would be small with them, and noise is not.
         """
-        kp = np.where(self._known, self._numbers.kp, 1.0)
-        share = np.where(self._known, self._stiff / kp, 1.0)
+        driven = self._known & (self._numbers.kp > 0)
+        kp = np.where(driven, self._numbers.kp, 1.0)
+        share = np.where(driven, self._stiff / kp, 1.0)
         for joint, name in enumerate(self._names):
-            for at in self._at("kp", name) if self._known[joint] else []:
+            for at in self._at("kp", name) if driven[joint] else []:
                 by_x[6 + joint, at] -= residual[6 + joint] / kp[joint]
         for rows in (residual, by_x.T, by_own.T):
             rows[..., 6:] *= share

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import MeasurementError, UnknownNameError
 from pupper_analysis.identification.columns import Column, Columns, read_columns
+from pupper_analysis.identification.log_quality import find_degrees
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -94,6 +95,9 @@ class MeasuredStands:
             position=self.position[:, order],
             torque=self.torque[:, order],
         )
+        for told in find_degrees(robot, range(robot.nu), found.position, found.command):
+            raise MeasurementError(self.source, told)
+        found._check_limits(robot)
         for row, name in enumerate(found.names):
             unread = np.flatnonzero(~np.isfinite(found.position[row]))
             if unread.size:
@@ -105,6 +109,25 @@ class MeasuredStands:
                 told = diagnose("stand-on-too-few-feet", stand=name, feet=list(found.swing[row]))
                 raise MeasurementError(self.source, told)
         return found
+
+    def _check_limits(self, robot: Robot) -> None:
+        """Checks that no joint is read where it cannot be.
+
+        Raises:
+            MeasurementError: If one is.
+        """
+        beyond = np.fmax(self.position - robot.upper_limits, robot.lower_limits - self.position)
+        for row, joint in np.argwhere(beyond > _BEYOND).tolist():
+            low, high = robot.lower_limits[joint], robot.upper_limits[joint]
+            told = diagnose(
+                "stand-beyond-limits",
+                stand=self.names[row],
+                joint=robot.joint_names[joint],
+                position=Quantity(float(self.position[row, joint]), "rad"),
+                low=Quantity(float(low), "rad"),
+                high=Quantity(float(high), "rad"),
+            )
+            raise MeasurementError(self.source, told)
 
     def repeated(self) -> MeasuredStands:
         """Returns the same with readings of one stand, which are rows of one name, averaged.
@@ -144,6 +167,9 @@ class MeasuredStands:
             approach=tuple(self.approach[row] for row in first),
         )
 
+
+_BEYOND = 0.3
+"""rad, m: 17 deg beyond a stop, no encoder's zero is off by so much unnoticed."""
 
 _LEAST_POINTS = 3
 """A base on fewer points may turn about the line through them: how it is tilted is not known."""

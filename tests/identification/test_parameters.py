@@ -27,6 +27,7 @@ from pupper_analysis.identification.parameters import (
         ("kp=0", Prior("kp", "*", width=0.0)),
         ("kp:knee=0.5N m/rad", Prior("kp", "knee", width=0.5)),
         ("delay=3ms", Prior("delay", "*", width=0.003)),
+        ("com=1e-3m", Prior("com", "*", width=0.001)),
     ],
 )
 def test_a_prior_is_read_in_its_unit(text: str, prior: Prior) -> None:
@@ -36,7 +37,8 @@ def test_a_prior_is_read_in_its_unit(text: str, prior: Prior) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["mass", "mass=", "weight=3", "mass=-1", "mass=nan", "mass=3deg", "com=3kg"]
+    "text",
+    ["mass", "mass=", "weight=3", "mass=-1", "mass=nan", "mass=1e300kg", "mass=3deg", "com=3kg"],
 )
 def test_what_is_no_prior_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError):

@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import FitError, MeasurementError, PupperAnalysisError, UnknownNameError
+from pupper_analysis.errors import (
+    ConfigurationError,
+    FitError,
+    MeasurementError,
+    PupperAnalysisError,
+    UnknownNameError,
+)
 from pupper_analysis.identification.parameters import ParameterTable, give_widths
 from pupper_analysis.identification.stand_equations import StandEquations
 from pupper_analysis.identification.stand_fit import fit_stands, parameters_of
@@ -180,6 +186,18 @@ def test_what_is_no_stand_of_the_robot_is_refused(robot: Robot, stands: Measured
         fit_stands(robot, part(stands, slice(0, 2)))
     with pytest.raises(MeasurementError, match="too few points"):
         fit_stands(robot, replace(stands, swing=(("FR", "FL"), *stands.swing[1:])))
+
+
+def test_numbers_that_cannot_be_are_refused(robot: Robot, stands: MeasuredStands) -> None:
+    with pytest.raises(MeasurementError, match="degrees, it seems"):
+        fit_stands(robot, replace(stands, position=np.degrees(stands.position)))
+    beyond = stands.position.copy()
+    beyond[2, 4] += 5.0
+    with pytest.raises(MeasurementError, match=f"stand 2: {robot.joint_names[4]}"):
+        fit_stands(robot, replace(stands, position=beyond))
+    for option in ({"weight": -3.0}, {"weight": math.nan}, {"encoder": 0.0}):
+        with pytest.raises(ConfigurationError):
+            fit_stands(robot, stands, **option)
 
 
 @pytest.mark.longest
