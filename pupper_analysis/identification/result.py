@@ -17,6 +17,7 @@ from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
 from pupper_analysis.identification.stand_equations import StandEquations
 from pupper_analysis.identification.stand_rows import StandNoise
 from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.identification.surroundings import doubt_surroundings
 from pupper_analysis.identification.told import Together, Told, find_together, told_by
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -25,9 +26,6 @@ Array = NDArray[np.float64]
 
 WEIGHED = 0.002
 """Of a mass that a scale shows: standard deviation."""
-
-_AGAINST_PRIOR = 3.0
-"""Standard deviations: the surroundings are not what they were said to be."""
 
 _NOISY = 5.0
 """Times what was expected: noise of which there is so much hides a cause."""
@@ -315,17 +313,7 @@ def _unexplained(
         worst = max(far, key=lambda place: abs(moved[place]))
         names = [posterior.parameters[place].name for place in far]
         yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
-    for place, one in enumerate(posterior.parameters):
-        off = posterior.mean[place] - one.stated
-        if _is_own(one) or abs(off) < _AGAINST_PRIOR * _surprise(posterior, place):
-            continue
-        if one.kind == "slope":
-            slope = Quantity(abs(float(off)), "rad")
-            yield diagnose("ground-slopes", slope=slope, axis=one.component)
-        elif one.kind == "softness":
-            yield diagnose("feet-sink-otherwise", subject=("foot", one.subject), times=1 + off)
-        else:
-            yield diagnose("imu-is-turned", angle=Quantity(float(off), "rad"), axis=one.component)
+    yield from doubt_surroundings(posterior)
 
 
 def _surprise(posterior: Posterior, place: int) -> float:
