@@ -160,7 +160,7 @@ class Torques:
     ) -> Posterior:
         """Returns the same with the covariance that the noise makes, by its memory."""
         width = table.width
-        correlation = _innovations_together(noise, left)
+        correlation = innovations_together(noise, left)
         spread = np.zeros((len(table), len(table)))
         for off, slopes in zip(left, self._slopes(table, posterior.mean), strict=True):
             counted = np.isfinite(off)
@@ -179,7 +179,7 @@ class Torques:
         return replace(posterior, covariance=width[:, None] * covariance * width)
 
 
-def _innovations_together(noise: Sequence[SeriesNoise], left: Sequence[Array]) -> Array:
+def innovations_together(noise: Sequence[SeriesNoise], left: Sequence[Array]) -> Array:
     """Returns the correlation (joints, joints) of what is new in each joint's noise."""
     news = []
     for off in left:

@@ -156,6 +156,20 @@ def test_a_controller_tells_both(tmp_path: Path) -> None:
     assert found.command == pytest.approx(POSITION + 0.01)
 
 
+def test_a_driver_tells_the_state_and_a_controller_the_command(tmp_path: Path) -> None:
+    """What the controller takes for the state has no torques, and may be late."""
+    kind = STORE.types[CONTROLLER]
+    controller = [
+        ("/controller_state", CONTROLLER, now,
+         kind(stamp(now), list(JOINTS), point(POSITION[row] + 0.01), point([9, 9])))
+        for row, now in enumerate(TIME.tolist())
+    ]  # fmt: skip
+    found = read_log(bag(tmp_path, [*controller, *states()]))
+    assert found.position == pytest.approx(POSITION)
+    assert found.command == pytest.approx(POSITION + 0.01)
+    assert found.torque == pytest.approx(EFFORT)
+
+
 def test_motors_of_unitree_are_read_by_names_that_are_given(tmp_path: Path) -> None:
     motor = STORE.types["unitree_go/msg/MotorState"]
     messages = []

@@ -102,28 +102,40 @@ def motion(time: Array) -> tuple[Array, Array, Array]:
 
 
 def torques(
-    position: Array, velocity: Array, acceleration: Array, gravity: float = G, true: Truth = TRUE
+    position: Array,
+    velocity: Array,
+    acceleration: Array,
+    gravity: float = G,
+    true: Truth = TRUE,
+    tilt: float = 0.0,
 ) -> Array:
-    """What motors give, by Lagrange's equations of a double pendulum."""
+    """What motors give, by Lagrange's equations of a double pendulum on a base that is tilted."""
     (a, b), (da, db), (dda, ddb) = position.T, velocity.T, acceleration.T
     (m, n), (c, d), (i, j) = MASS, true.lever, true.turns
     both = j + n * (d**2 + LENGTH * d * np.cos(b))
     whole = i + m * c**2 + j + n * (LENGTH**2 + d**2 + 2 * LENGTH * d * np.cos(b))
     pull = n * LENGTH * d * np.sin(b)
     hip = whole * dda + both * ddb - pull * (2 * da * db + db**2)
-    hip += gravity * ((m * c + n * LENGTH) * np.sin(a) + n * d * np.sin(a + b))
+    hip += gravity * ((m * c + n * LENGTH) * np.sin(a + tilt) + n * d * np.sin(a + b + tilt))
     knee = both * dda + (j + n * d**2) * ddb + pull * da**2
-    knee += gravity * n * d * np.sin(a + b)
+    knee += gravity * n * d * np.sin(a + b + tilt)
     found: Array = np.column_stack([hip, knee]) + np.array(true.friction) * np.sign(velocity)
     found += np.array(true.damping) * velocity + np.array(true.armature) * acceleration
     return found + np.array(true.bias)
 
 
-def measured(seconds: float = 30.0, gravity: float = G, true: Truth = TRUE, seed: int = 0) -> Log:
+def measured(
+    seconds: float = 30.0,
+    gravity: float = G,
+    true: Truth = TRUE,
+    seed: int = 0,
+    tilt: float = 0.0,
+) -> Log:
+    """A log of the motion, with an encoder's steps and noise of torques."""
     time = np.arange(0, seconds, 1 / RATE)
     random = np.random.default_rng(seed)
     position, velocity, acceleration = motion(time)
-    torque = torques(position, velocity, acceleration, gravity, true)
+    torque = torques(position, velocity, acceleration, gravity, true, tilt)
     torque += np.array(NOISE) * random.normal(size=torque.shape)
     position = QUANTUM * np.round(position / QUANTUM + 0.3 * random.normal(size=torque.shape))
     blank = np.full(position.shape, np.nan)
