@@ -154,25 +154,15 @@ def _link_frames(
     robot: Robot, model: mujoco.MjModel, bodies: NDArray[np.int64]
 ) -> Iterator[pin.SE3]:
     """Yields how each joint's body frame of MuJoCo is placed in Pinocchio's frame of the joint."""
-    data, by_pin = _at_home(robot, model)
-    base = _base_offset(robot, data, by_pin)
-    for name, body in zip(robot.joint_names, bodies.tolist(), strict=True):
-        there = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
-        yield (base * by_pin.oMi[robot.pin_model.getJointId(name)]).actInv(there)
-
-
-def world_offset(robot: Robot) -> pin.SE3:
-    """Returns where Pinocchio's world is in MuJoCo's, of a robot whose base is held."""
-    return _base_offset(robot, *_at_home(robot, robot.mj_model))
-
-
-def _at_home(robot: Robot, model: mujoco.MjModel) -> tuple[mujoco.MjData, pin.Data]:
     data = mujoco.MjData(model)
     robot.mj_convention.set_state(data, robot.home)
     mujoco.mj_kinematics(model, data)
     by_pin = robot.pin_model.createData()
     pin.forwardKinematics(robot.pin_model, by_pin, robot.pin_convention.q(robot.home))
-    return data, by_pin
+    base = _base_offset(robot, data, by_pin)
+    for name, body in zip(robot.joint_names, bodies.tolist(), strict=True):
+        there = pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
+        yield (base * by_pin.oMi[robot.pin_model.getJointId(name)]).actInv(there)
 
 
 def _base_offset(robot: Robot, data: mujoco.MjData, by_pin: pin.Data) -> pin.SE3:

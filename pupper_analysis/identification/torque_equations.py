@@ -9,7 +9,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.identification.bodies import world_offset
 from pupper_analysis.identification.couplings import Coupling, coupling_rows
 from pupper_analysis.identification.links import AXES, link_of
 from pupper_analysis.identification.parameters import ParameterTable
@@ -66,9 +65,7 @@ class TorqueEquations:
         drives = (*names, *(one.name for one in couplings))
         self.drives: dict[str, Array] = dict(zip(drives, rows, strict=True))
         self._model = robot.pin_model.copy()
-        # Where the MJCF holds the base, gravity has this direction in the URDF's world.
-        turned = np.array(world_offset(robot).rotation)
-        self._model.gravity.linear = turned.T @ robot.gravity
+        self._model.gravity.linear = robot.gravity
         self._data = self._model.createData()
         self.links: dict[int, str] = {}
         self._bodies: list[int] = []
