@@ -220,7 +220,7 @@ def _on_one_clock(
     told = [
         (one, *_rising(source, one, np.array(one.stamps if stamped else one.recorded)))
         for one in series
-        if one.kind != "torque" or np.any(one.values)  # drivers without sensors fill in zeros
+        if one.kind != "torque" or np.nan_to_num(one.values).any()  # else there is no sensor
     ]
     positions = [moments for one, moments, _ in told if one.kind == "position"]
     if not positions:

@@ -203,9 +203,10 @@ def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
     assert found.position[~lost, 1] == pytest.approx(POSITION[~lost, 1], abs=2e-4)
 
 
-def test_zeros_of_a_driver_without_sensors_are_no_torques(tmp_path: Path) -> None:
+@pytest.mark.parametrize("nothing", [0.0, np.nan])
+def test_zeros_of_a_driver_without_sensors_are_no_torques(tmp_path: Path, nothing: float) -> None:
     messages = [
-        ("/joint_states", STATE, now, state(JOINTS, POSITION[row], (0.0, 0.0), now))
+        ("/joint_states", STATE, now, state(JOINTS, POSITION[row], (nothing, nothing), now))
         for row, now in enumerate(TIME.tolist())
     ]
     with pytest.raises(MeasurementError) as refused:
