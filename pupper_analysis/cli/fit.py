@@ -24,8 +24,6 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pupper_analysis.identification.log import Log
     from pupper_analysis.identification.plan import StandPlan
     from pupper_analysis.identification.result import Fit
@@ -63,10 +61,8 @@ if TYPE_CHECKING:
 @click.option(
     "--hold-out",
     type=click.FloatRange(0, 0.9),
-    default=0.2,
-    show_default=True,
     metavar="SHARE",
-    help="Share of each log, at its end, that is predicted instead of fitted.",
+    help="Share of each log, at its end, that is predicted instead of fitted; 0.2 by default.",
 )
 @click.option(
     "--by",
@@ -124,7 +120,7 @@ def fit(
     words: tuple[str, ...],
     stands: Path | None,
     logs: tuple[Path, ...],
-    hold_out: float,
+    hold_out: float | None,
     by: str | None,
     topics: tuple[str, ...],
     joints: str | None,
@@ -178,17 +174,23 @@ def fit(
         result = _plan(
             robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
         )
-    elif stands is None:
-        result = _fit_logs(
-            robot, _read_logs(logs, topics, joints), hold_out, by, couplings, priors, kp
-        )
     else:
-        from pupper_analysis.identification.stand_fit import fit_stands
+        from pupper_analysis.identification.fit import fit as fit_numbers
         from pupper_analysis.identification.stands import read_stands
 
-        measured = read_stands(stands)
-        with shared.show_progress("fitting the robot's numbers to the stands"):
-            result = fit_stands(robot, measured, priors=priors, weight=mass, kp=kp, encoder=sure)
+        measured = read_stands(stands) if stands is not None else _read_logs(logs, topics, joints)
+        with shared.show_progress("fitting the robot's numbers to the measurements"):
+            result = fit_numbers(
+                robot,
+                measured,
+                priors=priors,
+                kp=kp,
+                weight=mass,
+                encoder=sure,
+                hold_out=hold_out,
+                by=by,
+                couplings=couplings,
+            )
     if style == "text":
         print_notes(robot, everything=everything)
     shared.show_results([(robot.name, result)], style, robots=[robot], everything=everything)
@@ -227,24 +229,6 @@ def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | N
     said = dict(shared.parse_assignment("--topic", one) for one in topics)
     names = joints.split(",") if joints else ()
     return [read_log(path, topics=said, joints=names) for path in paths]
-
-
-def _fit_logs(
-    robot: Robot,
-    logs: Sequence[Log],
-    hold_out: float,
-    by: str | None,
-    couplings: tuple[str, ...],
-    priors: tuple[str, ...],
-    kp: float | None,
-) -> Fit:
-    """Fits a robot's numbers to logs."""
-    from pupper_analysis.identification.fit import fit as fit_any
-
-    with shared.show_progress("fitting the robot's numbers to its motions"):
-        return fit_any(
-            robot, logs, priors=priors, hold_out=hold_out, kp=kp, by=by, couplings=couplings
-        )
 
 
 def _plan(
