@@ -120,7 +120,7 @@ def offset_of(robot: Robot) -> float:
 
 
 def plant(robot: Robot, rng: np.random.Generator, slope: float) -> Planted:
-    """Returns a robot with errors, on a slope beyond what is drawn (rad)."""
+    """Returns a robot with errors, on a slope (rad), or where it is 0 on one that is drawn."""
     factors, truth, names = {}, {}, robot.joint_names
     for link, number in bodies_of(robot):
         body = robot.structure.model.inertias[number]
@@ -139,7 +139,8 @@ def plant(robot: Robot, rng: np.random.Generator, slope: float) -> Planted:
     }
     offsets, imu = offset_of(robot) * rng.normal(size=robot.nu), IMU * rng.normal(size=2)
     tilt, way = SLOPE * rng.normal(size=2), rng.uniform(0, 2 * math.pi)
-    tilt += slope * np.array([math.cos(way), math.sin(way)])
+    if slope:
+        tilt = slope * np.array([math.cos(way), math.sin(way)])
     for kind, values in (("kp", stiffness), ("friction", rubbing * rubs), ("offset", offsets)):
         truth |= {f"{kind} {n}": float(one) for n, one in zip(names, values, strict=True)}
     truth |= {f"slope.{axis} floor": float(one) for axis, one in zip("xy", tilt, strict=True)}

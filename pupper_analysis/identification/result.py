@@ -14,6 +14,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.identification.correlation import Correlation, find_correlations
 from pupper_analysis.identification.estimate import NORMAL_95, Posterior
 from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.identification.remedies import further_measurements
 from pupper_analysis.identification.stand_equations import StandEquations
 from pupper_analysis.identification.stand_rows import StandNoise
 from pupper_analysis.identification.stands import MeasuredStands
@@ -23,9 +24,6 @@ from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
-
-WEIGHED = 0.002
-"""Of a mass that a scale shows: standard deviation."""
 
 _NOISY = 5.0
 """Times what was expected: noise of which there is so much hides a cause."""
@@ -178,7 +176,7 @@ def describe_fit(
         weighed: Whether the whole robot was put on a scale.
     """
     found = tuple(describe_parameters(posterior))
-    more = dict(_remedies(robot, equations, posterior, weighed=weighed))
+    more = dict(further_measurements(equations, posterior, weighed=weighed))
     return StandFit(
         name=robot.name,
         source=stands.source,
@@ -259,26 +257,6 @@ def _total_mass(robot: Robot, posterior: Posterior) -> Estimate:
     whole = Parameter("mass", robot.name, "", robot.total_mass, width)
     mean = robot.total_mass + float(line @ (posterior.mean - stated))
     return _estimate(whole, mean, std, told_by((std / width) ** 2 if width else 1.0))
-
-
-def _remedies(
-    robot: Robot,
-    equations: StandEquations,
-    posterior: Posterior,
-    *,
-    weighed: bool,
-) -> Iterator[tuple[str, Array]]:
-    """Yields what else could be measured of these stands, and its information."""
-    table = equations.table
-    scaled = np.outer(table.width, table.width)
-    if not weighed:
-        line = np.array([float(one.kind == "mass") for one in table])
-        yield "weigh-the-robot", scaled * np.outer(line, line) / (WEIGHED * robot.total_mass) ** 2
-    x = posterior.mean
-    here = equations.linearise(x, x).information
-    for what, read in equations.further_readings(x).items():
-        there = equations.reading(read).linearise(x, x).information
-        yield what, scaled * (there - here)
 
 
 def _unexplained(

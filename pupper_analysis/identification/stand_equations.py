@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.identification.estimate import Linearised
 from pupper_analysis.identification.links import AXES, bodies_of
-from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.identification.parameters import ParameterTable, give_widths
 from pupper_analysis.identification.stand_numbers import GravityRegressor, Numbers
 from pupper_analysis.identification.stand_rows import Reading, StandNoise, StandRows
-from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.identification.stands import APPROACHES, MeasuredStands
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -249,10 +249,82 @@ class StandEquations:
             noise[stand, told] = deviation[told] / numbers.stiff[told]
         return off, noise
 
-    def reading(self, readings: Sequence[Reading]) -> StandEquations:
-        """Returns the same with other readings of the same stands."""
+    def reading(
+        self, readings: Sequence[Reading], own: Sequence[tuple[Array, Array]] | None = None
+    ) -> StandEquations:
+        """Returns the same with other readings of the same stands, or of others.
+
+        Args:
+            readings: The readings.
+            own: Of other stands: their own unknowns, the base (5,) and the forces (p, 3).
+        """
         other = copy(self)
-        other._readings, other._own = list(readings), list(self._own)
+        other._readings = list(readings)
+        other._own = list(self._own if own is None else own)
+        return other
+
+    @property
+    def lifted(self) -> bool:
+        """Whether a foot is in the air in any of the stands."""
+        every = len(self.robot.contact_points)
+        return any(len(reading.points) < every for reading in self._readings)
+
+    def of_stands(
+        self,
+        stands: Sequence[tuple[Array, Array, Mapping[str, Array], tuple[str, ...]]],
+        x: Array,
+    ) -> StandEquations:
+        """Returns the same of other stands that servos hold, read as these were.
+
+        Args:
+            stands: Configuration (nq,), torques (nu,) (N m), forces on contact points (3,) (N), and
+                the feet in the air, of each.
+            x: (n,) parameters.
+        """
+        numbers, like, readings, own = self._numbers(x), self._readings[0], [], []
+        for qpos, torque, forces, swing in stands:
+            lead = np.divide(torque, numbers.kp, out=np.zeros_like(torque), where=numbers.kp > 0)
+            read = qpos[7:] + numbers.offset
+            points = tuple(
+                point
+                for foot, own_points in self.robot.feet.items()
+                if foot not in swing
+                for point in own_points
+            )
+            readings.append(
+                replace(
+                    like,
+                    position=read,
+                    command=np.where(np.isfinite(like.command), read + lead, np.nan),
+                    torque=np.where(np.isfinite(like.torque), torque, np.nan),
+                    force={},
+                    tilt=np.full(2, np.nan),
+                    points=points,
+                    sides=np.zeros(self.robot.nu),
+                )
+            )
+            own.append((qpos[[3, 4, 5, 6, 2]], np.array([forces[point] for point in points])))
+        return self.reading(readings, own)
+
+    def from_both_sides(self, x: Array) -> StandEquations | None:
+        """Returns the same with each stand from above and from below; None if a side is known.
+
+        Dry friction is then estimated, too: its parameters follow the others in the table. Servos
+        are commanded what holds them there.
+        """
+        if any(reading.sides.any() for reading in self._readings):
+            return None
+        names, kp = self.robot.joint_names, self._numbers(x).kp
+        stated = zip(names, self._friction.tolist(), strict=True)
+        rubbing = give_widths(("friction", name, "", own) for name, own in stated)
+        readings = []
+        for approach in APPROACHES:
+            for reading, (base, _) in zip(self._readings, self._own, strict=True):
+                sides = self._sides(reading, base, approach)
+                lead = np.divide(sides * self._friction, kp, out=np.zeros_like(kp), where=kp > 0)
+                readings.append(replace(reading, sides=sides, command=reading.command - lead))
+        other = self.reading(readings, [*self._own, *self._own])
+        other.table = ParameterTable((*self.table, *rubbing))
         return other
 
     def further_readings(self, x: Array) -> dict[str, list[Reading]]:

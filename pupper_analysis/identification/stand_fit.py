@@ -21,7 +21,8 @@ from pupper_analysis.identification.parameters import (
     give_widths,
     parse_prior,
 )
-from pupper_analysis.identification.result import WEIGHED, StandFit, describe_fit
+from pupper_analysis.identification.remedies import WEIGHED
+from pupper_analysis.identification.result import StandFit, describe_fit
 from pupper_analysis.identification.stand_equations import StandEquations
 from pupper_analysis.identification.stand_rows import StandNoise
 from pupper_analysis.identification.stands import MeasuredStands, quantum_of

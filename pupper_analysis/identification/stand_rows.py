@@ -160,6 +160,8 @@ class StandRows:
 
     Attributes:
         config: The configuration.
+        jacobians: (p, 3, nv) of the contact points.
+        kp: (nu,) of the servos (N m/rad).
         rows: The rows.
         tilt: (2,) roll and pitch, as the IMU should show them (rad).
     """
@@ -178,6 +180,7 @@ class StandRows:
         self._table, self._numbers, self._reading = table, numbers, reading
         self._forces, self._noise, self._regressor = forces, noise, regressor
         robot, points = numbers.robot, reading.points
+        self.kp = numbers.kp
         self._robot, self._names = robot, robot.joint_names
         qpos = robot.posed(reading.position - numbers.offset)
         qpos[2], qpos[3:7] = base[4], base[:4]
@@ -197,7 +200,7 @@ class StandRows:
         self._arms[:, 2] = self._softness * self._deep / 2 - self._radius
         self._twists = self.config.foot_twists(points)
         linear, turning = self._twists[:, :3], self._twists[:, 3:]
-        self._jacobians = linear - cross_matrices(self._arms) @ turning
+        self.jacobians = linear - cross_matrices(self._arms) @ turning
         known = np.isfinite(reading.command)
         self._lead = np.where(known, reading.command - reading.position, 0.0)
         self._stiff = np.where(known, numbers.stiff, 0.0)
@@ -230,11 +233,11 @@ class StandRows:
         by_sensor = self._measured & ~self._known
         torque = numbers.kp * self._lead + np.where(by_sensor, self._reading.torque, 0.0)
         residual = self.config.passive() - gravity
-        residual += np.einsum("pij,pi->j", self._jacobians, self._forces)
+        residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
         residual[6:] += torque + sides * numbers.friction
         by_x, by_own, by_noise = self.rows.add(residual, self._unsure(sides, by_sensor))
         by_own[:, :3] = -stiffness[:, _TURNS_AND_HEIGHT]
-        by_own[:, 3:] = self._jacobians.reshape(-1, nv).T
+        by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
         # What a foot sinks further brings its contact nearer to its centre by half of that.
         nearer = np.cross([0.0, 0.0, 0.5], self._forces)
         moved = np.einsum("pij,pi->pj", self._twists[:, 3:], nearer)

@@ -1,0 +1,128 @@
+"""What else could be measured tells what physics says that it does, and no more."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.parameters import ParameterTable, give_widths
+from pupper_analysis.identification.remedies import further_measurements, on_three_feet
+from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stand_fit import parameters_of
+from pupper_analysis.identification.stand_rows import StandNoise
+from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.stance.stand import solve_stand, stand_statics
+from pupper_analysis.stance.task import StandTask
+
+Array = NDArray[np.float64]
+
+FRICTION = 0.01
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load_variant("v3")
+
+
+@pytest.fixture(scope="module")
+def equations(robot: Robot) -> StandEquations:
+    """Of four stands on four feet, with servos that hold them as the file has it."""
+    kp = np.array([own_servos(robot)[name][0] for name in robot.joint_names])
+    size, command, position = robot.stand_height, [], []
+    for height, roll, pitch in ((0.8, 0.1, 0.0), (0.9, -0.1, 0.1), (1.0, 0.0, -0.1), (0.85, 0, 0)):
+        stand = solve_stand(robot, StandTask(height=height * size, roll=roll, pitch=pitch))
+        position.append(stand.qpos[7:])
+        command.append(stand.qpos[7:] + stand_statics(robot, stand).joint_torques / kp)
+    blank = np.full((4, robot.nu), np.nan)
+    stands = MeasuredStands(
+        source="held",
+        names=("a", "b", "c", "d"),
+        joints=robot.joint_names,
+        command=np.array(command),
+        position=np.array(position),
+        torque=blank,
+        force={},
+        tilt=blank[:, :2],
+        swing=((),) * 4,
+        approach=("",) * 4,
+    )
+    friction = np.full(robot.nu, FRICTION)
+    table = ParameterTable(give_widths(parameters_of(robot, stands, kp, friction)))
+    noise = StandNoise(encoder=1e-4, moment=1e-4)
+    return StandEquations(robot, stands, table, kp, friction, noise)
+
+
+@pytest.fixture(scope="module")
+def posterior(equations: StandEquations) -> Posterior:
+    def linearise(x: Array, about: Array) -> Linearised:
+        return equations.linearise(x, about)
+
+    return estimate_parameters(equations.table, linearise)
+
+
+@pytest.fixture(scope="module")
+def further(equations: StandEquations, posterior: Posterior) -> dict[str, Array]:
+    return dict(further_measurements(equations, posterior, weighed=False))
+
+
+def common_factor(equations: StandEquations) -> Array:
+    """All masses and stiffnesses larger by the same share, in the priors' widths."""
+    shares = [one.stated if one.kind in ("mass", "kp") else 0.0 for one in equations.table]
+    line = np.array(shares) / equations.table.width
+    return np.asarray(line / np.linalg.norm(line), dtype=float)
+
+
+def test_no_stand_tells_a_common_factor_of_masses_and_stiffnesses(
+    equations: StandEquations, posterior: Posterior, further: dict[str, Array]
+) -> None:
+    """Balance is homogeneous in torques. Dry friction is none better known than masses are.
+
+    Soft ground tells it a little: how far feet sink, by 0.3 mm of an uneven ground.
+    """
+    line = common_factor(equations)
+
+    def told(information: Array) -> float:
+        return float(line @ information @ line)
+
+    ground = told(posterior.information)
+    assert ground < 20
+    for what in ("stand-on-three-feet", "come-from-both-sides"):
+        assert told(further[what]) < 2 * ground + 1, what
+    # A sensor is sure to 2 % of 3 N m, which is a fifth of what a knee holds.
+    for what, least in (("weigh-the-robot", 100), ("weigh-the-feet", 100), ("measure-torques", 5)):
+        assert told(further[what]) > least, what
+
+
+def test_on_three_feet_each_foot_is_in_the_air_once_and_nothing_is_off(
+    robot: Robot, equations: StandEquations, posterior: Posterior
+) -> None:
+    x = posterior.mean
+    three = on_three_feet(equations, x)
+    assert three is not None
+    carrying = [set(three.normal_forces(stand)) for stand in range(4)]
+    lifted = [set(robot.feet) - feet for feet in carrying]
+    assert sorted(foot for one in lifted for foot in one) == sorted(robot.feet)
+    weight = robot.total_mass * 9.81
+    found = three.linearise(x, x)
+    assert found.chi2 < 0.1 * found.rows  # servos hold it
+    for stand in range(4):
+        forces = three.normal_forces(stand)
+        assert sum(forces.values()) == pytest.approx(weight, rel=0.01)
+        assert min(forces.values()) > 0.02 * weight
+    assert on_three_feet(three, x) is None  # they are that already
+
+
+def test_from_both_sides_zeros_of_encoders_are_told_better(
+    equations: StandEquations, posterior: Posterior, further: dict[str, Array]
+) -> None:
+    """More than twice the stands without a side would: the band's mean is known, and its width."""
+    places = [at for at, one in enumerate(equations.table) if one.kind == "offset"]
+    before = posterior.precision + posterior.information
+    twice = np.linalg.inv(before + posterior.information)
+    both = np.linalg.inv(before + further["come-from-both-sides"])
+    assert np.diag(both)[places].sum() < np.diag(twice)[places].sum()

@@ -1,0 +1,102 @@
+"""Linear measurements, of which the posterior and what they tell together are known by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.parameters import Parameter, ParameterTable
+from pupper_analysis.identification.told import Told, find_together, told_by
+
+Array = NDArray[np.float64]
+
+MASS = Parameter("mass", "base", "", 2.0, 1.0)
+KP = Parameter("kp", "knee", "", 4.0, 2.0)
+COM = Parameter("com", "base", "x", 0.0, 0.03)
+
+
+def fitted(
+    parameters: tuple[Parameter, ...], rows: Array, values: Array, noise: float
+) -> Posterior:
+    """Fits what rows (m, n) of the parameters were measured to be (m,), with a noise."""
+    table = ParameterTable(parameters)
+
+    def linearise(x: Array, _: Array) -> Linearised:
+        return Linearised.of((rows @ x - values) / noise, rows / noise)
+
+    return estimate_parameters(table, linearise)
+
+
+def test_a_prior_and_a_measurement_are_weighed_by_their_variances() -> None:
+    """Prior 2 +- 1, measured 3 +- 0.5: (2 / 1 + 3 / 0.25) / (1 + 4) = 2.8 +- 1 / sqrt(5)."""
+    found = fitted((MASS,), np.array([[1.0]]), np.array([3.0]), 0.5)
+    assert found.mean[0] == pytest.approx(2.8)
+    assert found.std[0] == pytest.approx(1 / math.sqrt(5))
+    assert found.shares[0] == pytest.approx(0.2)
+    assert found.freedom == pytest.approx(1 - 0.8)  # of one row, 0.8 told the parameter
+    assert (found.chi2, found.prior_chi2) == pytest.approx((0.4**2, 0.8**2))
+    assert told_by(0.2) is Told.PARTLY
+
+
+def test_a_difference_is_told_and_the_sum_is_not() -> None:
+    """In the priors' widths z, the row 2 m - kp is 2 (z_m - z_k).
+
+    With noise s the information about (z_m - z_k) / sqrt(2) is 8 / s^2, and of z_m + z_k nothing is
+    told: var(z_m) = (1 + v) / 2 with v = 1 / (1 + 8 / s^2).
+    """
+    noise = 0.2
+    found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
+    left = 1 / (1 + 8 / noise**2)
+    np.testing.assert_allclose(found.shares, (1 + left) / 2, rtol=1e-9)
+    np.testing.assert_allclose(found.mean, [2.0, 4.0], atol=1e-12)
+    (both,) = find_together(found)
+    assert both.names == ("mass base", "kp knee")
+    assert both.ratio  # both change by the same share: 1 of 2 as 2 of 4
+    assert both.std == pytest.approx(math.sqrt(left))
+
+
+def test_a_remedy_narrows_what_is_open_by_what_it_would_tell() -> None:
+    """A scale of the mass, to s: the open direction's variance 1 becomes v' = u^T (P + I)^-1 u."""
+    noise, scale = 0.2, 0.1
+    found = fitted((MASS, KP), np.array([[2.0, -1.0]]), np.array([0.0]), noise)
+    (both,) = find_together(
+        found,
+        {"weigh-the-robot": np.diag([1 / scale**2, 0.0]), "measure-torques": np.zeros((2, 2))},
+    )
+    whole = np.eye(2) + 4 / noise**2 * np.array([[1, -1], [-1, 1]]) + np.diag([100.0, 0.0])
+    after = np.linalg.inv(whole).sum() / 2
+    assert both.remedies == pytest.approx({"weigh-the-robot": 1 / math.sqrt(after)})
+
+
+def test_what_is_told_alone_or_not_at_all_is_in_no_group() -> None:
+    alone = fitted((MASS, KP), np.eye(2), np.array([2.0, 4.0]), 0.01)
+    assert find_together(alone) == ()
+    nothing = fitted((MASS, KP), np.array([[0.0, 0.0]]), np.array([0.0]), 1.0)
+    assert find_together(nothing) == ()
+    np.testing.assert_allclose(nothing.shares, 1.0)
+
+
+def test_a_first_moment_is_no_ratio() -> None:
+    """Of m c only the product is told, linearly: a com has a component, and is no factor."""
+    rows = np.array([[0.03, 1.0]])  # by mass times its width of 1, by com times 0.03: alike
+    found = fitted((MASS, COM), rows, np.array([0.06]), 1e-4)
+    (both,) = find_together(found)
+    assert not both.ratio
+
+
+def test_what_means_nothing_below_zero_stays_there() -> None:
+    """Measured -3 +- 0.5: 2 / 1 - 12 < 0, so the mass is 0, and not -2."""
+    found = fitted((MASS,), np.array([[1.0]]), np.array([-3.0]), 0.5)
+    assert found.mean[0] == 0.0
+
+
+def test_stiffnesses_are_half_common() -> None:
+    """One of two is measured exactly: the other follows by half, with 1 - 1/4 of its variance."""
+    other = Parameter("kp", "hip", "", 4.0, 2.0)
+    found = fitted((KP, other), np.array([[1.0, 0.0]]), np.array([5.0]), 1e-6)
+    np.testing.assert_allclose(found.mean, [5.0, 4.5], rtol=1e-6)
+    assert found.shares[1] == pytest.approx(0.75, rel=1e-6)
