@@ -207,6 +207,7 @@ def estimate_parameters(
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
     costly, damping = slopes is not None, 0.0
     slopes = slopes or Slopes()
+    made = slopes.made
     for steps in range(1, _MOST_STEPS + 1):
         slopes.prepare(x)
         here = _Quadratic(table, linearise(x, x), x)
@@ -219,6 +220,8 @@ def estimate_parameters(
                 return here.posterior(steps)
             slopes.outdated = True
             continue
+        if slopes.spent(made) and promised < _STALLED * here.cost:
+            return here.posterior(steps, whole_step)
         moved, damping = _move(
             here, linearise, damping, plain=not slopes.are_at(x), bends=_BENDS if costly else 0
         )

@@ -38,6 +38,16 @@ _BACKWARDS = -0.1
 rubs and swings, so that is positive (0.1 to 0.9 in simulated and public logs); with the columns
 swapped it is as negative."""
 
+_OPPOSED = -0.7
+"""Of the correlation between commands and positions: a quarter of a turn late makes 0, and no servo
+that follows its command is later."""
+
+_SLOWEST = 0.1
+"""s between samples: servos answer in less, and of a walk of 2 Hz five samples a step are left."""
+
+_UNEVEN = 0.3
+"""Of the median interval: of a scheduler that is late it is 0.01 to 0.1."""
+
 _WHOLE = 0.05
 """By so much of a quantum may differences of positions be off whole numbers of it."""
 
@@ -176,9 +186,12 @@ def _saturation(robot: Robot, log: Log, kp: Array | None) -> Array:
 
 def _remarks(robot: Robot, log: Log, named: list[int], found: LogQuality) -> Iterator[Diagnostic]:
     """Says what is odd in a log whose joints are in a robot's order; what is worst first."""
+    if found.interval > _SLOWEST:
+        yield diagnose("log-too-slow", interval=Quantity(found.interval, "s"))
     yield from _units(robot, log, named)
     if not found.moves.any():
         yield diagnose("log-without-motion", most=Quantity(found.range.max(initial=0.0), "rad"))
+    yield from _reversed(robot, log, named, found.moves)
     yield from _swapped(robot, log, named, found.moves)
     still = [name for name, moves in zip(found.joints, found.moves, strict=True) if not moves]
     if still and found.moves.any():
@@ -194,6 +207,8 @@ def _remarks(robot: Robot, log: Log, named: list[int], found: LogQuality) -> Ite
         median, longest = Quantity(found.interval, "s"), Quantity(found.longest_gap, "s")
         count = found.gaps - len(found.jumps)
         yield diagnose("log-samples-missing", count=count, interval=median, longest=longest)
+    if found.jitter > _UNEVEN:
+        yield diagnose("log-intervals-uneven", jitter=Quantity(found.jitter, "1"))
     lost = {
         name: share for name, share in zip(found.joints, found.missing, strict=True) if share > 0
     }
@@ -266,6 +281,23 @@ def _ratio(one: Array, other: Array) -> float | None:
         ]
     ratios = [above / below for above, below in spread if below > _STILL and above > 0]
     return float(np.median(ratios)) if ratios else None
+
+
+def _reversed(
+    robot: Robot, log: Log, named: list[int], moves: NDArray[np.bool_]
+) -> Iterator[Diagnostic]:
+    """Finds joints that go the other way than they are commanded to."""
+    found = []
+    for index, moving in zip(named, moves, strict=True):
+        asked, done = log.command[:, index], log.position[:, index]
+        both = np.isfinite(asked) & np.isfinite(done)
+        if not moving or both.sum() < 10:
+            continue
+        asked, done = asked[both] - asked[both].mean(), done[both] - done[both].mean()
+        if asked @ done < _OPPOSED * np.linalg.norm(asked) * np.linalg.norm(done):
+            found.append(robot.joint_names[index])
+    if found:
+        yield diagnose("command-sign-differs", joints=found)
 
 
 def _swapped(

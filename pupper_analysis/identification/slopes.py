@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+_MOST = 6
+"""Times: fits that end make them one to four times with the same noise."""
+
 
 class Slopes:
     """Derivatives that are made when they are needed, and how good they are.
@@ -19,18 +22,20 @@ class Slopes:
 
     Attributes:
         outdated: Whether they are to be made anew.
+        made: How often they were.
     """
 
     def __init__(self, renew: Callable[[Array, bool], None] | None = None) -> None:
         self._renew, self._both = renew, False
-        self._made: Array | None = None
-        self.outdated = True
+        self._at: Array | None = None
+        self.outdated, self.made = True, 0
 
     def prepare(self, x: Array) -> None:
         """Makes them at some parameters, if those that there are have misled."""
         if self._renew is not None and self.outdated:
             self._renew(x, self._both)
-            self._made = x.copy()
+            self._at = x.copy()
+            self.made += 1
         self.outdated = False
 
     def improve(self, x: Array) -> bool:
@@ -38,12 +43,17 @@ class Slopes:
         if self._renew is None or self._both:
             return False
         self._renew(x, True)
-        self._made, self._both = x.copy(), True
+        self._at, self._both = x.copy(), True
+        self.made += 1
         return True
+
+    def spent(self, before: int) -> bool:
+        """Says whether they were made so often since then that it leads nowhere."""
+        return self.made - before >= _MOST
 
     def are_at(self, x: Array) -> bool:
         """Says whether they were made at some parameters."""
-        return self._renew is None or (self._made is not None and np.array_equal(self._made, x))
+        return self._renew is None or (self._at is not None and np.array_equal(self._at, x))
 
     def are_near(self, x: Array, curvature: Array, most: float) -> bool:
         """Says whether they were made near by.
@@ -53,7 +63,7 @@ class Slopes:
             curvature: (n, n) of the cost.
             most: By what the cost may rise from here to there.
         """
-        if self._renew is None or self._made is None:
+        if self._renew is None or self._at is None:
             return True
-        off = x - self._made
+        off = x - self._at
         return float(off @ curvature @ off) < most

@@ -130,10 +130,23 @@ def test_wrong_columns_are_found() -> None:
         (replace(good, position=degrees / 8, command=good.command / 8), "columns-of-two-units"),
         (replace(good, velocity=np.rad2deg(rate)), "velocity-in-another-unit"),
         (replace(good, position=np.full_like(good.position, 0.2)), "log-without-motion"),
+        (replace(good, command=-good.command), "command-sign-differs"),
+        (replace(good, time=1e3 * good.time), "log-too-slow"),
     ):  # fmt: skip
         with pytest.raises(MeasurementError) as refused:
             inspect_log(robot, wrong)
         assert refused.value.cause.code == code
+
+
+def test_samples_of_two_sources_are_seen() -> None:
+    """Every other one comes 4 ms late, as of a second clock; a scheduler's 3 % is not said."""
+    good, random = log(), np.random.default_rng(2)
+    late = good.time + 0.004 * (np.arange(len(good.time)) % 2)
+    found = inspect_log(arm(), replace(good, time=late))
+    assert "log-intervals-uneven" in {one.code for one in found.diagnostics}
+    shaken = good.time + 0.005 * 0.02 * random.normal(size=len(good.time))
+    found = inspect_log(arm(), replace(good, time=shaken))
+    assert "log-intervals-uneven" not in {one.code for one in found.diagnostics}
 
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
