@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 
@@ -16,7 +19,7 @@ Array = NDArray[np.float64]
 
 _G = mujoco.mjtGeom
 
-_UNBOUNDED = (_G.mjGEOM_PLANE, _G.mjGEOM_HFIELD)
+_UNBOUNDED = (_G.mjGEOM_PLANE.value, _G.mjGEOM_HFIELD.value)
 
 _DIRECTIONS = np.array(
     [d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)], dtype=float
@@ -69,6 +72,19 @@ def hull_of(robot: Robot, link: str) -> tuple[Array, Array]:
         axis=0,
     )
     return directions, reach
+
+
+def unbounded_coms(robot: Robot, table: ParameterTable) -> Iterator[Diagnostic]:
+    """Yields one diagnostic of the links whose com is estimated, and which no shape bounds.
+
+    Args:
+        robot: The robot.
+        table: What is estimated.
+    """
+    links = dict.fromkeys(one.subject for one in table if one.kind == "com")
+    bare = [link for link in links if not len(hull_of(robot, link)[1])]
+    if bare:
+        yield diagnose("links-without-shapes", links=bare)
 
 
 def _joint_pose(robot: Robot, link: str, frame: pin.Frame) -> pin.SE3:

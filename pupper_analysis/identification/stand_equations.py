@@ -226,6 +226,18 @@ class StandEquations:
             if any(point in forces for point in points)
         }
 
+    def heights_in_the_air(self, stand: int, x: Array) -> dict[str, float]:
+        """Returns how high each foot is that is in the air in a stand (m), its lowest point."""
+        carrying, config = self._readings[stand].points, self._look(stand, self._numbers(x)).config
+        robot = self.robot
+        return {
+            foot: float(
+                np.min(config.foot_places(points)[:, 2] - [robot.contact_radius[p] for p in points])
+            )
+            for foot, points in robot.feet.items()
+            if not set(points) & set(carrying)
+        }
+
     def residuals(self, x: Array) -> list[float]:
         """Returns the root mean square of each stand's whitened residuals."""
         numbers, found = self._numbers(x), []

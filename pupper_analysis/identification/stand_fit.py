@@ -13,6 +13,7 @@ from pupper_analysis.arguments import check_arguments, check_finite
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, FitError, MeasurementError
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.hulls import unbounded_coms
 from pupper_analysis.identification.links import AXES, bodies_of
 from pupper_analysis.identification.noise_levels import find_noise
 from pupper_analysis.identification.parameters import (
@@ -44,6 +45,10 @@ makes torques uncertain: some hundredths of what they carry."""
 
 _PULLS = 0.02
 """Of the weight: a foot that would pull so hard does not carry."""
+
+_TOUCHES = 0.02
+"""Of the stand's height: a foot that is no higher may touch. Encoders that are off by 2 deg put one
+off by as much, and plans lift feet by 0.15."""
 
 
 @check_arguments
@@ -110,7 +115,7 @@ def fit_stands(
             break
         settled = bool((nearer == stopped).all())
         start, stopped = posterior.mean, nearer
-    notes = tuple(_unused(robot, given, stiffness, stopped))
+    notes = (*_unused(robot, given, stiffness, stopped), *unbounded_coms(robot, table))
     return describe_fit(robot, used, equations, posterior, noise, notes, weight is not None)
 
 
@@ -129,9 +134,9 @@ def _estimate(
     try:
         posterior = estimate_parameters(equations.table, linearise, start, enough=_ENOUGH)
     except FitError:
-        _check_forces(robot, stands, equations)  # which may tell why
+        _check_feet(robot, stands, equations, equations.table.stated)  # which may tell why
         raise
-    _check_forces(robot, stands, equations)
+    _check_feet(robot, stands, equations, posterior.mean)
     return posterior
 
 
@@ -304,10 +309,19 @@ def _weighed(
     return residuals
 
 
-def _check_forces(robot: Robot, stands: MeasuredStands, equations: StandEquations) -> None:
-    """Checks that no foot that is said to carry has to pull."""
+def _check_feet(robot: Robot, stands: MeasuredStands, equations: StandEquations, x: Array) -> None:
+    """Checks that no foot that is said to carry has to pull, and none in the air touches."""
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     for row, name in enumerate(stands.names):
+        for foot, height in equations.heights_in_the_air(row, x).items():
+            if height < _TOUCHES * robot.stand_height:
+                told = diagnose(
+                    "foot-in-the-air-touches",
+                    subject=("foot", foot),
+                    stand=name,
+                    height=Quantity(height, "m"),
+                )
+                raise MeasurementError(stands.source, told)
         for foot, force in equations.normal_forces(row).items():
             if force < -_PULLS * weight:
                 told = diagnose(
