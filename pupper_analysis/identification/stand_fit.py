@@ -46,10 +46,6 @@ makes torques uncertain: some hundredths of what they carry."""
 _PULLS = 0.02
 """Of the weight: a foot that would pull so hard does not carry."""
 
-_TOUCHES = 0.02
-"""Of the stand's height: a foot that is no higher may touch. Encoders that are off by 2 deg put one
-off by as much, and plans lift feet by 0.15."""
-
 
 @check_arguments
 def fit_stands(
@@ -314,7 +310,7 @@ def _check_feet(robot: Robot, stands: MeasuredStands, equations: StandEquations,
     weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
     for row, name in enumerate(stands.names):
         for foot, height in equations.heights_in_the_air(row, x).items():
-            if height < _TOUCHES * robot.stand_height:
+            if height < 0:
                 told = diagnose(
                     "foot-in-the-air-touches",
                     subject=("foot", foot),
