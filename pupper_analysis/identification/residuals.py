@@ -199,7 +199,8 @@ class Motion:
                 slopes=self._dear,
             )
             y = posterior.mean
-            if last:
+            # What led nowhere leads nowhere with a noise that is hardly another.
+            if last or (turn and posterior.open_step is not None):
                 break
         return posterior
 
