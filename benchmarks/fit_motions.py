@@ -26,11 +26,11 @@ import mujoco
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.identification.bodies import MovingBodies
 from pupper_analysis.identification.links import bodies_of
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.log_files import read_log
-from pupper_analysis.identification.motion import begin_motion, fit_motion
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.log_files import read_log
+from pupper_analysis.identification.motions.bodies import MovingBodies
+from pupper_analysis.identification.motions.fit import begin_motion, fit_motion
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains

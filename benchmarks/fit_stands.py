@@ -31,9 +31,9 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.identification.links import bodies_of
-from pupper_analysis.identification.result import StandFit
-from pupper_analysis.identification.stand_fit import fit_stands
-from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.identification.measurements.stands import MeasuredStands
+from pupper_analysis.identification.stands.fit import fit_stands
+from pupper_analysis.identification.stands.result import StandFit
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.ground import Ground

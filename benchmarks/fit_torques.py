@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.convert.load import load_robot
-from pupper_analysis.identification.bodies import MovingBodies
-from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.motions.bodies import MovingBodies
 from pupper_analysis.identification.parameters import KINDS
-from pupper_analysis.identification.torque_fit import fit_torques
+from pupper_analysis.identification.torques.fit import fit_torques
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

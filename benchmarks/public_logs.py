@@ -28,15 +28,15 @@ from numpy.typing import NDArray
 
 from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import FitError
-from pupper_analysis.identification.couplings import Coupling, parse_coupling
 from pupper_analysis.identification.fit import fit
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.log_files import read_log
-from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.log_files import read_log
+from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.result import Fit
-from pupper_analysis.identification.torque_equations import TorqueEquations
-from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.identification.torques.couplings import Coupling, parse_coupling
+from pupper_analysis.identification.torques.equations import TorqueEquations
+from pupper_analysis.identification.torques.result import TorqueFit
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

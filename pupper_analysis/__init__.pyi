@@ -100,8 +100,8 @@ from .errors import (
     VariantError as VariantError,
 )
 from .identification.fit import fit as fit
-from .identification.log_files import read_log as read_log
-from .identification.stands import read_stands as read_stands
+from .identification.measurements.log_files import read_log as read_log
+from .identification.measurements.stands import read_stands as read_stands
 from .pupper.load import load_variant as load_variant
 from .pupper.studies import Study as Study
 from .pupper.variants import VARIANTS as VARIANTS

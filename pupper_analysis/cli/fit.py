@@ -24,9 +24,9 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from pupper_analysis.identification.log import Log
-    from pupper_analysis.identification.plan import StandPlan
+    from pupper_analysis.identification.measurements.log import Log
     from pupper_analysis.identification.result import Fit
+    from pupper_analysis.identification.stands.plan import StandPlan
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
 
@@ -176,7 +176,7 @@ def fit(
         )
     else:
         from pupper_analysis.identification.fit import fit as fit_numbers
-        from pupper_analysis.identification.stands import read_stands
+        from pupper_analysis.identification.measurements.stands import read_stands
 
         measured = read_stands(stands) if stands is not None else _read_logs(logs, topics, joints)
         with shared.show_progress("fitting the robot's numbers to the measurements"):
@@ -224,7 +224,7 @@ def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, fold
 
 def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | None) -> list[Log]:
     """Reads logs, of bags the topics that are said."""
-    from pupper_analysis.identification.log_files import read_log
+    from pupper_analysis.identification.measurements.log_files import read_log
 
     said = dict(shared.parse_assignment("--topic", one) for one in topics)
     names = joints.split(",") if joints else ()
@@ -242,7 +242,7 @@ def _plan(
     degrees: bool,
 ) -> StandPlan:
     """Plans stands, and writes them."""
-    from pupper_analysis.identification.plan import plan_stands, write_plan
+    from pupper_analysis.identification.stands.plan import plan_stands, write_plan
 
     with shared.show_progress("choosing stands among those that the servos hold"):
         plan = plan_stands(robot, count, priors=priors, kp=kp, both_sides=both_sides)

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.identification.couplings import Coupling
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.motion import HOLD_OUT, fit_motion
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.stands import MeasuredStands
+from pupper_analysis.identification.motions.fit import HOLD_OUT, fit_motion
 from pupper_analysis.identification.parameters import Prior
 from pupper_analysis.identification.result import Fit
-from pupper_analysis.identification.stand_fit import fit_stands
-from pupper_analysis.identification.stands import MeasuredStands
-from pupper_analysis.identification.torque_fit import fit_torques
+from pupper_analysis.identification.stands.fit import fit_stands
+from pupper_analysis.identification.torques.couplings import Coupling
+from pupper_analysis.identification.torques.fit import fit_torques
 from pupper_analysis.robot.robot import Robot
 
 

@@ -13,8 +13,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pupper_analysis.errors import ConfigurationError, MeasurementError, MissingPackageError
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.log_files import read_log
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.log_files import read_log
 
 STATE, CONTROLLER = "sensor_msgs/msg/JointState", "control_msgs/msg/JointTrajectoryControllerState"
 TRAJECTORY, ARRAY = "trajectory_msgs/msg/JointTrajectory", "std_msgs/msg/Float64MultiArray"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.log_files import read_log
-from pupper_analysis.identification.log_quality import find_quantum, inspect_log
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.log_files import read_log
+from pupper_analysis.identification.measurements.log_quality import find_quantum, inspect_log
 from tests.support.arm import arm
 
 JOINTS = ("shoulder", "elbow")

@@ -14,9 +14,9 @@ import pytest
 
 from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import MeasurementError, ModelError, UnknownNameError
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.motion import fit_motion
-from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.motions.fit import fit_motion
+from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.identification.told import Told, told_by
 from pupper_analysis.robot.robot import Robot
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.plan import choose_stands, plan_stands
+from pupper_analysis.identification.stands.plan import choose_stands, plan_stands
 from pupper_analysis.pupper.load import load_variant
 
 

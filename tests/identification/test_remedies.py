@@ -7,12 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.measurements.stands import MeasuredStands
 from pupper_analysis.identification.parameters import ParameterTable, give_widths
-from pupper_analysis.identification.remedies import further_measurements, on_three_feet
-from pupper_analysis.identification.stand_equations import StandEquations
-from pupper_analysis.identification.stand_fit import parameters_of
-from pupper_analysis.identification.stand_rows import StandNoise
-from pupper_analysis.identification.stands import MeasuredStands
+from pupper_analysis.identification.stands.equations import StandEquations
+from pupper_analysis.identification.stands.fit import parameters_of
+from pupper_analysis.identification.stands.remedies import further_measurements, on_three_feet
+from pupper_analysis.identification.stands.rows import StandNoise
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos

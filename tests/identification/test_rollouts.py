@@ -11,12 +11,12 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.bodies import MovingBodies
 from pupper_analysis.identification.links import link_of
-from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.motions.bodies import MovingBodies
+from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import Parameter, ParameterTable
-from pupper_analysis.identification.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from tests.support.arm import arm

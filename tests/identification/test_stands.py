@@ -20,11 +20,15 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.identification.hulls import unbounded_coms
 from pupper_analysis.identification.links import bodies_of
+from pupper_analysis.identification.measurements.stands import (
+    MeasuredStands,
+    quantum_of,
+    read_stands,
+)
 from pupper_analysis.identification.parameters import Parameter, ParameterTable, give_widths
-from pupper_analysis.identification.stand_equations import StandEquations
-from pupper_analysis.identification.stand_fit import fit_stands, parameters_of
-from pupper_analysis.identification.stand_rows import StandNoise
-from pupper_analysis.identification.stands import MeasuredStands, quantum_of, read_stands
+from pupper_analysis.identification.stands.equations import StandEquations
+from pupper_analysis.identification.stands.fit import fit_stands, parameters_of
+from pupper_analysis.identification.stands.rows import StandNoise
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.parameters import Parameter, ParameterTable
-from pupper_analysis.identification.surroundings import doubt_surroundings
+from pupper_analysis.identification.stands.doubts import doubt_surroundings
 
 Array = NDArray[np.float64]
 

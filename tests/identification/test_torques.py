@@ -14,19 +14,19 @@ import pytest
 
 from pupper_analysis.arrays import inertia_of, inertia_tensor
 from pupper_analysis.errors import ConfigurationError, MeasurementError, UnknownNameError
-from pupper_analysis.identification.couplings import Coupling, parse_coupling
 from pupper_analysis.identification.fit import fit
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import ParameterTable, give_widths
-from pupper_analysis.identification.smoothing import find_band, smooth
 from pupper_analysis.identification.told import Told
-from pupper_analysis.identification.torque_blocks import Blocks, measure_torques
-from pupper_analysis.identification.torque_equations import ENTRIES, OF_JOINTS, TorqueEquations
-from pupper_analysis.identification.torque_estimate import innovations_together
-from pupper_analysis.identification.torque_fit import fit_torques
-from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.identification.torques.blocks import Blocks, measure_torques
+from pupper_analysis.identification.torques.couplings import Coupling, parse_coupling
+from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS, TorqueEquations
+from pupper_analysis.identification.torques.estimate import innovations_together
+from pupper_analysis.identification.torques.fit import fit_torques
+from pupper_analysis.identification.torques.result import TorqueFit
+from pupper_analysis.identification.torques.smoothing import find_band, smooth
 from pupper_analysis.identification.write import fit_files
 from tests.support.arm import arm
 from tests.support.leg import (

@@ -8,18 +8,13 @@ import numpy as np
 import pytest
 
 from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.identification.parameters import Parameter
-from pupper_analysis.identification.plan import PlannedStand, StandPlan
-from pupper_analysis.identification.result import (
-    Estimate,
-    Expected,
-    JointResidual,
-    StandFit,
-    describe_parameters,
-)
+from pupper_analysis.identification.result import Estimate, Expected, describe_parameters
+from pupper_analysis.identification.stands.plan import PlannedStand, StandPlan
+from pupper_analysis.identification.stands.result import JointResidual, StandFit
 from pupper_analysis.identification.told import Together, Told
-from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.identification.torques.result import TorqueFit
 from pupper_analysis.report import plots
 from pupper_analysis.report.document import Cell, Document, Name, Number, Table
 from pupper_analysis.report.documents.registry import document

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.convert.load import load_robot
-from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

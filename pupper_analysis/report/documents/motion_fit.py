@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.fit import describe_fit

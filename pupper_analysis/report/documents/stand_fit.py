@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from pupper_analysis.identification.result import Estimate, JointResidual, StandFit
+from pupper_analysis.identification.result import Estimate
+from pupper_analysis.identification.stands.result import JointResidual, StandFit
 from pupper_analysis.identification.told import Told
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pupper_analysis.identification.plan import StandPlan
+from pupper_analysis.identification.stands.plan import StandPlan
 from pupper_analysis.identification.told import Told
 from pupper_analysis.report import document as doc
 from pupper_analysis.report.documents.fit import SHOWN_UNITS, TOLD_BY

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.stand_equations import StandEquations
+from pupper_analysis.identification.stands.equations import StandEquations
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import cross_matrices
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.parameters import ParameterTable
-from pupper_analysis.identification.stand_numbers import GravityRegressor, Numbers
+from pupper_analysis.identification.stands.numbers import GravityRegressor, Numbers
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 

@@ -12,18 +12,22 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
 from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.log_quality import LogQuality, find_quantum, inspect_log
-from pupper_analysis.identification.motion_result import MotionFit
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.log_quality import (
+    LogQuality,
+    find_quantum,
+    inspect_log,
+)
+from pupper_analysis.identification.motions.residuals import Motion, root_mean_square
+from pupper_analysis.identification.motions.result import MotionFit
+from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
     give_widths,
     parse_prior,
 )
-from pupper_analysis.identification.residuals import Motion, root_mean_square
 from pupper_analysis.identification.result import describe_parameters
-from pupper_analysis.identification.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.identification.told import find_together
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot

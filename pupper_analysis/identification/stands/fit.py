@@ -15,18 +15,18 @@ from pupper_analysis.errors import ConfigurationError, FitError, MeasurementErro
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.identification.hulls import unbounded_coms
 from pupper_analysis.identification.links import AXES, bodies_of
-from pupper_analysis.identification.noise_levels import find_noise
+from pupper_analysis.identification.measurements.stands import MeasuredStands, quantum_of
 from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
     give_widths,
     parse_prior,
 )
-from pupper_analysis.identification.remedies import WEIGHED
-from pupper_analysis.identification.result import StandFit, describe_fit
-from pupper_analysis.identification.stand_equations import StandEquations
-from pupper_analysis.identification.stand_rows import StandNoise
-from pupper_analysis.identification.stands import MeasuredStands, quantum_of
+from pupper_analysis.identification.stands.equations import StandEquations
+from pupper_analysis.identification.stands.noise_levels import find_noise
+from pupper_analysis.identification.stands.remedies import WEIGHED
+from pupper_analysis.identification.stands.result import StandFit, describe_stands
+from pupper_analysis.identification.stands.rows import StandNoise
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
@@ -112,7 +112,7 @@ def fit_stands(
         settled = bool((nearer == stopped).all())
         start, stopped = posterior.mean, nearer
     notes = (*_unused(robot, given, stiffness, stopped), *unbounded_coms(robot, table))
-    return describe_fit(robot, used, equations, posterior, noise, notes, weight is not None)
+    return describe_stands(robot, used, equations, posterior, noise, notes, weight is not None)
 
 
 def _estimate(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.identification.columns import Column, Columns, read_columns
-from pupper_analysis.identification.log_quality import find_degrees
+from pupper_analysis.identification.measurements.columns import Column, Columns, read_columns
+from pupper_analysis.identification.measurements.log_quality import find_degrees
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -15,10 +15,10 @@ from pupper_analysis.identification.estimate import (
     Posterior,
     estimate_parameters,
 )
-from pupper_analysis.identification.moments import Moments
+from pupper_analysis.identification.motions.moments import Moments
+from pupper_analysis.identification.motions.rollouts import Run, Simulator
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import KINDS
-from pupper_analysis.identification.rollouts import Run, Simulator
 from pupper_analysis.identification.slopes import Slopes
 
 Array = NDArray[np.float64]

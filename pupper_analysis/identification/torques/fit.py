@@ -14,16 +14,12 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.couplings import (
-    Coupling,
-    coupling_rows,
-    parse_coupling,
-)
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.links import AXES
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.log_quality import LogQuality, inspect_log
-from pupper_analysis.identification.motion import HOLD_OUT
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.measurements.log_quality import LogQuality, inspect_log
+from pupper_analysis.identification.motions.fit import HOLD_OUT
+from pupper_analysis.identification.motions.residuals import root_mean_square
 from pupper_analysis.identification.parameters import (
     KINDS,
     ParameterTable,
@@ -31,13 +27,17 @@ from pupper_analysis.identification.parameters import (
     give_widths,
     parse_prior,
 )
-from pupper_analysis.identification.residuals import root_mean_square
 from pupper_analysis.identification.result import describe_parameters
 from pupper_analysis.identification.told import find_together
-from pupper_analysis.identification.torque_blocks import MeasuredTorques, measure_torques
-from pupper_analysis.identification.torque_equations import ENTRIES, OF_JOINTS
-from pupper_analysis.identification.torque_estimate import TORQUES, Torques
-from pupper_analysis.identification.torque_result import TorqueFit
+from pupper_analysis.identification.torques.blocks import MeasuredTorques, measure_torques
+from pupper_analysis.identification.torques.couplings import (
+    Coupling,
+    coupling_rows,
+    parse_coupling,
+)
+from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS
+from pupper_analysis.identification.torques.estimate import TORQUES, Torques
+from pupper_analysis.identification.torques.result import TorqueFit
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 

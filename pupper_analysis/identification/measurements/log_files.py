@@ -10,9 +10,9 @@ import numpy as np
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.identification.bags import is_bag, read_bag
-from pupper_analysis.identification.columns import Column, read_columns
-from pupper_analysis.identification.log import Log, make_log
+from pupper_analysis.identification.measurements.bags import is_bag, read_bag
+from pupper_analysis.identification.measurements.columns import Column, read_columns
+from pupper_analysis.identification.measurements.log import Log, make_log
 
 COLUMNS = (
     Column("time", "time"),

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.identification.estimate import Linearised
 from pupper_analysis.identification.parameters import ParameterTable
-from pupper_analysis.identification.stand_equations import StandEquations
-from pupper_analysis.identification.stand_rows import StandNoise
+from pupper_analysis.identification.stands.equations import StandEquations
+from pupper_analysis.identification.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
 

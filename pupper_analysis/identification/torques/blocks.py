@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.log import Log
-from pupper_analysis.identification.smoothing import Band, find_band, smooth
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.torques.smoothing import Band, find_band, smooth
 
 Array = NDArray[np.float64]
 

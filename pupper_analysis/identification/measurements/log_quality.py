@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Whether ground and IMU are as they were said to be."""
+"""What a model does not explain of stands: noise, numbers, and what surrounds the robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.parameters import OF_SURROUNDINGS
+from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.identification.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,74 @@ _LEAST_TOLD = 0.02
 
 _ALSO = 2.0
 """Standard deviations, where feet sink otherwise: those which do."""
+
+_NOISY = 5.0
+"""Times what was expected: noise of which there is so much hides a cause."""
+
+_FAR = 4.5
+"""Standard deviations: of a hundred numbers that are as was said, none is so far off."""
+
+_NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
+"""Kinds of numbers that no robot has none of, and what is none, in parts of the stated value."""
+
+_RESIDUALS_CHANCE = 1e-3
+"""Probability of residuals that are larger by chance."""
+
+
+def doubt_stands(
+    posterior: Posterior, found: StandNoise, expected: StandNoise
+) -> Iterator[Diagnostic]:
+    """Yields what the model does not explain of the measurements.
+
+    Args:
+        posterior: What is known of the parameters.
+        found: The noise that was found.
+        expected: The noise that was expected.
+    """
+    from scipy import stats  # slow to import
+
+    if stats.chi2.sf(posterior.chi2, max(posterior.freedom, 1.0)) < _RESIDUALS_CHANCE:
+        ratio = posterior.chi2 / max(posterior.freedom, 1.0)
+        yield diagnose("residuals-too-large", times=math.sqrt(ratio))
+    if found.flatness > _NOISY * expected.flatness:
+        yield diagnose("feet-off-the-plane", off=Quantity(found.flatness, "m"))
+    if found.friction > _NOISY * expected.friction:
+        yield diagnose("torques-off", times=found.friction / expected.friction)
+    own = [place for place, one in enumerate(posterior.parameters) if _is_own(one)]
+    moved = {
+        place: (posterior.mean[place] - posterior.parameters[place].stated)
+        / _surprise(posterior, place)
+        for place in own
+    }
+    far = [
+        place
+        for place in own
+        if abs(moved[place]) > _FAR
+        or (
+            (posterior.parameters[place].kind in _NEVER_NOTHING and moved[place] < 0)
+            and posterior.mean[place] < _NOTHING * posterior.parameters[place].stated
+        )
+    ]
+    if far:
+        worst = max(far, key=lambda place: abs(moved[place]))
+        names = [posterior.parameters[place].name for place in far]
+        yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
+    yield from doubt_surroundings(posterior)
+
+
+def _surprise(posterior: Posterior, place: int) -> float:
+    """Returns the standard deviation of an estimate, if the parameter is as it was said to be.
+
+    What is known before and after differ in variance by it: an estimate by poor measurements stays
+    near the stated value, and tells as much by a smaller step.
+    """
+    width = posterior.parameters[place].width
+    told = max(width**2 - float(posterior.covariance[place, place]), _LEAST_TOLD * width**2)
+    return math.sqrt(told)
+
+
+def _is_own(one: Parameter) -> bool:
+    return one.kind not in OF_SURROUNDINGS
 
 
 def doubt_surroundings(posterior: Posterior) -> Iterator[Diagnostic]:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from pupper_analysis.identification.estimate import Linearised
 from pupper_analysis.identification.links import AXES, bodies_of
+from pupper_analysis.identification.measurements.stands import APPROACHES, MeasuredStands
 from pupper_analysis.identification.parameters import ParameterTable, give_widths
-from pupper_analysis.identification.stand_numbers import GravityRegressor, Numbers
-from pupper_analysis.identification.stand_rows import Reading, StandNoise, StandRows
-from pupper_analysis.identification.stands import APPROACHES, MeasuredStands
+from pupper_analysis.identification.stands.numbers import GravityRegressor, Numbers
+from pupper_analysis.identification.stands.rows import Reading, StandNoise, StandRows
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from pupper_analysis.identification.couplings import Coupling
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.identification.motions.residuals import root_mean_square
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import ParameterTable
-from pupper_analysis.identification.residuals import root_mean_square
-from pupper_analysis.identification.torque_blocks import MeasuredTorques
-from pupper_analysis.identification.torque_equations import TorqueEquations
+from pupper_analysis.identification.torques.blocks import MeasuredTorques
+from pupper_analysis.identification.torques.couplings import Coupling
+from pupper_analysis.identification.torques.equations import TorqueEquations
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

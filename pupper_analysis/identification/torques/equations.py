@@ -9,10 +9,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.identification.couplings import Coupling, coupling_rows
 from pupper_analysis.identification.links import AXES, link_of
 from pupper_analysis.identification.parameters import ParameterTable
-from pupper_analysis.identification.torque_blocks import Blocks
+from pupper_analysis.identification.torques.blocks import Blocks
+from pupper_analysis.identification.torques.couplings import Coupling, coupling_rows
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

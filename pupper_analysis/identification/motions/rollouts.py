@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.bodies import MovingBodies
-from pupper_analysis.identification.log import Log
+from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.motions.bodies import MovingBodies
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos

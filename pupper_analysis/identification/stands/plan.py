@@ -21,6 +21,7 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.files import whole_file
 from pupper_analysis.identification.estimate import NORMAL_95
+from pupper_analysis.identification.measurements.stands import MeasuredStands
 from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
@@ -28,14 +29,13 @@ from pupper_analysis.identification.parameters import (
     parse_prior,
 )
 from pupper_analysis.identification.result import Expected
-from pupper_analysis.identification.stand_equations import StandEquations
-from pupper_analysis.identification.stand_fit import (
+from pupper_analysis.identification.stands.equations import StandEquations
+from pupper_analysis.identification.stands.fit import (
     SURE,
     expected_noise,
     parameters_of,
     stated_stiffness,
 )
-from pupper_analysis.identification.stands import MeasuredStands
 from pupper_analysis.identification.told import told_by
 from pupper_analysis.results import Result
 from pupper_analysis.robot.friction import DryFriction

@@ -1,0 +1,1 @@
+"""Measurements as they are read: stands at rest, and logs of motions."""

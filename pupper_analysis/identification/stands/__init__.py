@@ -1,0 +1,1 @@
+"""Fit of stands at rest: a soft servo is a torque sensor."""

@@ -1,0 +1,1 @@
+"""Fit of measured torques, by Pinocchio's joint-torque regressor."""
