@@ -2,9 +2,11 @@
 
 Arms are those of others, in ``PUPPER_ROBOTS``; each draw plants errors in their masses, coms and
 inertias, and friction, damping, armature and bias of which the files know nothing. Joints follow
-sines; encoders have steps, torques have noise.
+sines, or servos whose commands are sines (--servos, with their bandwidth in rad/s: MuJoCo's own
+dynamics, friction and time step, and joints that stick); encoders have steps, torques have noise.
 
     python benchmarks/fit_torques.py ur5 panda --seeds 20
+    python benchmarks/fit_torques.py so100 --seeds 20 --servos 30
 """
 
 from __future__ import annotations
@@ -38,6 +40,9 @@ ARMS = {
     "so100": f"{EXAMPLES}/so_arm_description/urdf/so100.urdf",
 }
 SECONDS, RATE, WAVES = 40.0, 250.0, 6
+STEP = 5e-4
+"""s: what MuJoCo damps implicitly is damped half a step late, as by an armature of half a
+step's damping: here a thousandth of the planted one."""
 QUANTUM = 2 * np.pi / 2**16
 MASS_SHARE, COM_WIDTH = 0.2, 0.012  # kg / kg, m
 PRIORS = (f"mass={100 * MASS_SHARE:g}%", f"com={1e3 * COM_WIDTH:g}mm")
@@ -95,21 +100,10 @@ def plant(robot: Robot, random: np.random.Generator) -> tuple[mujoco.MjModel, Tr
 
 def move(robot: Robot, model: mujoco.MjModel, truth: Truth, random: np.random.Generator) -> Log:
     """Returns the log of an arm that follows sines: what torques that takes says MuJoCo."""
-    off = ("CONTACT", "LIMIT", "FRICTIONLOSS", "ACTUATION")
-    for flag in off:
-        model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}").value
+    _disable(model, "CONTACT", "LIMIT", "FRICTIONLOSS", "ACTUATION")
     data = mujoco.MjData(model)
-    low = np.maximum(robot.lower_limits, -2.5)
-    high = np.minimum(robot.upper_limits, 2.5)
-    frequencies = 2 * np.pi * random.uniform(0.05, 0.8, (WAVES, robot.nu))
-    sizes = 0.4 * (high - low) * random.dirichlet(np.ones(WAVES), robot.nu).T
-    sizes /= np.maximum(1, 0.5 * frequencies)
-    phases = random.uniform(0, 2 * np.pi, (WAVES, robot.nu))
     clock = np.arange(0, SECONDS, 1 / RATE)
-    angle = frequencies * clock[:, None, None] + phases
-    position = (low + high) / 2 + (sizes * np.sin(angle)).sum(axis=1)
-    velocity = (sizes * frequencies * np.cos(angle)).sum(axis=1)
-    acceleration = -(sizes * frequencies**2 * np.sin(angle)).sum(axis=1)
+    position, velocity, acceleration = sines(robot, clock, random)
     torque = np.zeros_like(position)
     dofs = robot.mj_convention.qvel_index
     friction = np.array([truth["friction", name, ""] for name in robot.joint_names])
@@ -118,25 +112,103 @@ def move(robot: Robot, model: mujoco.MjModel, truth: Truth, random: np.random.Ge
         data.qacc[dofs] = acceleration[row]
         mujoco.mj_inverse(model, data)
         torque[row] = data.qfrc_inverse[dofs] + friction * np.sign(velocity[row])
+    return measured(robot, clock, position, torque, truth, random)
+
+
+def serve(
+    robot: Robot,
+    model: mujoco.MjModel,
+    truth: Truth,
+    random: np.random.Generator,
+    bandwidth: float,
+) -> Log:
+    """Returns the log of an arm whose servos follow sines, by MuJoCo's own steps.
+
+    Positions and torques are those of one moment: what ``mj_step`` leaves are the torques of the
+    moment before. Friction is made for the planted masses and armatures: without ``mj_setConst``
+    MuJoCo takes those of the file for it (``dof_invweight0``), and where these are much less, as
+    where a file has no armature, its friction is viscous and never gets to its own size.
+    """
+    _disable(model, "CONTACT", "LIMIT", "ACTUATION")
+    dofs, qpos = robot.mj_convention.qvel_index, robot.mj_convention.qpos_index
+    model.dof_frictionloss[dofs] = [truth["friction", name, ""] for name in robot.joint_names]
+    model.opt.timestep, model.opt.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    clock = np.arange(0, SECONDS, STEP)
+    command = sines(robot, clock, random)[0]
+    robot.mj_convention.set_state(data, command[0], np.zeros(robot.nu))
+    mujoco.mj_forward(model, data)
+    whole = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, whole)
+    kp = bandwidth**2 * np.diag(whole)[dofs]
+    kd = 2 * 0.7 / bandwidth * kp  # damped as servos are
+    each, position, torque = round(1 / RATE / STEP), [], []
+    for row, wanted in enumerate(command):
+        now = data.qpos[qpos].copy()
+        data.qfrc_applied[dofs] = kp * (wanted - now) - kd * data.qvel[dofs]
+        if row % each == 0:
+            position.append(now)
+            torque.append(data.qfrc_applied[dofs].copy())
+        mujoco.mj_step(model, data)
+    return measured(robot, clock[::each], np.array(position), np.array(torque), truth, random)
+
+
+def sines(robot: Robot, clock: Array, random: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Returns positions of joints within their limits, and their derivatives (times, nu)."""
+    low = np.maximum(robot.lower_limits, -2.5)
+    high = np.minimum(robot.upper_limits, 2.5)
+    frequencies = 2 * np.pi * random.uniform(0.05, 0.8, (WAVES, robot.nu))
+    sizes = 0.4 * (high - low) * random.dirichlet(np.ones(WAVES), robot.nu).T
+    sizes /= np.maximum(1, 0.5 * frequencies)
+    phases = random.uniform(0, 2 * np.pi, (WAVES, robot.nu))
+    angle = frequencies * clock[:, None, None] + phases
+    return (
+        (low + high) / 2 + (sizes * np.sin(angle)).sum(axis=1),
+        (sizes * frequencies * np.cos(angle)).sum(axis=1),
+        -(sizes * frequencies**2 * np.sin(angle)).sum(axis=1),
+    )
+
+
+def _disable(model: mujoco.MjModel, *flags: str) -> None:
+    for flag in flags:
+        model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}").value
+
+
+def measured(
+    robot: Robot,
+    clock: Array,
+    position: Array,
+    torque: Array,
+    truth: Truth,
+    random: np.random.Generator,
+) -> Log:
+    """Returns a log with what sensors do; the truth gets their bias."""
     scale = np.sqrt(np.mean(torque**2, axis=0))
     bias = 0.02 * scale * random.normal(size=robot.nu)
     for name, value in zip(robot.joint_names, bias.tolist(), strict=True):
         truth["bias", name, ""] = value
-    torque += bias + TORQUE_NOISE * scale * random.normal(size=torque.shape)
-    position += 0.3 * QUANTUM * random.normal(size=position.shape)
+    torque = torque + bias + TORQUE_NOISE * scale * random.normal(size=torque.shape)
+    position = position + 0.3 * QUANTUM * random.normal(size=position.shape)
     position = QUANTUM * np.round(position / QUANTUM)
     blank = np.full(position.shape, np.nan)
     return Log("simulated", clock, robot.joint_names, blank, position, None, torque)
 
 
-def run(name: str, path: Path, seeds: int) -> Mapping[str, tuple[int, int]]:
+def run(
+    name: str, path: Path, seeds: int, bandwidth: float | None = None
+) -> Mapping[str, tuple[int, int]]:
     """Prints how often intervals hold what was planted, by kind of parameter."""
     robot = load_robot(path)
     held: dict[str, list[bool]] = defaultdict(list)
     for seed in range(seeds):
         random = np.random.default_rng(seed)
         model, truth = plant(robot, random)
-        log = move(robot, model, truth, random)
+        log = (
+            serve(robot, model, truth, random, bandwidth)
+            if bandwidth
+            else move(robot, model, truth, random)
+        )
         start = time.perf_counter()
         found = fit_torques(robot, [log], priors=PRIORS)
         seconds = time.perf_counter() - start
@@ -174,10 +246,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("arms", nargs="*", default=list(ARMS))
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--servos", type=float, help="servos' bandwidth (rad/s)")
     given = parser.parse_args()
     for name in given.arms:
         folder = Path(os.environ.get("PUPPER_ROBOTS", "."))
-        run(name, folder / ARMS[name] if name in ARMS else Path(name), given.seeds)
+        path = folder / ARMS[name] if name in ARMS else Path(name)
+        run(name, path, given.seeds, given.servos)
 
 
 if __name__ == "__main__":

@@ -18,12 +18,17 @@ from pupper_analysis.identification.fit import fit
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.identification.noise import SeriesNoise
-from pupper_analysis.identification.parameters import ParameterTable, give_widths
+from pupper_analysis.identification.parameters import ParameterTable, give_widths, parse_prior
 from pupper_analysis.identification.told import Told
-from pupper_analysis.identification.torques.blocks import Blocks, measure_torques
+from pupper_analysis.identification.torques.blocks import (
+    Blocks,
+    MeasuredTorques,
+    measure_torques,
+    one_way,
+)
 from pupper_analysis.identification.torques.couplings import Coupling, parse_coupling
 from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS, TorqueEquations
-from pupper_analysis.identification.torques.estimate import innovations_together
+from pupper_analysis.identification.torques.estimate import Torques, innovations_together
 from pupper_analysis.identification.torques.fit import fit_torques
 from pupper_analysis.identification.torques.result import TorqueFit
 from pupper_analysis.identification.torques.smoothing import find_band, smooth
@@ -44,6 +49,7 @@ from tests.support.leg import (
     leg,
     measured,
     motion,
+    sensed,
     torques,
 )
 
@@ -116,6 +122,47 @@ def test_intervals_hold_what_is_planted_as_often_as_they_say() -> None:
                 held.append(one.low <= value <= one.high)
     assert len(held) == 40 * 12
     assert 0.93 <= np.mean(held) <= 0.97
+
+
+def served(seed: int) -> Log:
+    """A log of the two links with what is planted, moved by servos in MuJoCo, where they stick."""
+    robot, step = leg(), 5e-4
+    model = copy.copy(robot.mj_model)
+    dofs, qpos = robot.mj_convention.qvel_index, robot.mj_convention.qpos_index
+    for at, name in enumerate(("thigh", "shank")):
+        body = model.body(name).id
+        model.body_ipos[body, 2], model.body_inertia[body] = -TRUE.lever[at], TRUE.turns[at]
+    model.dof_frictionloss[dofs], model.dof_damping[dofs] = TRUE.friction, TRUE.damping
+    model.dof_armature[dofs] = TRUE.armature
+    model.opt.timestep = step
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION.value
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)  # without it friction is made for the file's inertias
+    time = np.arange(0, 30, step)
+    wanted, each = motion(time + 40 * seed)[0], round(1 / RATE / step)
+    robot.mj_convention.set_state(data, wanted[0], np.zeros(2))
+    position, torque = [], []
+    for row, angle in enumerate(wanted):
+        now = data.qpos[qpos].copy()
+        data.qfrc_applied[dofs] = [200, 60] * (angle - now) - [8, 2] * data.qvel[dofs]
+        if row % each == 0:
+            position.append(now)
+            torque.append(data.qfrc_applied[dofs].copy())
+        mujoco.mj_step(model, data)
+    return sensed(time[::each], np.array(position), np.array(torque) + TRUE.bias, seed)
+
+
+@pytest.mark.slow
+def test_joints_that_stick_as_servos_move_them_in_mujoco_are_told_within_intervals() -> None:
+    off = []
+    for seed in range(6):
+        for one in fit_torques(leg(), [served(seed)], priors=PRIORS).estimates:
+            if one.kind in OF_JOINTS:
+                true = getattr(TRUE, one.kind)[JOINTS.index(one.subject)]
+                off.append((one.mean - true) / one.std)
+    assert len(off) == 6 * 8
+    assert np.mean(np.abs(off) < 1.96) > 0.9
+    assert math.sqrt(np.mean(np.square(off))) < 1.2
 
 
 def test_what_turns_about_one_axis_is_told_as_a_sum() -> None:
@@ -336,6 +383,38 @@ def test_noise_of_several_joints_belongs_together() -> None:
     noise = [SeriesNoise.of([column]) for column in off.T]
     found = innovations_together(noise, [off])
     assert found == pytest.approx(np.array([[1, 0.6], [0.6, 1]]), abs=0.05)
+
+
+def test_noise_that_is_common_is_less_in_what_tells_a_difference() -> None:
+    """Noise of correlation c makes a sum's variance 1 + c, and a difference's 1 - c, times."""
+    count, common = 4000, 0.8
+    random = np.random.default_rng(2)
+    shared, own = random.normal(size=(2, count))
+    noise = np.column_stack([shared, common * shared + math.sqrt(1 - common**2) * own])
+    equations = TorqueEquations(leg(), [0, 1])
+    table = ParameterTable(
+        give_widths([("bias", name, "", 0.0) for name in JOINTS], [parse_prior("bias=100")])
+    )
+    still, told = np.zeros((3, count, 1, 2)), np.zeros(count, dtype=bool)
+    run = Blocks(*still, noise, told, np.zeros(1), 1.0)
+    known = equations.regressor(run)
+    numbers, _ = equations.numbers(table, table.stated)
+    torque = noise + known[0] @ numbers
+    measured_torques = MeasuredTorques((replace(run, torque=torque),), {}, 0.02, 0.0)
+    torques_of = Torques(equations, measured_torques, (known[0],), (known[1],), (torque,))
+    covariance = torques_of.fit(table).covariance
+    assert covariance * count == pytest.approx(np.array([[1, common], [common, 1]]), rel=0.1)
+    for signs, variance in (((1, 1), 2 + 2 * common), ((1, -1), 2 - 2 * common)):
+        assert count * np.array(signs) @ covariance @ signs == pytest.approx(variance, rel=0.15)
+
+
+def test_what_turns_within_a_block_goes_no_one_way() -> None:
+    """It may turn between points, at each of which it is fast."""
+    speed = np.array([[1.0, 2, 1], [-1, -2, -1], [1, 1, -1], [1, -1, 1], [1, 0.05, 1], [1, 0, -1]])
+    least = np.array([0.1])
+    assert one_way(speed[:, :, None], least)[:, 0].tolist() == [True, True, *[False] * 4]
+    both = np.stack([speed, np.ones_like(speed)], axis=2)
+    assert one_way(both, np.array([0.1, 0.1]))[:, 1].all()
 
 
 def test_motion_is_smoothed_without_a_lag() -> None:

@@ -133,10 +133,15 @@ def measured(
 ) -> Log:
     """A log of the motion, with an encoder's steps and noise of torques."""
     time = np.arange(0, seconds, 1 / RATE)
-    random = np.random.default_rng(seed)
     position, velocity, acceleration = motion(time)
     torque = torques(position, velocity, acceleration, gravity, true, tilt)
-    torque += np.array(NOISE) * random.normal(size=torque.shape)
+    return sensed(time, position, torque, seed)
+
+
+def sensed(time: Array, position: Array, torque: Array, seed: int = 0) -> Log:
+    """The log of a motion, with an encoder's steps and noise of torques."""
+    random = np.random.default_rng(seed)
+    torque = torque + np.array(NOISE) * random.normal(size=torque.shape)
     position = QUANTUM * np.round(position / QUANTUM + 0.3 * random.normal(size=torque.shape))
     blank = np.full(position.shape, np.nan)
     return Log("leg.csv", time, JOINTS, blank, position, None, torque)

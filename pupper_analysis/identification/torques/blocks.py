@@ -32,8 +32,9 @@ _POINTS = 8
 _STILL_NOISE = 4.0
 """Standard deviations of a velocity: less may be either way."""
 
-_STILL = 0.05
-"""Of a joint's usual velocity: slower, friction is none of Coulomb's: joints creep and stick."""
+_STILL = 0.1
+"""Of a joint's usual velocity: slower, friction is none of Coulomb's: joints creep and stick, and
+the filter spreads over these times how they come loose."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +139,23 @@ def measure_torques(
         _STILL_NOISE * np.sqrt(drives**2 @ noise**2),
     )
     for run in runs:
-        speed = run.velocity @ drives.T
-        slow = np.abs(speed).min(axis=1) <= least
-        turns = speed.min(axis=1) * speed.max(axis=1) <= 0
-        run.torque[(slow | turns) @ (drives != 0)] = np.nan
+        run.torque[(~one_way(run.velocity @ drives.T, least)) @ (drives != 0)] = np.nan
     return MeasuredTorques(tuple(runs), bands, length, lag)
+
+
+def one_way(speed: Array, least: Array) -> NDArray[np.bool_]:
+    """Returns in which blocks something turns one way, and fast enough for Coulomb's law.
+
+    Args:
+        speed: (blocks, points, n) of each (rad/s, m/s).
+        least: (n,) the slowest that counts.
+
+    Returns:
+        (blocks, n).
+    """
+    slow = np.abs(speed).min(axis=1) <= least
+    turns = speed.min(axis=1) * speed.max(axis=1) <= 0
+    return ~(slow | turns)
 
 
 def _parts(log: Log, hold_out: float) -> Iterator[_Part]:

@@ -52,10 +52,10 @@ _SAME_LAG = 1e-3
 _MOST_LAG = 0.1
 """s: what is later was never put on one clock."""
 
-_LACKS = 0.3
-"""Of a joint's torque: what a model leaves, beyond the sensor's noise, that is another robot's.
-Where a torque is nearly all friction, Coulomb's law and a viscous term leave a fifth of the right
-one (the wrist of Staubli's TX40); columns that are swapped leave most of it."""
+_LACKS = 0.2
+"""Of a joint's torque: what a model leaves, beyond the sensor's noise, that it does not explain.
+Columns that are swapped leave most of it, and a wrist whose torque is nearly all friction as much
+as this where its friction is none of Coulomb's (Staubli's TX40)."""
 
 _AGAINST = -0.3
 """Correlation of a measured torque with that of the file's own numbers, from which on it pulls the
