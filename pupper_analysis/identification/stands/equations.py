@@ -226,17 +226,30 @@ class StandEquations:
             if any(point in forces for point in points)
         }
 
-    def heights_in_the_air(self, stand: int, x: Array) -> dict[str, float]:
-        """Returns how high each foot is that is in the air in a stand (m), its lowest point."""
+    def heights_in_the_air(
+        self, stand: int, x: Array, offsets: Array
+    ) -> dict[str, tuple[float, float]]:
+        """Returns how high each foot is that is in the air in a stand, its lowest point.
+
+        Args:
+            stand: Its number.
+            x: The parameters.
+            offsets: (nu,) standard deviations of the encoders' zeros (rad).
+
+        Returns:
+            {foot: height above the ground and its standard deviation (m)}.
+        """
         carrying, config = self._readings[stand].points, self._look(stand, self._numbers(x)).config
-        robot = self.robot
-        return {
-            foot: float(
-                np.min(config.foot_places(points)[:, 2] - [robot.contact_radius[p] for p in points])
-            )
-            for foot, points in robot.feet.items()
-            if not set(points) & set(carrying)
-        }
+        robot, found = self.robot, {}
+        for foot, points in robot.feet.items():
+            if not set(points) & set(carrying):
+                radius = [robot.contact_radius[point] for point in points]
+                heights = config.foot_places(points)[:, 2] - radius
+                lowest = int(heights.argmin())
+                rates = config.foot_twists(points)[lowest, 2, 6:]
+                off = math.hypot(float(np.linalg.norm(rates * offsets)), self.noise.flatness)
+                found[foot] = float(heights[lowest]), off
+        return found
 
     def residuals(self, x: Array) -> list[float]:
         """Returns the root mean square of each stand's whitened residuals."""
