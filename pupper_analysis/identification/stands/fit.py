@@ -306,8 +306,8 @@ def _weighed(
 
 
 _TOUCHES = 1.0
-"""Standard deviations below the ground: a foot there is hardly in the air. One that sags to within a
-millimetre of it, as lifted ones of v3 do, may come out a little below."""
+"""Standard deviations below the ground: a foot there is hardly in the air. Those of v3 that sag to
+within a millimetre of it may come out a little below."""
 
 
 def _check_feet(
