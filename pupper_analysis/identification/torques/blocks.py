@@ -155,7 +155,8 @@ def one_way(speed: Array, least: Array) -> NDArray[np.bool_]:
     """
     slow = np.abs(speed).min(axis=1) <= least
     turns = speed.min(axis=1) * speed.max(axis=1) <= 0
-    return ~(slow | turns)
+    found: NDArray[np.bool_] = ~(slow | turns)
+    return found
 
 
 def _parts(log: Log, hold_out: float) -> Iterator[_Part]:
