@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,8 @@ def doubt_stands(
         worst = max(far, key=lambda place: abs(moved[place]))
         names = [posterior.parameters[place].name for place in far]
         yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
-    yield from doubt_surroundings(posterior)
+    flatter = min(1.0, found.flatness / expected.flatness)
+    yield from doubt_surroundings(posterior, {"softness": flatter**2})
 
 
 def _surprise(posterior: Posterior, place: int) -> float:
@@ -93,7 +94,9 @@ def _is_own(one: Parameter) -> bool:
     return one.kind not in OF_SURROUNDINGS
 
 
-def doubt_surroundings(posterior: Posterior) -> Iterator[Diagnostic]:
+def doubt_surroundings(
+    posterior: Posterior, shares: Mapping[str, float] | None = None
+) -> Iterator[Diagnostic]:
     """Yields what of the surroundings is not as it was said to be, one kind at a time.
 
     Estimates move from what was said by d. If that is so, d has the covariance S by which prior and
@@ -103,6 +106,9 @@ def doubt_surroundings(posterior: Posterior) -> Iterator[Diagnostic]:
 
     Args:
         posterior: What is known of the parameters.
+        shares: {kind: what its signs are worth, in parts}. Feet that sink and ground that is uneven
+            look alike: where ground came out flatter than expected, by few stands, signs of the
+            other are worth what they were on the expected one.
     """
     from scipy import stats  # slow to import
 
@@ -118,7 +124,7 @@ def doubt_surroundings(posterior: Posterior) -> Iterator[Diagnostic]:
         values, vectors = np.linalg.eigh(told)
         kept = values > _LEAST_TOLD
         moved = vectors[:, kept].T @ off
-        signs = float(np.sum(moved**2 / values[kept]))
+        signs = (shares or {}).get(kind, 1.0) * float(np.sum(moved**2 / values[kept]))
         if not kept.any() or stats.chi2.sf(signs, np.count_nonzero(kept)) > _CHANCE:
             continue
         free = width * (before @ vectors[:, kept] @ (moved / values[kept]))

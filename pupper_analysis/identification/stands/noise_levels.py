@@ -25,6 +25,9 @@ _LEAST_MOMENT = 1e-4
 """m: what feet keep alike in all stands, which are come to alike, hides in the zeros of encoders.
 No evidence tells of it. Feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
 
+_SETTLES = 4
+"""Steps after which stands' own unknowns change no evidence that is told."""
+
 _EVALUATIONS = 40
 """Of the evidence, in search of three levels: they are wanted to some ten per cent."""
 
@@ -49,7 +52,8 @@ def find_noise(
     from scipy import optimize  # slow to import
 
     expected = equations.noise
-    equations.linearise(x, x)  # finds stands' own unknowns
+    equations.linearise(x, x, _SETTLES)  # finds stands' own unknowns
+    about = x.copy()  # so that they stay as they are: no level is better by when it is tried
 
     def at(levels: Array) -> StandNoise:
         moment, flatness, friction = np.exp(levels)
@@ -62,7 +66,7 @@ def find_noise(
 
     def unlikely(levels: Array) -> float:
         equations.noise = at(levels)
-        evidence = (equations.linearise(x, x, 1) + more(x)).evidence(table, x)
+        evidence = (equations.linearise(x, about, 1) + more(x)).evidence(table, x)
         return float(levels @ levels) / (2 * _SPREAD**2) - evidence
 
     simplex = np.vstack([np.zeros(3), -np.eye(3)])
