@@ -166,6 +166,15 @@ def parse_prior(text: str) -> Prior:
     return Prior(kind.name, subject, width=value * (sizes[unit] if unit else 1.0))
 
 
+def parse_priors(priors: Iterable[Prior | str]) -> list[Prior]:
+    """Returns what is known before, read where it is text; see ``parse_prior``.
+
+    Raises:
+        ConfigurationError: If a text says nothing.
+    """
+    return [parse_prior(one) if isinstance(one, str) else one for one in priors]
+
+
 def give_widths(
     stated: Iterable[tuple[str, str, str, float]], priors: Iterable[Prior] = ()
 ) -> tuple[Parameter, ...]:

@@ -25,7 +25,7 @@ from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
     give_widths,
-    parse_prior,
+    parse_priors,
 )
 from pupper_analysis.identification.result import describe_parameters
 from pupper_analysis.identification.told import find_together
@@ -110,7 +110,7 @@ def begin_motion(
 
     The arguments, and what is raised, are those of ``fit_motion``.
     """
-    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    known = parse_priors(priors)
     if robot.floating:
         robot = build_robot(robot.description, fixed_base=True)
     drive = model_with_servos(robot, kp, kd)

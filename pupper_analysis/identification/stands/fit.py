@@ -20,7 +20,7 @@ from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
     give_widths,
-    parse_prior,
+    parse_priors,
 )
 from pupper_analysis.identification.stands.equations import StandEquations
 from pupper_analysis.identification.stands.noise_levels import find_noise
@@ -80,7 +80,7 @@ def fit_stands(
         ConfigurationError: If a prior says nothing, a weight is none, or the base is fixed.
         FitError: If it does not converge.
     """
-    wanted = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    wanted = parse_priors(priors)
     for name, value in (("weight", weight), ("encoder", encoder)):
         if value is not None and check_finite(name, value) <= 0:
             raise ConfigurationError(name, diagnose("not-positive", value=value))

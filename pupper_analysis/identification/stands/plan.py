@@ -26,7 +26,7 @@ from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
     give_widths,
-    parse_prior,
+    parse_priors,
 )
 from pupper_analysis.identification.result import Expected
 from pupper_analysis.identification.stands.equations import StandEquations
@@ -159,7 +159,7 @@ def plan_stands(
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     rng = np.random.default_rng(seed)
-    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    known = parse_priors(priors)
     margin = SURE * _offset_width(robot, known)
     wanted = _CANDIDATES * count
     found: list[tuple[Stand, SteadyState]] = []

@@ -25,7 +25,7 @@ from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,
     give_widths,
-    parse_prior,
+    parse_priors,
 )
 from pupper_analysis.identification.result import describe_parameters
 from pupper_analysis.identification.told import find_together
@@ -99,7 +99,7 @@ def fit_torques(
         MeasurementError: If a log is none of this robot's, has no torques, or no motion.
         UnknownNameError: If a log has joints that the robot has not.
     """
-    known = [parse_prior(one) if isinstance(one, str) else one for one in priors]
+    known = parse_priors(priors)
     if robot.floating:
         robot = build_robot(robot.description, fixed_base=True)
     share = hold_out if isinstance(hold_out, int | float) else 0.0

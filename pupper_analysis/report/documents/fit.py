@@ -10,6 +10,7 @@ from pupper_analysis.identification.parameters import OF_SURROUNDINGS
 from pupper_analysis.identification.result import Estimate, Fit
 from pupper_analysis.identification.told import Together, Told
 from pupper_analysis.report import document as doc
+from pupper_analysis.report import plots
 from pupper_analysis.report.words import join_words, text
 
 TITLES = {
@@ -158,3 +159,29 @@ def _correlations(found: Sequence[Correlation]) -> Iterator[doc.Table]:
 
 MOST_ROWS = 20
 """Of a table of what is strongest: all of it is in the JSON."""
+
+
+def plot_joints(
+    title: doc.Words,
+    axis: plots.Axis,
+    by_joint: Mapping[str, float],
+    noise: Mapping[str, float],
+    noise_name: doc.Words,
+    scale: float = 1.0,
+) -> plots.BarPlot:
+    """Returns what is off at each joint, beside its sensor's noise.
+
+    Args:
+        title: Of the plot.
+        axis: What is off.
+        by_joint: {joint: root mean square of it}; those that are not numbers are left out.
+        noise: {joint: of its sensor, likewise}.
+        noise_name: What that is.
+        scale: What both are multiplied by to be in the axis's unit.
+    """
+    bars = [
+        plots.Bar(doc.Name(name), scale * off, scale * noise[name])
+        for name, off in by_joint.items()
+        if math.isfinite(off)
+    ]
+    return plots.BarPlot(title, axis, bars, (axis.name, noise_name, None))

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
-from pupper_analysis.report.documents.fit import describe_fit
+from pupper_analysis.report.documents.fit import describe_fit, plot_joints
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
@@ -42,14 +42,11 @@ def _errors(fit: MotionFit) -> Iterator[doc.Words]:
 
 def _joints(fit: MotionFit) -> plots.BarPlot:
     """Returns what is off at each joint, and its encoder's noise."""
-    bars = [
-        plots.Bar(doc.Name(name), 1e3 * off, 1e3 * fit.encoder_noise[name])
-        for name, off in fit.by_joint.items()
-        if math.isfinite(off)
-    ]
-    return plots.BarPlot(
+    return plot_joints(
         text("off-at-joints"),
         plots.Axis(text("root-mean-square"), "mrad", ".2f"),
-        bars,
-        (text("root-mean-square"), text("encoder-noise"), None),
+        fit.by_joint,
+        fit.encoder_noise,
+        text("encoder-noise"),
+        scale=1e3,
     )

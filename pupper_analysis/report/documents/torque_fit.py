@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pupper_analysis.identification.torques.result import TorqueFit
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
-from pupper_analysis.report.documents.fit import describe_fit
+from pupper_analysis.report.documents.fit import describe_fit, plot_joints
 from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
@@ -48,14 +48,10 @@ def _errors(fit: TorqueFit) -> Iterator[doc.Words]:
 
 def _joints(fit: TorqueFit) -> plots.BarPlot:
     """Returns what is off at each joint, and its sensor's noise."""
-    bars = [
-        plots.Bar(doc.Name(name), off, fit.torque_noise[name])
-        for name, off in fit.by_joint.items()
-        if math.isfinite(off)
-    ]
-    return plots.BarPlot(
+    return plot_joints(
         text("torque-off-at-joints"),
         plots.Axis(text("root-mean-square"), "N m", ".3g"),
-        bars,
-        (text("root-mean-square"), text("torque-noise"), None),
+        fit.by_joint,
+        fit.torque_noise,
+        text("torque-noise"),
     )
