@@ -1,6 +1,7 @@
 """How often 95 % intervals of a fit to a motion hold the truth, and how long it takes.
 
-    python benchmarks/fit_motions.py [--robot v3 --robot go2.xml] [--seeds 20] [--seconds 10]
+    python benchmarks/fit_motions.py [--robot v3 --robot go2.xml] [--kp 20 --kd 1] [--seeds 20]
+        [--first 500] [--seconds 10]
     python benchmarks/fit_motions.py --log 0.npz --log 1.npz --hold-out 5.npz --robot go2.xml
         [--kp 20 --kd 1] [--start 3]
 
@@ -129,7 +130,7 @@ def cover(name: str, given: argparse.Namespace) -> None:
     gains, seeds, seconds = servo_gains(robot, given.kp, given.kd), given.seeds, given.seconds
     held: dict[str, list[bool]] = {}
     spent, waited, explained = [], [], 0
-    for seed in range(seeds):
+    for seed in range(given.first, given.first + seeds):
         rng = np.random.default_rng([zlib.crc32(robot.name.encode()), seed])
         log, truth = drive_joints(robot, rng, seconds, gains)
         begun, waiting = time.process_time(), time.monotonic()
@@ -198,6 +199,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--robot", action="append", help="a variant, or a file")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="seed")
     parser.add_argument("--seconds", type=float, default=10.0, help="of a simulated log")
     parser.add_argument("--log", action="append", default=[], help="of a real robot")
     parser.add_argument("--hold-out", action="append", default=[], help="to be predicted")

@@ -234,8 +234,6 @@ def estimate_parameters(
             x, slopes.outdated = moved.x, moved.kept < _KEPT
         elif not at_x:
             slopes.outdated, damping = True, 0.0
-        elif slopes.improve(x):
-            damping = 0.0
         elif costly and promised < (_OPEN if moved else _STALLED * here.cost):
             return here.posterior(steps, whole_step)
         elif moved is not None:

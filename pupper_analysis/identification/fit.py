@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.identification.held_out import HOLD_OUT
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.motions.fit import HOLD_OUT, fit_motion
+from pupper_analysis.identification.motions.fit import fit_motion
 from pupper_analysis.identification.parameters import Prior
 from pupper_analysis.identification.result import Fit
 from pupper_analysis.identification.stands.fit import fit_stands

@@ -17,35 +17,25 @@ class Slopes:
     """Derivatives that are made when they are needed, and how good they are.
 
     Args:
-        renew: Makes those that ``linearise`` uses, at parameters; better ones, of twice the price,
-            if asked for. None: it makes its own each time.
+        renew: Makes those that ``linearise`` uses, at parameters. None: it makes its own each time.
 
     Attributes:
         outdated: Whether they are to be made anew.
         made: How often they were.
     """
 
-    def __init__(self, renew: Callable[[Array, bool], None] | None = None) -> None:
-        self._renew, self._both = renew, False
+    def __init__(self, renew: Callable[[Array], None] | None = None) -> None:
+        self._renew = renew
         self._at: Array | None = None
         self.outdated, self.made = True, 0
 
     def prepare(self, x: Array) -> None:
         """Makes them at some parameters, if those that there are have misled."""
         if self._renew is not None and self.outdated:
-            self._renew(x, self._both)
+            self._renew(x)
             self._at = x.copy()
             self.made += 1
         self.outdated = False
-
-    def improve(self, x: Array) -> bool:
-        """Makes better ones at some parameters; says no if it has them."""
-        if self._renew is None or self._both:
-            return False
-        self._renew(x, True)
-        self._at, self._both = x.copy(), True
-        self.made += 1
-        return True
 
     def spent(self, before: int) -> bool:
         """Says whether they were made so often since then that it leads nowhere."""

@@ -86,6 +86,17 @@ def test_what_is_no_log_is_refused(tmp_path: Path, header: str, change: object, 
     assert refused.value.cause.code == code
 
 
+def test_a_time_that_is_there_twice_does_not_go_back(tmp_path: Path) -> None:
+    rows = table()
+    rows[5][0] = rows[4][0]
+    with pytest.raises(MeasurementError) as refused:
+        read_log(written(tmp_path, HEADER, *map(",".join, rows)))
+    assert "line 7, where it is that of the line before (1 such line)" in str(refused.value)
+    rows[5][0] = rows[3][0]
+    with pytest.raises(MeasurementError, match=r"line 7, where it goes back by 0\.005 s"):
+        read_log(written(tmp_path, HEADER, *map(",".join, rows)))
+
+
 def test_the_robots_order_is_taken_and_unknown_joints_are_refused() -> None:
     placed = log().of(arm())
     assert placed.joints == arm().joint_names

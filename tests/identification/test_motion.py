@@ -13,7 +13,12 @@ import numpy as np
 import pytest
 
 from pupper_analysis.convert.load import load_robot
-from pupper_analysis.errors import MeasurementError, ModelError, UnknownNameError
+from pupper_analysis.errors import (
+    ConfigurationError,
+    MeasurementError,
+    ModelError,
+    UnknownNameError,
+)
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.motions.fit import fit_motion
 from pupper_analysis.identification.motions.result import MotionFit
@@ -134,6 +139,9 @@ def test_a_log_of_another_robot_or_without_commands_is_refused() -> None:
     with pytest.raises(MeasurementError) as refused:
         fit_motion(bar(), [log().part(slice(0, 150))])
     assert refused.value.cause.code == "nothing-to-fit"
+    for share in (1.0, -0.1, math.nan):
+        with pytest.raises(ConfigurationError):
+            fit_motion(bar(), [log()], hold_out=share)
 
 
 def test_a_motor_that_is_no_servo_needs_gains() -> None:

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from pupper_analysis.identification.links import link_of
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.motions.bodies import MovingBodies
+from pupper_analysis.identification.motions.derivatives import differentiate
+from pupper_analysis.identification.motions.moments import Moments
 from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import Parameter, ParameterTable
@@ -124,16 +126,57 @@ def test_derivatives_are_differences_though_joints_of_other_limbs_change_with_th
     command = robot.home + 0.3 * np.sin(6 * time)[:, None]
     log = Log("v3", time, robot.joint_names, command, command)
     (run,) = split_runs(log, (), robot.home, 0.0)
-    simulator = Simulator(robot, drive, given, 0.005)
-    here = simulator.predict(run, [x])[0]
+    simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
+    here, y = simulator.predict(run, [x])[0], moments.of_parameters(x)
     whole = np.zeros((*here.shape, len(given)))
-    for number, (places, slopes) in simulator.jacobian(run, x, here).items():
+    for number, (places, slopes) in differentiate(simulator, moments, run, y).items():
         whole[:, np.array(simulator.groups[number][0])[:, None], places] = slopes
     for place in range(0, len(given), 2):  # of every other: they are many
         one = given.parameters[place]
         change = 1e-2 * one.width * np.eye(len(given))[place]
-        wanted = (simulator.predict(run, [x + change])[0] - here) / (1e-2 * one.width)
+        there = simulator.predict(run, [moments.to_parameters(y + change)])[0]
+        wanted = (there - here) / (1e-2 * one.width)
         assert whole[:, :, place] == pytest.approx(wanted, abs=1e-6 * (1 + np.abs(wanted).max()))
+
+
+def test_a_factor_of_all_forces_moves_nothing_though_each_alone_moves_much() -> None:
+    """Where nothing tells it, derivatives along what is known do not say that it is told."""
+    robot = load("v3", fixed_base=True)
+    names = ("leg_front_r_1", "leg_front_r_2", "leg_front_r_3")
+    drive, bodies = model_with_servos(robot, 5.0, 0.0), MovingBodies(robot, robot.mj_model)
+    dofs = robot.mj_convention.qvel_index
+    model, rows = robot.mj_model, []
+    for name in names:
+        at = robot.joint_names.index(name)
+        friction, armature = model.dof_frictionloss[dofs[at]], model.dof_armature[dofs[at]]
+        rows += [
+            Parameter("mass", bodies.links[at], "", bodies.mass[at], 0.5 * bodies.mass[at]),
+            Parameter("kp", name, "", 5.0, 1.5),
+            Parameter("damping", name, "", 0.2, 0.2),
+            Parameter("friction", name, "", friction, friction),
+            Parameter("armature", name, "", armature, armature),
+        ]
+    given = ParameterTable(rows)
+    time = np.arange(0, 3, 0.005)
+    swings = np.sin(np.outer(time, (3.0, 5.0, 7.0, 4.0) * 3)) + np.sin(11 * time)[:, None]
+    command = robot.home + 0.2 * swings
+    log = Log("v3", time, robot.joint_names, command, command)
+    (run,) = split_runs(log, (), robot.home, 0.0)
+    simulator, moments = Simulator(robot, drive, given, 0.005), Moments(given)
+    factor = given.stated / given.width
+    factor /= np.linalg.norm(factor)
+    told, known = [], None
+    for _ in range(2):
+        found = differentiate(simulator, moments, run, given.stated, known)
+        information = np.zeros((len(given), len(given)))
+        for places, slopes in found.values():
+            for by_joint in np.moveaxis(slopes, 1, 0):
+                moved = by_joint * given.width[places] / 5e-4
+                information[places[:, None], places] += moved.T @ moved
+        known = information + np.eye(len(given))
+        told.append(float(factor @ information @ factor))
+    assert told[1] < 1e-2
+    assert told[0] > 1.0
 
 
 def test_runs_end_where_the_clock_jumps_and_missing_commands_stay() -> None:

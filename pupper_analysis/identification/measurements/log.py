@@ -154,7 +154,7 @@ def _check_time(source: str, time: Array, lines: Sequence[int]) -> None:
         told = diagnose(
             "time-not-rising",
             line=lines[row + 1],
-            back=Quantity(-steps[row], "s"),
+            back=Quantity(-steps[row], "s") if steps[row] else None,
             count=int((steps <= 0).sum()),
         )
         raise MeasurementError(source, told)

@@ -12,6 +12,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
 from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.held_out import HOLD_OUT, hold_base, share_out
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.measurements.log_quality import (
     LogQuality,
@@ -29,22 +30,14 @@ from pupper_analysis.identification.parameters import (
 )
 from pupper_analysis.identification.result import describe_parameters
 from pupper_analysis.identification.told import find_together
-from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 
 Array = NDArray[np.float64]
 
-HOLD_OUT = 0.2
-"""Of each log, at its end: what is predicted, and not fitted."""
-
 _STEP_ERROR = 0.3
-"""What finer steps of the simulation change, in parts of what is left: of more than that, what is
-added to coarse ones is not the same for near parameters."""
-
-_SHIFT, _CORRECTIONS = 0.04, 3
-"""Of the cost: where finer steps move parameters by a fifth of a standard deviation, what they
-change is added to what coarse ones predict, and the fit goes on; so often at most."""
+"""What finer steps of the simulation change, in parts of what is left: with more, derivatives by
+coarse ones are those of another robot."""
 
 _LOOKS = 200
 """Postures of a log in which parts are looked at that may touch."""
@@ -91,10 +84,6 @@ def fit_motion(
     while motion.step_error(posterior.mean) > _STEP_ERROR:
         motion = motion.with_steps(2 * motion.simulator.steps)
         posterior = motion.fit(posterior.mean)
-    for _ in range(_CORRECTIONS):
-        if motion.correct(posterior) < _SHIFT:
-            break
-        posterior = motion.fit(posterior.mean)
     return _told(motion.simulator.robot, logs, qualities, motion, posterior)
 
 
@@ -111,16 +100,12 @@ def begin_motion(
     The arguments, and what is raised, are those of ``fit_motion``.
     """
     known = parse_priors(priors)
-    if robot.floating:
-        robot = build_robot(robot.description, fixed_base=True)
+    robot, shared = hold_base(robot), share_out(logs, hold_out)
     drive = model_with_servos(robot, kp, kd)
-    share = hold_out if isinstance(hold_out, int | float) else 0.0
-    others = () if isinstance(hold_out, int | float) else tuple(hold_out)
-    qualities = tuple(inspect_log(robot, log, drive.kp) for log in (*logs, *others))
+    qualities = tuple(inspect_log(robot, log, drive.kp) for log, _ in shared)
     runs: list[Run] = []
-    for number, (log, quality) in enumerate(zip((*logs, *others), qualities, strict=True)):
-        whole = 1.0 if number >= len(logs) else share
-        runs += split_runs(log.of(robot), quality.jumps, robot.home, whole)
+    for (log, share), quality in zip(shared, qualities, strict=True):
+        runs += split_runs(log.of(robot), quality.jumps, robot.home, share)
     _check(robot, drive, logs, runs)
     table = _parameters(robot, drive, qualities, known)
     interval = float(np.median([quality.interval for quality in qualities]))

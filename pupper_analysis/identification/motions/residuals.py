@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -15,6 +15,7 @@ from pupper_analysis.identification.estimate import (
     Posterior,
     estimate_parameters,
 )
+from pupper_analysis.identification.motions.derivatives import differentiate
 from pupper_analysis.identification.motions.moments import Moments
 from pupper_analysis.identification.motions.rollouts import Run, Simulator
 from pupper_analysis.identification.noise import SeriesNoise
@@ -46,8 +47,8 @@ _DRAWS = 12
 """Of parameters, each with its opposite: by them a deviation that bends is known to a sixth."""
 
 _FINER = 4
-"""Times the steps, by which their error is known to some percent: Runge-Kutta's own falls faster,
-that of dry friction with the square."""
+"""Times the steps of what derivatives are made with has what is compared with measurements: its
+error, that of dry friction, falls with the square. Derivatives are right to 1 % without."""
 
 _MOST_STEPS = 16
 """Between two samples: 0.3 ms at 200 Hz. What changes still is an impact, and not the step."""
@@ -56,54 +57,53 @@ _MOST_STEPS = 16
 class Motion:
     """Measured and simulated runs, and how far they are apart.
 
+    Fine steps predict; coarse ones, of which there are thirty for one, make derivatives.
+
     Args:
         simulator: Simulates them.
         runs: As they were measured.
+        known: (n, n) what is known of moments before these runs, in the priors' widths.
     """
 
-    def __init__(self, simulator: Simulator, runs: Sequence[Run]) -> None:
+    def __init__(
+        self, simulator: Simulator, runs: Sequence[Run], known: Array | None = None
+    ) -> None:
         self.simulator, self.runs, self.table = simulator, tuple(runs), simulator.table
         self.fitted = tuple(run for run in runs if run.counts.any())
         self.moments = Moments(self.table)
         self.positive = np.array([KINDS[one.kind].positive for one in self.table], dtype=bool)
         self._noise: tuple[SeriesNoise, ...] = ()
         self._last: tuple[Array, list[Array]] | None = None
-        self._slopes: list[dict[int, tuple[IntArray, Array]]] = []
-        self._dear = Slopes(self.renew)
+        self._slopes: list[Mapping[int, tuple[IntArray, Array]]] = []
+        self._dear, self._known = Slopes(self.renew), known
         self.finer = simulator.with_steps(_FINER * simulator.steps)
-        self._corrections = [np.zeros(run.position.shape) for run in self.fitted]
 
     def residuals(self, x: Array) -> list[Array]:
         """Returns predicted less measured positions (n, nu) of each run that is fitted (rad)."""
         if self._last is None or not np.array_equal(self._last[0], x):
             found = [
-                self.simulator.predict(run, [x])[0]
-                + correction
-                - np.where(run.counts, run.position, np.nan)
-                for run, correction in zip(self.fitted, self._corrections, strict=True)
+                self.finer.predict(run, [x])[0] - np.where(run.counts, run.position, np.nan)
+                for run in self.fitted
             ]
             self._last = x.copy(), found
         return self._last[1]
 
-    def renew(self, moments: Array, both_sides: bool) -> None:
-        """Makes derivatives of predicted positions by moments.
+    def renew(self, moments: Array) -> None:
+        """Makes derivatives of predicted positions by moments (n,), as they are there."""
+        known = self.known
+        self._slopes = [
+            differentiate(self.simulator, self.moments, run, moments, known) for run in self.fitted
+        ]
 
-        Args:
-            moments: (n,) where.
-            both_sides: By differences to both sides, which a bend does not mislead.
-        """
-        x, by_moments = self.moments.to_parameters(moments), self.moments.derivative(moments)
-        made = []
-        for run in self.fitted:
-            here = self.simulator.predict(run, [x])[0]
-            found = self.simulator.jacobian(run, x, here, central=both_sides)
-            made.append(
-                {
-                    number: (places, slopes @ by_moments[np.ix_(places, places)])
-                    for number, (places, slopes) in found.items()
-                }
-            )
-        self._slopes = made
+    @property
+    def known(self) -> Array | None:
+        """(n, n) what is known of moments by now, in the priors' widths; None before all."""
+        if self._last is None or not self._slopes:
+            return self._known
+        told = _Lazy(self._last[1], self._slopes, self._noise, self.simulator.groups)
+        width = self.table.width
+        found: Array = width[:, None] * told.information * width + self.table.precision
+        return found
 
     def linearise(self, moments: Array, _about: Array) -> Linearised:
         """Returns whitened residuals as sums; these are made when they are asked for."""
@@ -112,7 +112,7 @@ class Motion:
 
     def with_steps(self, steps: int) -> Motion:
         """Returns the same with other steps of the simulation between two samples."""
-        return Motion(self.simulator.with_steps(steps), self.runs)
+        return Motion(self.simulator.with_steps(steps), self.runs, self.known)
 
     def step_error(self, x: Array) -> float:
         """Returns what finer steps change, in parts of what is left (root mean squares)."""
@@ -123,32 +123,6 @@ class Motion:
         return root_mean_square([np.where(run.counts, change, np.nan)]) / root_mean_square(
             self.residuals(x)
         )
-
-    def correct(self, posterior: Posterior) -> float:
-        """Makes up for what steps of the simulation are too long, as it is at some parameters.
-
-        Returns:
-            What the cost would change by the parameters that then are best.
-        """
-        before = self._corrections
-        self._corrections = [
-            self.finer.predict(run, [posterior.mean])[0]
-            - self.simulator.predict(run, [posterior.mean])[0]
-            for run in self.fitted
-        ]
-        self._last = None
-        size, width = len(self.table), self.table.width
-        gradient, whole = np.zeros(size), np.zeros((size, size))
-        for change, slopes, run in zip(
-            map(np.subtract, self._corrections, before), self._slopes, self.fitted, strict=True
-        ):
-            for number, (places, by_places) in slopes.items():
-                for at, joint in enumerate(self.simulator.groups[number][0]):
-                    counted = run.counts[:, joint]
-                    rows = by_places[counted, at] * width[places] / self._noise[joint].long_run
-                    gradient[places] += change[counted, joint] @ rows / self._noise[joint].long_run
-                    whole[places[:, None], places] += rows.T @ rows
-        return float(gradient @ np.linalg.solve(whole + self.table.precision, gradient))
 
     def fit(self, start: Array | None = None, *, near: bool = True) -> Posterior:
         """Returns the parameters, with the noise that they leave.
@@ -296,6 +270,7 @@ class Motion:
         motion = Motion(self.simulator, first)
         begin = motion.moments.of_parameters(self.table.stated if start is None else start)
         found = motion._descend(begin, 2, near=False)
+        self._known = motion.known
         return self.moments.to_parameters(found.mean)
 
 
@@ -307,7 +282,7 @@ class _Lazy:
     def __init__(
         self,
         left: Sequence[Array],
-        slopes: Sequence[dict[int, tuple[IntArray, Array]]],
+        slopes: Sequence[Mapping[int, tuple[IntArray, Array]]],
         noise: tuple[SeriesNoise, ...],
         groups: Sequence[tuple[list[int], list[int]]],
     ) -> None:

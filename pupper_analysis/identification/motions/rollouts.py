@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -37,10 +37,6 @@ _FINEST = 20
 
 _EXACT = 1e-11
 """Of the solver: what is not solved of dry friction is in derivatives by differences."""
-
-_STEP = 1e-2
-"""Of a parameter's width: by that it is changed for a derivative. Smaller changes see single joints
-begin to slip, and not the motion; by larger ones it bends."""
 
 _AT_ONCE = 8
 """Simulations of a run whose states are kept: 25 MB each for a minute of twelve joints."""
@@ -271,40 +267,6 @@ class Simulator:
             values[dofs] = np.maximum(self._per_joint(vector, kind, own[dofs]), 0.0)
         self.bodies.put(model, self.table, vector)
         mujoco.mj_setConst(model, self._workers[-1])
-
-    def jacobian(
-        self, run: Run, vector: Array, here: Array, *, central: bool = False
-    ) -> Mapping[int, tuple[IntArray, Array]]:
-        """Returns how predicted positions change with parameters.
-
-        Joints that move no body of each other's are changed together, as they do not feel it.
-
-        Args:
-            run: The run.
-            vector: (parameters,).
-            here: (n, nu) what it predicts.
-            central: By differences to both sides, which a bend does not mislead.
-
-        Returns:
-            {group of joints: (numbers of the parameters that act on it, (n, joints, parameters))}.
-        """
-        found: dict[int, tuple[IntArray, Array]] = {}
-        turns = max(len(columns) for _, columns in self.groups)
-        shared = self.bodies.shared(self.table)
-        step = _STEP * self.table.width
-        changes = np.zeros((turns + len(shared), len(vector)))
-        for _, columns in self.groups:
-            changes[np.arange(len(columns)), columns] = step[columns]
-        changes[turns + np.arange(len(shared)), shared] = step[shared]
-        moved = self.predict_all(run, vector + changes) - here
-        if central:
-            moved = (moved + here - self.predict_all(run, vector - changes)) / 2
-        for number, (joints, columns) in enumerate(self.groups):
-            rows = [*range(len(columns)), *range(turns, turns + len(shared))]
-            places = np.array([*columns, *shared], dtype=np.int64)
-            slopes = moved[rows][:, :, joints] / step[places][:, None, None]
-            found[number] = places, np.moveaxis(slopes, 0, 2)
-        return found
 
     def predict_all(self, run: Run, vectors: Array) -> Array:
         """Returns predictions for many vectors, some at a time: states of all take much memory."""

@@ -15,10 +15,10 @@ from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
 from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.held_out import HOLD_OUT, hold_base, share_out
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.measurements.log_quality import LogQuality, inspect_log
-from pupper_analysis.identification.motions.fit import HOLD_OUT
 from pupper_analysis.identification.motions.residuals import root_mean_square
 from pupper_analysis.identification.parameters import (
     KINDS,
@@ -38,7 +38,6 @@ from pupper_analysis.identification.torques.couplings import (
 from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS
 from pupper_analysis.identification.torques.estimate import TORQUES, Torques
 from pupper_analysis.identification.torques.result import TorqueFit
-from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -100,21 +99,17 @@ def fit_torques(
         UnknownNameError: If a log has joints that the robot has not.
     """
     known = parse_priors(priors)
-    if robot.floating:
-        robot = build_robot(robot.description, fixed_base=True)
-    share = hold_out if isinstance(hold_out, int | float) else 0.0
-    others = () if isinstance(hold_out, int | float) else tuple(hold_out)
-    whole = (*logs, *others)
-    qualities = tuple(inspect_log(robot, log) for log in whole)
-    for log in whole:
+    robot, shared = hold_base(robot), share_out(logs, hold_out)
+    qualities = tuple(inspect_log(robot, log) for log, _ in shared)
+    for log, _ in shared:
         for at, name in enumerate(log.joints):
             if log.torque is None or not np.isfinite(log.torque[:, at]).any():
                 raise MeasurementError(log.source, diagnose("joint-without-torque", joint=name))
         _check_free(robot, log)
-    shares = [*(share for _ in logs), *(1.0 for _ in others)]
     bound = [parse_coupling(one) if isinstance(one, str) else one for one in couplings]
     rows = coupling_rows(robot, bound, [name for log in logs for name in log.joints])
-    placed, lag, start = [log.of(robot) for log in whole], 0.0, None
+    placed, shares = [log.of(robot) for log, _ in shared], [share for _, share in shared]
+    lag, start = 0.0, None
     for _ in range(_ROUNDS):
         measured = measure_torques(placed, shares, robot.home, rows, lag)
         if measured is None or not any(_counted(measured, held_out=False)):
