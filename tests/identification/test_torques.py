@@ -31,7 +31,7 @@ from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS,
 from pupper_analysis.identification.torques.estimate import Torques, innovations_together
 from pupper_analysis.identification.torques.fit import fit_torques
 from pupper_analysis.identification.torques.result import TorqueFit
-from pupper_analysis.identification.torques.smoothing import find_band, smooth
+from pupper_analysis.identification.torques.smoothing import find_bands, smooth
 from pupper_analysis.identification.write import fit_files
 from tests.support.arm import arm
 from tests.support.leg import (
@@ -185,9 +185,9 @@ def test_torques_that_were_not_fitted_are_predicted_to_their_noise() -> None:
     found = fitted()
     samples = round(found.length * RATE)
     for name, noise in zip(JOINTS, NOISE, strict=True):
-        # What is left of noise after averaging, and what quanta do to accelerations.
-        assert found.by_joint[name] < 2 * noise / math.sqrt(samples)
-        assert found.by_joint[name] > 0.7 * noise / math.sqrt(samples)
+        # What is left of noise after Hann's window, and what quanta do to accelerations.
+        assert found.by_joint[name] < 2 * noise * math.sqrt(1.5 / samples)
+        assert found.by_joint[name] > 0.7 * noise * math.sqrt(1.5 / samples)
         assert found.torque_noise[name] == pytest.approx(found.by_joint[name], rel=0.3)
         assert found.by_joint_before[name] > 5 * found.by_joint[name]
     assert found.held_out_before > 10 * found.held_out
@@ -343,7 +343,7 @@ def test_torques_of_the_files_numbers_are_those_of_mujoco() -> None:
     robot, random = arm(), np.random.default_rng(1)
     state = random.uniform(0.1, 1.0, (3, 5, 1, robot.nu))
     told = np.zeros((5, robot.nu))
-    blocks = Blocks(*state, told, np.zeros(5, dtype=bool), np.zeros(1), 1.0)
+    blocks = Blocks(*state, told, np.zeros(5, dtype=bool), np.array([[1.0], [0.0]]), 1.0)
     equations = TorqueEquations(robot, list(range(robot.nu)))
     table = ParameterTable(())
     numbers, _ = equations.numbers(table, np.zeros(0))
@@ -396,7 +396,7 @@ def test_noise_that_is_common_is_less_in_what_tells_a_difference() -> None:
         give_widths([("bias", name, "", 0.0) for name in JOINTS], [parse_prior("bias=100")])
     )
     still, told = np.zeros((3, count, 1, 2)), np.zeros(count, dtype=bool)
-    run = Blocks(*still, noise, told, np.zeros(1), 1.0)
+    run = Blocks(*still, noise, told, np.array([[1.0], [0.0]]), 1.0)
     known = equations.regressor(run)
     numbers, _ = equations.numbers(table, table.stated)
     torque = noise + known[0] @ numbers
@@ -422,15 +422,33 @@ def test_motion_is_smoothed_without_a_lag() -> None:
     time = interval * np.arange(5000)
     random = np.random.default_rng(1)
     position = np.sin(rate * time) + 1e-4 * random.normal(size=len(time))
-    band = find_band([(position, interval)])
-    assert 4 < band.cutoff < 20  # above the motion, and below what only noise is
-    assert 0.7 < band.density / (2 * interval * 1e-8) < 4  # with what is left of the motion
+    (band,) = find_bands(position[:, None], interval)
+    assert 0.7 < band.density / (2 * interval * 1e-8) < 1.1
+    # Where noise is so little of accelerations: 8e-11 (2 pi)^4 f^5 / 5 = 5e-4 rate^4 / 2: 38 Hz.
+    assert 28 < band.cutoff < 45
     at = time[500:-500] + 0.3 * interval
-    found = smooth(position, interval, band.cutoff, at)
+    found = smooth(position, interval, 12.0, at)
     assert found.velocity == pytest.approx(rate * np.cos(rate * at), abs=0.01 * rate)
     assert found.acceleration == pytest.approx(-(rate**2) * np.sin(rate * at), abs=0.02 * rate**2)
     left = found.velocity - rate * np.cos(rate * at)
-    assert band.velocity_noise / 3 < left.std() < band.velocity_noise
+    assert band.velocity_noise(12.0) / 2 < left.std() < 1.2 * band.velocity_noise(12.0)
+
+
+def test_encoders_tell_accelerations_up_to_where_noise_is_little_of_their_power() -> None:
+    """Whatever the motion's spectrum: that of joints which stick and jerk has no trough."""
+    interval, noise = 0.004, 4e-5
+    time = interval * np.arange(10000)
+    random = np.random.default_rng(3)
+    jerks = np.sign(np.sin(2 * np.pi * 0.7 * time)) * 5.0  # of acceleration
+    position = np.cumsum(np.cumsum(jerks - jerks.mean())) * interval**2
+    still = np.zeros_like(position)
+    noisy = np.column_stack([position, still]) + noise * random.normal(size=(len(time), 2))
+    bands = find_bands(noisy, interval)
+    # 2 x 0.004 x 1.6e-9 (2 pi)^4 f^5 / 5 = 5e-4 of 12.5, what both do on average: 17 Hz.
+    for band in bands:
+        assert 12 < band.cutoff < 20
+    loud = find_bands(noisy + 30 * noise * random.normal(size=noisy.shape), interval)
+    assert loud[0].cutoff < bands[0].cutoff / 3  # goes with the fifth root of the square
 
 
 def test_nothing_is_put_between_what_is_far_apart() -> None:

@@ -1,4 +1,4 @@
-"""Logs with torques as equations: short means of them, in which joints turn one way."""
+"""Logs with torques as equations: means over windows, in which joints turn one way."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.torques.smoothing import Band, find_band, smooth
+from pupper_analysis.identification.torques.smoothing import Band, find_bands, smooth
 
 Array = NDArray[np.float64]
 
@@ -23,11 +23,21 @@ _UNEVEN = 0.01
 _LEAST_RUN = 1.0
 """s: less is no motion."""
 
-_ENDS = 2.0
-"""Periods of the cut-off in which a filter does not know what was before, or comes after."""
+_WINDOW = 2.0
+"""Periods of the lowest cut-off: Hann's window of this length passes nothing of that frequency, and
+3 % at most of any higher."""
 
-_POINTS = 8
-"""In a block: of what changes once or less in it, a mean of eight is the integral to 1 %."""
+_PASSED = 2.0
+"""Times the lowest cut-off: what is less a window passes, and no filter is to change."""
+
+_NYQUIST = 0.8
+"""Of half the sampling frequency: the highest that a filter may have."""
+
+_ENDS = 2.0
+"""Periods of a filter in which it does not know what was before, or comes after."""
+
+_POINTS = 16
+"""In a window: one in an eighth of a cut-off's period, and its weights are a sine's there."""
 
 _STILL_NOISE = 4.0
 """Standard deviations of a velocity: less may be either way."""
@@ -39,7 +49,7 @@ the filter spreads over these times how they come loose."""
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means of a run over short times, all of one length.
+    """Means of a run over windows, all of one length, each half over the one before.
 
     Attributes:
         position: (blocks, points, nu) rad, m; joints that no log tells are where they rest.
@@ -48,7 +58,8 @@ class Blocks:
         torque: (blocks, nu) mean of what was measured (N m, N); NaN where there is nothing, or
             where the joint does not turn one way all the time.
         held_out: (blocks,) whether it is one to predict.
-        slopes: (points,) what makes the slope of a line of numbers at the points (1/s).
+        weights: (2, points) what makes the mean of numbers at the points, and how that changes
+            where the window is later (1/s).
         seconds: How long they are together.
     """
 
@@ -57,7 +68,7 @@ class Blocks:
     acceleration: Array
     torque: Array
     held_out: NDArray[np.bool_]
-    slopes: Array
+    weights: Array
     seconds: float
 
 
@@ -67,8 +78,8 @@ class MeasuredTorques:
 
     Attributes:
         runs: Each without a gap.
-        bands: {number of a joint: the frequencies in which it moves}.
-        length: Of a block (s).
+        bands: {number of a joint: up to where its acceleration is told}.
+        length: Of a window (s).
         lag: By how much later than positions torques are taken to be told (s).
     """
 
@@ -102,8 +113,10 @@ def measure_torques(
 ) -> MeasuredTorques | None:
     """Returns the equations of some logs; None if no part of one is long enough.
 
-    A mean of tau = Y pi over a short time holds as it does at a moment, as it is linear in pi: so
-    noise is averaged, and nothing is lost but what is faster than encoders can tell.
+    A mean of tau = Y pi over a window holds as it does at a moment, as it is linear in pi. Where a
+    joint turns its friction makes acceleration jump; a filter against encoders' noise blurs that,
+    and not the torque. So both sides are seen through one window that passes less than the filter,
+    and a window counts in which a joint turns one way all the time.
 
     Args:
         logs: With the robot's joints in its order, and with torques.
@@ -114,17 +127,11 @@ def measure_torques(
         lag: By how much torques are told later than positions (s).
     """
     parts = [part for log, share in zip(logs, hold_out, strict=True) for part in _parts(log, share)]
-    bands: dict[int, Band] = {}
-    for joint in range(len(rest)):
-        series = [(part.fitted[:, joint], part.interval) for part in parts]
-        series = [one for one in series if len(one[0]) >= _POINTS and np.isfinite(one[0][0])]
-        if series:
-            bands[joint] = find_band(series)
+    bands = _bands(parts)
     if not bands:
         return None
-    # What is faster than a joint's cut-off its equation lacks; twice in a period is often enough.
-    length = 1.0 / (2 * min(band.cutoff for band in bands.values()))
-    runs = [run for part in parts for run in _blocks(part, bands, length, rest, lag)]
+    cutoff = min(band.cutoff for band in bands.values())
+    runs = [run for part in parts for run in _blocks(part, list(bands), cutoff, rest, lag)]
     if not runs:
         return None
     rates = np.concatenate([run.velocity[~run.held_out].reshape(-1, len(rest)) for run in runs])
@@ -132,7 +139,7 @@ def measure_torques(
         return None
     noise = np.zeros(len(rest))
     for joint, band in bands.items():
-        noise[joint] = band.velocity_noise
+        noise[joint] = band.velocity_noise(_PASSED * cutoff)
     drives = np.eye(len(rest)) if couplings is None else np.vstack([np.eye(len(rest)), couplings])
     least = np.maximum(
         _STILL * np.sqrt(np.mean((rates @ drives.T) ** 2, axis=0)),
@@ -140,7 +147,7 @@ def measure_torques(
     )
     for run in runs:
         run.torque[(~one_way(run.velocity @ drives.T, least)) @ (drives != 0)] = np.nan
-    return MeasuredTorques(tuple(runs), bands, length, lag)
+    return MeasuredTorques(tuple(runs), bands, _WINDOW / cutoff, lag)
 
 
 def one_way(speed: Array, least: Array) -> NDArray[np.bool_]:
@@ -180,29 +187,68 @@ def _parts(log: Log, hold_out: float) -> Iterator[_Part]:
         yield _Part(position, torque, interval, hold_out)
 
 
+def _bands(parts: Sequence[_Part]) -> dict[int, Band]:
+    """Returns up to where joints' accelerations are told, on average over parts of logs."""
+    found: dict[int, list[tuple[Band, float]]] = {}
+    for part in parts:
+        fitted = part.fitted
+        if len(fitted) >= _POINTS:
+            joints = np.flatnonzero(np.isfinite(fitted[0])).tolist()
+            bands = find_bands(fitted[:, joints], part.interval)
+            for joint, band in zip(joints, bands, strict=True):
+                found.setdefault(joint, []).append((band, len(fitted) * part.interval))
+    return {
+        joint: Band(
+            *np.average(
+                [(band.cutoff, band.density) for band, _ in own],
+                axis=0,
+                weights=[seconds for _, seconds in own],
+            ).tolist()
+        )
+        for joint, own in sorted(found.items())
+    }
+
+
 def _blocks(
-    part: _Part, bands: Mapping[int, Band], length: float, rest: Array, lag: float
+    part: _Part, joints: Sequence[int], cutoff: float, rest: Array, lag: float
 ) -> Iterator[Blocks]:
     """Yields a part's blocks, if there are any."""
-    size = max(round(length / part.interval), 1)
-    ends = _ENDS / min(band.cutoff for band in bands.values()) + abs(lag)
-    ends = math.ceil(ends / part.interval)
-    count = (len(part.position) - 2 * ends) // size
+    passed = min(_PASSED * cutoff, _NYQUIST / (2 * part.interval))
+    half = max(round(_WINDOW / cutoff / part.interval / 2), 1)
+    size, ends = 2 * half, math.ceil((_ENDS / passed + abs(lag)) / part.interval)
+    last = len(part.position) - ends
+    count = (last - ends) // half - 1
     if count < 1:
         return
-    first = ends + size * np.arange(count)
-    points = (np.arange(_POINTS) + 0.5) / _POINTS * size - 0.5
-    at = part.interval * (first[:, None] + points).ravel() - lag
+    first = ends + half * np.arange(count)
+    points = (np.arange(_POINTS) + 0.5) / _POINTS
+    at = part.interval * ((first[:, None] + size * points - 0.5).ravel() - lag / part.interval)
     motion = np.zeros((3, len(at), len(rest)))
     motion[0] = rest
-    for joint, band in bands.items():
+    for joint in joints:
         column = part.position[:, joint]
         if np.isfinite(column[0]):
-            found = smooth(column, part.interval, band.cutoff, at)
+            found = smooth(column, part.interval, passed, at)
             motion[:, :, joint] = found.position, found.velocity, found.acceleration
-    torque = part.torque[ends : ends + size * count].reshape(count, size, -1).mean(axis=1)
-    late = np.arange(count) >= math.ceil((1 - part.hold_out) * count)
+    window = _hann((np.arange(size) + 0.5) / size)
+    torque = np.array([window @ part.torque[one : one + size] for one in first])
+    begin = last - part.hold_out * (last - ends)
+    torque[(first < begin) & (first + size > begin)] = np.nan  # of both
     position, velocity, acceleration = motion.reshape(3, count, _POINTS, -1)
-    slopes = (points - points.mean()) / ((points - points.mean()) ** 2).sum() / part.interval
-    seconds = count * size * part.interval
-    yield Blocks(position, velocity, acceleration, torque, late, slopes, seconds)
+    # The mean of a slope is that of numbers by the window's slope, backwards.
+    slope = -2 * np.pi * np.sin(2 * np.pi * points) / (_POINTS * size * part.interval)
+    yield Blocks(
+        position,
+        velocity,
+        acceleration,
+        torque,
+        first >= begin,
+        np.array([_hann(points), slope]),
+        (count + 1) * half * part.interval,
+    )
+
+
+def _hann(shares: Array) -> Array:
+    """Returns Hann's weights, which add to one, of shares of a window's length."""
+    weights: Array = (1 - np.cos(2 * np.pi * shares)) / len(shares)
+    return weights

@@ -102,8 +102,6 @@ class TorqueEquations:
         rows = self.robot.pin_convention.v_index[self.joints]
         found = np.zeros((2, count, len(self.joints), len(own)))
         rest = np.zeros((2, count, len(self.joints), 1))
-        # Means, and slopes of lines through the points.
-        weights = np.array([np.full(points, 1 / points), blocks.slopes])
         for block in range(count):
             for point in range(points):
                 whole = self._whole(
@@ -111,14 +109,14 @@ class TorqueEquations:
                     blocks.velocity[block, point],
                     blocks.acceleration[block, point],
                 )[rows]
-                part = weights[:, point, None, None]
+                part = blocks.weights[:, point, None, None]
                 found[:, block] += part * whole[:, own]
                 rest[:, block] += part * (whole @ known)[:, None]
         drives = np.array(list(self.drives.values()))
         speed = blocks.velocity[:, :, self.joints] @ drives.T
         gain = blocks.acceleration[:, :, self.joints] @ drives.T
         by_kind = np.stack([np.sign(speed), speed, gain], axis=3)
-        by_kind = np.einsum("wp,bpdk->wbdk", weights, by_kind)
+        by_kind = np.einsum("wp,bpdk->wbdk", blocks.weights, by_kind)
         columns = drives.T[:, :, None] * by_kind[:, :, None]
         bias = np.zeros((*rest.shape[:3], len(self.joints)))
         bias[0] = np.eye(len(self.joints))

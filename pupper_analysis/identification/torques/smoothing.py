@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,10 @@ them are guessed."""
 
 _SLOWEST = 1.0
 """Hz: what moves a joint by hand is faster. Below, nothing is left of a log of some seconds."""
+
+_NOISE = 5e-4
+"""Of the power of accelerations: by no more does their noise make an inertia too small, of which
+half a percent is told at best."""
 
 _ORDER = 4
 """Of Butterworth's filter, which is run in both directions: flat to 0.4 % at half its cut-off."""
@@ -46,55 +49,52 @@ class Smoothed:
 
 @dataclass(frozen=True)
 class Band:
-    """In which frequencies a joint moves, and how loud its encoder is.
+    """Up to where encoders tell a joint's acceleration, and how loud their noise is.
 
     Attributes:
-        cutoff: Up to where the motion is louder than the noise (Hz).
-        density: Of the encoder's noise there (rad^2/Hz, m^2/Hz).
+        cutoff: Up to where noise is none of it to speak of (Hz).
+        density: Of the noise of positions there (rad^2/Hz, m^2/Hz).
     """
 
     cutoff: float
     density: float
 
-    @property
-    def velocity_noise(self) -> float:
-        """Standard deviation of what the noise makes of a velocity (rad/s, m/s)."""
+    def velocity_noise(self, highest: float) -> float:
+        """Returns the standard deviation of a velocity up to a frequency in Hz (rad/s, m/s)."""
         # The integral of (2 pi f)^2 over the band.
-        return math.sqrt(self.density * (2 * math.pi) ** 2 * self.cutoff**3 / 3)
+        return math.sqrt(self.density * (2 * math.pi) ** 2 * highest**3 / 3)
 
 
-def find_band(series: Sequence[tuple[Array, float]]) -> Band:
-    """Returns the frequencies in which a joint moves.
+def find_bands(position: Array, interval: float) -> tuple[Band, ...]:
+    """Returns up to which frequency encoders tell joints' accelerations.
 
-    What a motor moves it accelerates less at higher frequencies, and noise of positions is
-    acceleration that grows with the fourth power of the frequency: a filter ends in the trough
-    between. Before it, leaving out loses more than it keeps out (Wiener), which a play of digits, a
-    resonance of what is no rigid body or an encoder's eccentricity do not change. What is left out
-    is at other frequencies than what is kept, so that it makes no inertia too small.
+    Noise of positions is noise of accelerations that grows with the fourth power of the frequency.
+    How much of it there is up to a frequency is known from above, as noise is in all that is told:
+    there is no more of it than of the quietest part of the spectrum up to an octave beyond. (At the
+    spectrum's end there may be less: encoders' drivers filter.) What accelerates one joint counts
+    for all, by their mean: of a joint that hardly moves nothing is asked but to do so quietly.
 
     Args:
-        series: (n,) positions, evenly sampled, and the interval between samples, of each run
-            (rad, m; s).
+        position: (n, joints) evenly sampled (rad, m).
+        interval: Between samples (s).
     """
     from scipy.signal import welch  # slow to import
 
-    bands = []
-    for values, interval in series:
-        length = min(round(_SEGMENT / interval), len(values))
-        frequency, power = welch(values, 1.0 / interval, nperseg=length, detrend="linear")
-        highest = _FINEST / interval
-        octaves = np.floor(_PER_OCTAVE * np.log2(np.maximum(frequency, _SLOWEST) / _SLOWEST))
-        parts = [np.flatnonzero(octaves == one) for one in np.unique(octaves)]
-        parts = [part for part in parts if frequency[part[0]] <= highest]
-        loud = np.array([np.mean(frequency[part] ** 4 * power[part]) for part in parts])
-        first = int(np.argmax(loud[: 1 + int(np.argmin(loud))]))
-        trough = parts[first + int(np.argmin(loud[first:]))]
-        cutoff = min(max(float(frequency[trough].mean()), _SLOWEST), highest)
-        bands.append(Band(cutoff, float(power[trough].mean())))
-    shares = np.array([len(values) * interval for values, interval in series])
-    return Band(
-        cutoff=float(np.average([band.cutoff for band in bands], weights=shares)),
-        density=float(np.average([band.density for band in bands], weights=shares)),
+    length = min(round(_SEGMENT / interval), len(position))
+    frequency, power = welch(position, 1.0 / interval, nperseg=length, detrend="linear", axis=0)
+    octaves = np.floor(_PER_OCTAVE * np.log2(np.maximum(frequency, _SLOWEST) / _SLOWEST))
+    parts = [np.flatnonzero(octaves == one) for one in np.unique(octaves)]
+    middle = np.array([frequency[part].mean() for part in parts])
+    loud = (frequency[:, None] ** 4 * power).cumsum(axis=0) * frequency[1]
+    motion = loud[[part[-1] for part in parts]].mean(axis=1, keepdims=True)
+    floor = np.minimum.accumulate([power[part].mean(axis=0) for part in parts])
+    floor = floor[np.minimum(np.arange(len(parts)) + _PER_OCTAVE, len(parts) - 1)]
+    noise = floor * middle[:, None] ** 5 / 5
+    told = (noise <= _NOISE * motion) & (middle[:, None] <= _FINEST / interval)
+    last = [int(np.flatnonzero(one).max(initial=0)) for one in told.T]
+    return tuple(
+        Band(max(float(middle[part]), _SLOWEST), float(floor[part, joint]))
+        for joint, part in enumerate(last)
     )
 
 
