@@ -27,6 +27,10 @@ _WINDOW = 2.0
 """Periods of the lowest cut-off: Hann's window of this length passes nothing of that frequency, and
 3 % at most of any higher."""
 
+_APART_WINDOWS = 0.75
+"""Of its length, from one window to the next: these share a hundredth of the samples' noise, so
+that what is left has a memory of its own alone. With a half more is told, and a sixth is shared."""
+
 _PASSED = 2.0
 """Times the lowest cut-off: what is less a window passes, and no filter is to change."""
 
@@ -49,7 +53,7 @@ the filter spreads over these times how they come loose."""
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Means of a run over windows, all of one length, each half over the one before.
+    """Means of a run over windows, all of one length.
 
     Attributes:
         position: (blocks, points, nu) rad, m; joints that no log tells are where they rest.
@@ -214,13 +218,14 @@ def _blocks(
 ) -> Iterator[Blocks]:
     """Yields a part's blocks, if there are any."""
     passed = min(_PASSED * cutoff, _NYQUIST / (2 * part.interval))
-    half = max(round(_WINDOW / cutoff / part.interval / 2), 1)
-    size, ends = 2 * half, math.ceil((_ENDS / passed + abs(lag)) / part.interval)
+    size = max(round(_WINDOW / cutoff / part.interval), 1)
+    step = math.ceil(_APART_WINDOWS * size)
+    ends = math.ceil((_ENDS / passed + abs(lag)) / part.interval)
     last = len(part.position) - ends
-    count = (last - ends) // half - 1
+    count = (last - ends - size) // step + 1
     if count < 1:
         return
-    first = ends + half * np.arange(count)
+    first = ends + step * np.arange(count)
     points = (np.arange(_POINTS) + 0.5) / _POINTS
     at = part.interval * ((first[:, None] + size * points - 0.5).ravel() - lag / part.interval)
     motion = np.zeros((3, len(at), len(rest)))
@@ -244,7 +249,7 @@ def _blocks(
         torque,
         first >= begin,
         np.array([_hann(points), slope]),
-        (count + 1) * half * part.interval,
+        count * step * part.interval,
     )
 
 

@@ -16,16 +16,13 @@ from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.torques.blocks import MeasuredTorques
 from pupper_analysis.identification.torques.couplings import Coupling
 from pupper_analysis.identification.torques.equations import TorqueEquations
+from pupper_analysis.identification.torques.moments import SecondMoments
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
 _ROUNDS = 6
 """Of fits, each with the noise that the one before has left."""
-
-_ROUGH = 1e-5
-"""Of each equation's cost: a tenth of a standard deviation where there are a thousand. Where they
-are not explained, steps in masses and coms, which act by their product, get slow before."""
 
 _SAME_NOISE = 0.02
 """Of deviations: noise that changes by no more changes no interval that is shown."""
@@ -86,22 +83,37 @@ class Torques:
             matrix - longer * rate for matrix, rate in zip(self.matrices, self.rates, strict=True)
         ]
 
-    def _slopes(self, table: ParameterTable, x: Array) -> list[Array]:
-        """Returns how predicted torques change with parameters (blocks, joints, parameters)."""
-        numbers, slopes = self.equations.numbers(table, x)
-        found = [matrix @ slopes for matrix in self._at(table, x)]
-        place = table.place("lag", TORQUES)
-        if place is not None:
-            for one, rate in zip(found, self.rates, strict=True):
-                one[:, :, place] = -rate @ numbers
-        return found
+    def _linear(self, moments: SecondMoments, y: Array) -> tuple[list[Array], list[Array]]:
+        """Returns predicted less measured torques that are fitted, and their derivatives.
+
+        Args:
+            moments: What the parameters are made of.
+            y: (n,) of these.
+
+        Returns:
+            Of each run (blocks, joints) and (blocks, joints, n).
+        """
+        table, inside = moments.table, moments.with_least_masses(y)
+        numbers, by_parameters = self.equations.numbers(table, moments.to_parameters(inside))
+        slopes = by_parameters @ moments.derivative(inside)
+        numbers = numbers + slopes @ (y - inside)  # they are linear
+        place, off, by_moments = table.place("lag", TORQUES), [], []
+        for run, matrix, rate, torque in zip(
+            self.measured.runs, self._at(table, y), self.rates, self.torques, strict=True
+        ):
+            off.append(np.where(run.held_out[:, None], np.nan, matrix @ numbers - torque))
+            by_moments.append(matrix @ slopes)
+            if place is not None:
+                by_moments[-1][:, :, place] = -rate @ numbers
+        return off, by_moments
 
     def fit(self, table: ParameterTable, start: Array | None = None) -> Posterior:
         """Returns the parameters, with the covariance that the noise's memory makes.
 
-        Each joint counts by its noise's long-run deviation, as in fits of motions; the covariance
-        is that of such an estimate ("sandwich"). What encoders' noise makes of accelerations is in
-        the torques of several joints, so that their innovations belong together.
+        Steps are in moments, of which torques are linear. Each joint counts by its noise's
+        long-run deviation, as in fits of motions; the covariance is that of such an estimate
+        ("sandwich"). What encoders' noise makes of accelerations is in the torques of several
+        joints, so that their innovations belong together.
 
         Args:
             table: The parameters.
@@ -110,9 +122,10 @@ class Torques:
         Raises:
             FitError: If it does not converge.
         """
-        x = table.stated.copy() if start is None else start
+        moments = SecondMoments(table, self.equations.mass)
+        y = moments.of_parameters(table.stated if start is None else start)
         noise: list[SeriesNoise] = []
-        left = self.off(table, x, held_out=False)
+        left, _ = self._linear(moments, y)
         for turn in range(_ROUNDS):
             before = noise
             noise = [
@@ -127,25 +140,21 @@ class Torques:
                 for one, other in zip(noise, before, strict=True)
             ):
                 break
-            posterior = estimate_parameters(
-                table,
-                self._linearise(table, noise),
-                x,
-                enough=_ROUGH * sum(int(np.isfinite(one).sum()) for one in left),
-            )
-            x = posterior.mean
-            left = self.off(table, x, held_out=False)
-        return self._with_memory(table, posterior, noise, left)
+            linearise = self._linearise(moments, noise)
+            posterior = estimate_parameters(table, linearise, y)
+            y = posterior.mean
+            left, _ = self._linear(moments, y)
+        return self._with_memory(moments, posterior, noise)
 
     def _linearise(
-        self, table: ParameterTable, noise: Sequence[SeriesNoise]
+        self, moments: SecondMoments, noise: Sequence[SeriesNoise]
     ) -> Callable[[Array, Array], Linearised]:
-        """Returns what whitens torques by each joint's noise."""
+        """Returns what whitens torques of moments by each joint's noise."""
         sizes = np.array([one.long_run for one in noise])
 
-        def linearise(x: Array, _about: Array) -> Linearised:
-            left = np.concatenate(self.off(table, x, held_out=False)) / sizes
-            rows = np.concatenate(self._slopes(table, x)) / sizes[:, None]
+        def linearise(y: Array, _about: Array) -> Linearised:
+            off, slopes = self._linear(moments, y)
+            left, rows = np.concatenate(off) / sizes, np.concatenate(slopes) / sizes[:, None]
             counted = np.isfinite(left)
             return Linearised.of(left[counted], rows[counted])
 
@@ -153,16 +162,19 @@ class Torques:
 
     def _with_memory(
         self,
-        table: ParameterTable,
+        moments: SecondMoments,
         posterior: Posterior,
         noise: Sequence[SeriesNoise],
-        left: Sequence[Array],
     ) -> Posterior:
-        """Returns the same with the covariance that the noise makes, by its memory."""
-        width = table.width
+        """Returns what is known of parameters, with the covariance that the noise's memory makes.
+
+        What is known of moments is what ``posterior`` says.
+        """
+        width, size = moments.table.width, len(moments.table)
+        left, by_moments = self._linear(moments, posterior.mean)
         correlation = innovations_together(noise, left)
-        spread = np.zeros((len(table), len(table)))
-        for off, slopes in zip(left, self._slopes(table, posterior.mean), strict=True):
+        spread = np.zeros((size, size))
+        for off, slopes in zip(left, by_moments, strict=True):
             counted = np.isfinite(off)
             backs = [
                 one.spread(np.where(counted[:, at, None], slopes[:, at], 0.0)) / one.long_run**2
@@ -175,8 +187,19 @@ class Torques:
         spread *= posterior.rows / max(posterior.freedom, 1.0)  # what parameters took of the noise
         spread = width[:, None] * spread * width + posterior.precision
         covariance = narrow @ spread @ narrow
-        covariance = (covariance + covariance.T) / 2
-        return replace(posterior, covariance=width[:, None] * covariance * width)
+        # From moments to parameters.
+        inside = moments.with_least_masses(posterior.mean)
+        turn = moments.derivative(inside) * width / width[:, None]
+        bends = moments.bends(inside, (covariance + covariance.T) / 2)
+        covariance = turn @ covariance @ turn.T + bends.T @ bends / len(bends)
+        covariance, back = (covariance + covariance.T) / 2, np.linalg.inv(turn)
+        return replace(
+            posterior,
+            mean=moments.to_parameters(inside),
+            covariance=width[:, None] * covariance * width,
+            information=back.T @ posterior.information @ back,
+            precision=back.T @ posterior.precision @ back,
+        )
 
 
 def innovations_together(noise: Sequence[SeriesNoise], left: Sequence[Array]) -> Array:

@@ -264,11 +264,10 @@ def _told(
 def _noise(series: Sequence[Array]) -> float:
     """Returns the standard deviation of what is left that is another from mean to mean.
 
-    By third differences, whose variance is 20 times that of noise without memory, less 30 times the
-    correlation of neighbours: windows of Hann that share a half share a sixth of the noise.
+    By third differences, whose variance is 20 times that of noise without memory.
     """
     steps = np.concatenate([np.diff(one, 3) for one in series])
-    return root_mean_square([steps]) / math.sqrt(20.0 - 30.0 / 6.0)
+    return root_mean_square([steps]) / math.sqrt(20.0)
 
 
 def _unexplained(
