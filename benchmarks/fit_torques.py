@@ -5,7 +5,7 @@ inertias, and friction, damping, armature and bias of which the files know nothi
 sines, or servos whose commands are sines (--servos, with their bandwidth in rad/s: MuJoCo's own
 dynamics, friction and time step, and joints that stick); encoders have steps, torques have noise.
 
-    python benchmarks/fit_torques.py ur5 panda --seeds 20
+    python benchmarks/fit_torques.py ur5 xarm7 --seeds 20
     python benchmarks/fit_torques.py so100 --seeds 20 --servos 30
 """
 
@@ -35,21 +35,18 @@ Array = NDArray[np.float64]
 EXAMPLES = "cmeel.prefix/share/example-robot-data/robots"
 ARMS = {
     "ur5": f"{EXAMPLES}/ur_description/urdf/ur5_robot.urdf",
-    "panda": f"{EXAMPLES}/panda_description/urdf/panda_arm.urdf",
+    "xarm7": f"{EXAMPLES}/xarm_description/urdf/xarm7.urdf",
     "z1": f"{EXAMPLES}/z1_description/urdf/z1.urdf",
     "so100": f"{EXAMPLES}/so_arm_description/urdf/so100.urdf",
 }
 SECONDS, RATE, WAVES = 40.0, 250.0, 6
-STEP = 5e-4
-"""s: what MuJoCo damps implicitly is damped half a step late, as by an armature of half a
-step's damping: here a thousandth of the planted one."""
+STEP = 1.25e-4
+"""s: what MuJoCo damps implicitly is damped half a step late, as by an armature of half a step's
+damping and a lag of a tenth of a step: less than is told of either."""
 QUANTUM = 2 * np.pi / 2**16
 MASS_SHARE, COM_WIDTH = 0.2, 0.012  # kg / kg, m
 PRIORS = (f"mass={100 * MASS_SHARE:g}%", f"com={1e3 * COM_WIDTH:g}mm")
-"""Errors are planted as they are said to be: intervals are right on average over these alone. What
-torques tell is the product of a mass and its com, so that a com is as uncertain as one divided by
-the mass: with a fifth that is not normal, and nine of ten intervals hold; with a twentieth as
-many as they say."""
+"""Errors are planted as they are said to be: intervals are right on average over these alone."""
 TORQUE_NOISE = 0.02
 """Of a joint's usual torque: standard deviation of a sample."""
 

@@ -23,7 +23,7 @@ class TorqueFit(Fit):
         by_joint: {joint: what is off in torques that were not fitted, or in those that were (N m)}.
         by_joint_before: {joint: the same with the file's own numbers (N m)}.
         torque_noise: {joint: what no motion is of its torque, after averaging (N m)}.
-        cutoff: {joint: up to where its motion is louder than its encoder's noise (Hz)}.
+        cutoff: {joint: up to where encoders' noise is little of accelerations (Hz)}.
         length: Of the times over which torques are averaged (s).
         equations: How many averages were fitted.
         directions: How many combinations of parameters are told better by them than before.
