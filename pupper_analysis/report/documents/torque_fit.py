@@ -24,8 +24,7 @@ def torque_fit_document(fit: TorqueFit, _: Robot | None = None) -> doc.Document:
             "torques-rest-on",
             equations=str(fit.equations),
             length=f"{1e3 * fit.length:.3g}",
-            slowest=f"{min(fit.cutoff.values()):.3g}",
-            fastest=f"{max(fit.cutoff.values()):.3g}",
+            cutoff=f"{min(fit.cutoff.values()):.3g}",
         ),
         text("directions-told", directions=str(fit.directions), parameters=str(len(fit.estimates))),
     )
