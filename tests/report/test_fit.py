@@ -217,7 +217,7 @@ def test_torques_are_told_by_what_was_held_out_beside_the_files_own() -> None:
     told = lines(page)
     assert told.index("0.5 N m, 5 %") < told.index("4 N m, 40 %")
     assert "600 means over 25 ms" in told
-    assert "up to 8 to 20 Hz" in told
+    assert "acceleration up to 8 Hz" in told
     assert "Of 4 numbers they tell 3 combinations" in told
     (plot,) = (block for block in page.blocks if isinstance(block, plots.BarPlot))
     bars = {shown(bar.name): (bar.value, bar.other) for bar in plot.bars}
