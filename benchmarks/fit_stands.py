@@ -7,8 +7,8 @@ zeros of encoders (1.5 deg, less of stiff servos), kp (15 %, half of it common),
 (30 %), the IMU's turn (1 deg), the ground's slope (0.2 deg). Twice these widths hold 95 %: masses
 and kp to 30 %, coms to 20 mm, zeros to 3 deg. Its stands are predicted by the equations of sag,
 which share none with the fit's, on ground that is uneven; or simulated in MuJoCo. Encoders have 12
-bits and shake, an IMU and a scale are read, both with noise. Seeds are of a robot's own: runs are
-the same each time.
+bits and shake, an IMU and a scale are read, both with noise (``--unweighed``: no scale). Seeds are
+of a robot's own: runs are the same each time.
 
 ``--slope`` and ``--soft`` are of the ground, and nobody tells the fit.
 """
@@ -215,6 +215,7 @@ def simulate(
     model.opt.noslip_iterations = 20 if given.grip else model.opt.noslip_iterations
     data = mujoco.MjData(model)
     data.qpos[where] = stand.qpos
+    data.qpos[where[2]] += given.drop
     data.ctrl[:] = drive.command(true, command - planted.offsets)
     for _ in range(int(given.seconds / model.opt.timestep)):
         mujoco.mj_step(model, data)
@@ -287,7 +288,8 @@ def fits(
         encoder = math.hypot(2 * math.pi / 2**given.bits / math.sqrt(12), given.shakes)
         kp, begun = servo_gains(robot).kp, time.process_time()
         try:
-            fit = fit_stands(robot, stands, priors=priors, weight=weight, kp=kp, encoder=encoder)
+            known = None if given.unweighed else weight
+            fit = fit_stands(robot, stands, priors=priors, weight=known, kp=kp, encoder=encoder)
         except pa.PupperAnalysisError as error:
             print(f"{robot.name}, seed {seed}: {error}", file=sys.stderr)
             yield seed, planted, None, 0.0
@@ -342,9 +344,11 @@ def main() -> None:
     parser.add_argument("--simulated", action="store_true", help="in MuJoCo, not predicted")
     parser.add_argument("--seconds", type=float, default=12.0, help="that MuJoCo simulates")
     parser.add_argument("--grip", action="store_true", help="MuJoCo's feet do not creep")
+    parser.add_argument("--drop", type=float, default=0.0, help="set down from so high (m)")
     parser.add_argument("--sides", action="store_true", help="come from above and from below")
     parser.add_argument("--uneven", type=float, default=3e-4, help="of the ground (m)")
     parser.add_argument("--rub", type=float, default=0.0, help="of the dry friction of feet")
+    parser.add_argument("--unweighed", action="store_true", help="no scale weighs the robot")
     parser.add_argument("--bits", type=int, default=12, help="of encoders")
     parser.add_argument("--shakes", type=float, default=5e-4, help="noise of encoders (rad)")
     parser.add_argument("--slope", type=float, default=0.0, help="that nobody mentioned (deg)")

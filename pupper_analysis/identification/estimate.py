@@ -37,7 +37,8 @@ _LEAST_KEPT = 0.1
 """Of what a step promised: with less it is not taken, and a shorter one tried."""
 
 _BENDS = 2
-"""Where mass moves far, inertia goes with the square: a step is led back once or twice."""
+"""How often a step that is not damped is led back to less cost: where mass moves far, inertia goes
+with the square, and what nobody weighed follows kp along a valley that bends."""
 
 _OPEN = 1.0
 """Of the cost: a standard deviation, that is not looked for any more and widens intervals."""
@@ -99,14 +100,17 @@ class Linearised:
             self.log_noise + other.log_noise,
         )
 
-    def evidence(self, table: ParameterTable, x: Array) -> float:
+    def evidence(self, table: ParameterTable, z: Array) -> float:
         """Returns the logarithm of how likely the measurements are, whatever the parameters.
 
-        Of residuals that are linear in the parameters about x; up to a constant.
+        Of residuals that are linear in the parameters; up to a constant.
+
+        Args:
+            table: The parameters.
+            z: (n,) how far they are from what was said, in their widths.
         """
         width = table.width
         whole = width[:, None] * self.information * width + table.precision
-        z = (x - table.stated) / width
         downhill = width * self.gradient + table.precision @ z
         factor = cho_factor(whole)
         left = self.chi2 + z @ table.precision @ z - downhill @ cho_solve(factor, downhill)
@@ -125,7 +129,7 @@ class Posterior:
             units: a direction with 1 is told as well by the prior.
         precision: (n, n) what was known before, likewise.
         chi2: Sum of squares of the whitened residuals left.
-        prior_chi2: Likewise of how far the parameters moved, in their widths.
+        moved: (n,) how far the parameters moved, in what were their widths.
         rows: How many residuals there are.
         steps: Gauss-Newton steps.
         open_step: (n,) a step that was promised to be better and was not found; None as a rule.
@@ -137,7 +141,7 @@ class Posterior:
     information: Array
     precision: Array
     chi2: float
-    prior_chi2: float
+    moved: Array
     rows: int
     steps: int
     open_step: Array | None = None
@@ -178,6 +182,7 @@ def estimate_parameters(
     linearise: Callable[[Array, Array], Linearised],
     start: Array | None = None,
     *,
+    least: Array | None = None,
     enough: float = _SETTLED,
     slopes: Slopes | None = None,
 ) -> Posterior:
@@ -198,6 +203,7 @@ def estimate_parameters(
         linearise: Called with parameters, and those at which noise is taken: returns the
             measurements' residuals about the first.
         start: (n,) to begin with; the stated values by default.
+        least: (n,) below which parameters mean nothing; 0 of kinds that are positive, by default.
         enough: A step that promises no more is not taken.
         slopes: The derivatives that ``linearise`` uses. By default it makes its own each time.
 
@@ -205,12 +211,14 @@ def estimate_parameters(
         FitError: If it does not converge.
     """
     x = table.stated.copy() if start is None else np.array(start, dtype=float)
+    if least is None:
+        least = np.array([0.0 if KINDS[one.kind].positive else -np.inf for one in table])
     costly, damping = slopes is not None, 0.0
     slopes = slopes or Slopes()
     made = slopes.made
     for steps in range(1, _MOST_STEPS + 1):
         slopes.prepare(x)
-        here = _Quadratic(table, linearise(x, x), x)
+        here = _Quadratic(table, linearise(x, x), x, least)
         if not here.is_finite:
             break
         whole_step = here.step(0.0)
@@ -222,11 +230,9 @@ def estimate_parameters(
             continue
         if slopes.spent(made) and promised < _STALLED * here.cost:
             return here.posterior(steps, whole_step)
-        moved, damping = _move(
-            here, linearise, damping, plain=not slopes.are_at(x), bends=_BENDS if costly else 0
-        )
+        moved, damping = _move(here, linearise, damping, plain=not slopes.are_at(x))
         at_x = slopes.are_at(x)
-        if moved is not None and (
+        if (moved is not None and moved.gain > enough) and (
             not (at_x and costly)
             or moved.gain > _KEPT * promised
             or moved.gain > max(_LEAST_KEPT * promised, _MUDDY)
@@ -234,7 +240,7 @@ def estimate_parameters(
             x, slopes.outdated = moved.x, moved.kept < _KEPT
         elif not at_x:
             slopes.outdated, damping = True, 0.0
-        elif costly and promised < (_OPEN if moved else _STALLED * here.cost):
+        elif promised < (_STALLED * here.cost if costly and moved is None else _OPEN):
             return here.posterior(steps, whole_step)
         elif moved is not None:
             x, slopes.outdated = moved.x, True
@@ -250,16 +256,18 @@ class _Quadratic:
         table: The parameters.
         told: The measurements.
         x: (n,) values.
+        least: (n,) of them.
 
     Attributes:
         table: The parameters.
         told: The measurements.
         x: (n,) values.
+        least: (n,) of them.
         cost: What is minimised.
     """
 
-    def __init__(self, table: ParameterTable, told: Linearised, x: Array) -> None:
-        self.table, self.told, self.x = table, told, x
+    def __init__(self, table: ParameterTable, told: Linearised, x: Array, least: Array) -> None:
+        self.table, self.told, self.x, self.least = table, told, x, least
         self._z = (x - table.stated) / table.width
         self.cost = told.chi2 + float(self._z @ table.precision @ self._z)
 
@@ -297,8 +305,7 @@ class _Quadratic:
 
         The others' steps are those that are best then.
         """
-        positive = np.array([KINDS[one.kind].positive for one in self.table], dtype=bool)
-        least = np.where(positive, -self.x / self.table.width, -np.inf)
+        least = (self.least - self.x) / self.table.width
         step, free = np.zeros(len(self.x)), np.ones(len(self.x), dtype=bool)
         whole = self.whole + damping * np.diag(np.diag(self.whole))
         while free.any():
@@ -321,7 +328,7 @@ class _Quadratic:
             steps: How many were taken.
             open_step: (n,) one that was promised and not found.
         """
-        width, z = self.table.width, self._z
+        width = self.table.width
         covariance = np.linalg.inv(self.whole)
         covariance = (covariance + covariance.T) / 2
         if open_step is not None:
@@ -333,7 +340,7 @@ class _Quadratic:
             information=self.information,
             precision=self.table.precision,
             chi2=self.told.chi2,
-            prior_chi2=float(z @ self.table.precision @ z),
+            moved=self._z,
             rows=self.told.rows,
             steps=steps,
             open_step=None if open_step is None else width * open_step,
@@ -355,7 +362,6 @@ def _move(
     damping: float,
     *,
     plain: bool,
-    bends: int,
 ) -> tuple[_Moved | None, float]:
     """Returns parameters of less cost, if there are any; and the damping.
 
@@ -364,14 +370,13 @@ def _move(
         linearise: As ``estimate_parameters`` has it.
         damping: To begin with.
         plain: Whether other dampings are not tried, as derivatives may be at fault.
-        bends: How often a step that is not damped may be led back to less cost.
     """
     table, x = here.table, here.x
     while damping <= _MOST_DAMPING:
         step = here.step(damping)
         promised, tried = here.promise(step), x + table.width * step
-        for bends_left in range(bends if damping == 0 else 0, -1, -1):
-            there = _Quadratic(table, linearise(tried, x), tried)
+        for bends_left in range(0 if damping else _BENDS, -1, -1):
+            there = _Quadratic(table, linearise(tried, x), tried, here.least)
             gain = here.cost - there.cost
             if gain >= _LEAST_KEPT * promised - _SETTLED:
                 less = damping / 10 if damping > _LEAST_DAMPING else 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -29,6 +29,8 @@ class ParameterKind:
         share: Standard deviation of what is known before, in parts of the stated value.
         width: The same in the kind's unit; the larger of the two counts.
         positive: Whether a value below zero means nothing.
+        factor: Whether it is off by a factor, rather than by an amount: twice is as probable as
+            half.
         common: Correlation of what is known of two subjects: part of the variance that all have
             in common.
     """
@@ -38,6 +40,7 @@ class ParameterKind:
     share: float = 0.0
     width: float = 0.0
     positive: bool = False
+    factor: bool = False
     common: float = 0.0
 
 
@@ -45,14 +48,14 @@ KINDS: Mapping[str, ParameterKind] = {
     kind.name: kind
     for kind in (
         # Published masses are off by half (stretch's base weighs 7 times what its file said).
-        ParameterKind("mass", "kg", share=0.5, positive=True),
+        ParameterKind("mass", "kg", share=0.5, positive=True, factor=True),
         # A battery that is mounted elsewhere, a payload plate: centimetres.
         ParameterKind("com", "m", width=0.03),
         # Encoders are zeroed by hand, or against a mechanical stop.
         ParameterKind("offset", "rad", width=math.radians(2.0)),
         # Gains of servos are asked for in units of their driver, current and not torque: if one is
         # wrong by a factor, all are. Were they not bound, twelve would be known on average.
-        ParameterKind("kp", "N m/rad", share=0.3, positive=True, common=0.5),
+        ParameterKind("kp", "N m/rad", share=0.3, positive=True, factor=True, common=0.5),
         ParameterKind("kd", "N m s/rad", share=0.5, positive=True),
         # Gearboxes of small servos: Pupper's upstream model with play has 12 times the other's.
         ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
@@ -69,13 +72,16 @@ KINDS: Mapping[str, ParameterKind] = {
         # Of the ground under the feet, in parts of what the MJCF says: 0 is a rigid floor, which
         # is as far away as twice as soft a one.
         ParameterKind("softness", "1", width=0.5),
+        # What a foot that turned on the ground, or rolled, keeps in every stand alike, in parts of
+        # the force on it.
+        ParameterKind("moment", "m", width=3e-4),
         # How an IMU is glued to its base.
         ParameterKind("imu", "rad", width=math.radians(1.0)),
     )
 }
 """The kinds, each with what is known before anything is measured, unless a prior says otherwise."""
 
-OF_SURROUNDINGS = ("slope", "softness", "imu")
+OF_SURROUNDINGS = ("slope", "softness", "moment", "imu")
 """Kinds that are no number of the robot's files."""
 
 
@@ -244,6 +250,12 @@ class ParameterTable:
     def place(self, kind: str, subject: str, component: str = "") -> int | None:
         """Returns where a parameter is in the vector; None if it is known."""
         return self._at.get((kind, subject, component))
+
+    def scaled(self, kind: str, factor: float) -> ParameterTable:
+        """Returns the same with other widths of a kind: less or more is known of it before."""
+        return ParameterTable(
+            replace(one, width=factor * one.width) if one.kind == kind else one for one in self
+        )
 
     def value(
         self, vector: Array, kind: str, subject: str, component: str, otherwise: float

@@ -30,7 +30,7 @@ def measured(parameters: tuple[Parameter, ...], values: Array, noise: float) -> 
         information=told * np.eye(n),
         precision=table.precision,
         chi2=0.0,
-        prior_chi2=0.0,
+        moved=(1 - share) * (values - table.stated) / width,
         rows=n,
         steps=1,
     )

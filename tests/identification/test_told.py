@@ -38,7 +38,7 @@ def test_a_prior_and_a_measurement_are_weighed_by_their_variances() -> None:
     assert found.std[0] == pytest.approx(1 / math.sqrt(5))
     assert found.shares[0] == pytest.approx(0.2)
     assert found.freedom == pytest.approx(1 - 0.8)  # of one row, 0.8 told the parameter
-    assert (found.chi2, found.prior_chi2) == pytest.approx((0.4**2, 0.8**2))
+    assert (found.chi2, found.moved[0]) == pytest.approx((0.4**2, 0.8))
     assert told_by(0.2) is Told.PARTLY
 
 

@@ -40,7 +40,7 @@ def posterior() -> Posterior:
         information=np.eye(4),
         precision=np.eye(4),
         chi2=30.0,
-        prior_chi2=2.0,
+        moved=np.array([1.0, -1.0, 1.0, 0.3]),
         rows=40,
         steps=3,
     )
@@ -107,7 +107,7 @@ def test_stated_fitted_and_intervals_are_each_in_their_column() -> None:
     assert offsets["told by"] == ["measurements", "measurements"]
     com = columns(found["Centres of mass, in the links' frames"])
     assert com["fitted mm"] == pytest.approx([50.0])
-    surroundings = columns(found["Surroundings: ground and IMU"])
+    surroundings = columns(found["Surroundings: ground, feet and IMU"])
     assert surroundings["told by"] == ["prior"]
 
 

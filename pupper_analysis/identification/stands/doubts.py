@@ -30,6 +30,9 @@ _NOISY = 5.0
 _FAR = 4.5
 """Standard deviations: of a hundred numbers that are as was said, none is so far off."""
 
+_DOUBTED = ("slope", "softness", "imu")
+"""Of the surroundings: kinds that somebody says something of."""
+
 _NEVER_NOTHING, _NOTHING = ("mass", "kp"), 0.01
 """Kinds of numbers that no robot has none of, and what is none, in parts of the stated value."""
 
@@ -57,11 +60,11 @@ def doubt_stands(
     if found.friction > _NOISY * expected.friction:
         yield diagnose("torques-off", times=found.friction / expected.friction)
     own = [place for place, one in enumerate(posterior.parameters) if _is_own(one)]
-    moved = {
-        place: (posterior.mean[place] - posterior.parameters[place].stated)
-        / _surprise(posterior, place)
-        for place in own
-    }
+    # What is known before and after differ in variance by what an estimate is surprised by, if the
+    # parameter is as it was said to be: one by poor measurements stays near the stated value, and
+    # tells as much by a smaller step.
+    surprise = np.sqrt(np.maximum(1 - posterior.shares, _LEAST_TOLD))
+    moved = posterior.moved / surprise
     far = [
         place
         for place in own
@@ -77,17 +80,6 @@ def doubt_stands(
         yield diagnose("far-from-the-file", names=names, widths=abs(float(moved[worst])))
     flatter = min(1.0, found.flatness / expected.flatness)
     yield from doubt_surroundings(posterior, {"softness": flatter**2})
-
-
-def _surprise(posterior: Posterior, place: int) -> float:
-    """Returns the standard deviation of an estimate, if the parameter is as it was said to be.
-
-    What is known before and after differ in variance by it: an estimate by poor measurements stays
-    near the stated value, and tells as much by a smaller step.
-    """
-    width = posterior.parameters[place].width
-    told = max(width**2 - float(posterior.covariance[place, place]), _LEAST_TOLD * width**2)
-    return math.sqrt(told)
 
 
 def _is_own(one: Parameter) -> bool:
@@ -112,13 +104,13 @@ def doubt_surroundings(
     """
     from scipy import stats  # slow to import
 
-    for kind in OF_SURROUNDINGS:
+    for kind in _DOUBTED:
         places = [at for at, one in enumerate(posterior.parameters) if one.kind == kind]
         if not places:
             continue
         chosen = [posterior.parameters[at] for at in places]
         width = np.array([one.width for one in chosen])
-        off = (posterior.mean[places] - [one.stated for one in chosen]) / width
+        off = posterior.moved[places]
         before = np.linalg.inv(posterior.precision)[np.ix_(places, places)]
         told = before - posterior.covariance[np.ix_(places, places)] / np.outer(width, width)
         values, vectors = np.linalg.eigh(told)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from pupper_analysis.identification.links import AXES, bodies_of
 from pupper_analysis.identification.measurements.stands import APPROACHES, MeasuredStands
 from pupper_analysis.identification.parameters import ParameterTable, give_widths
 from pupper_analysis.identification.stands.numbers import GravityRegressor, Numbers
-from pupper_analysis.identification.stands.rows import Reading, StandNoise, StandRows
+from pupper_analysis.identification.stands.rows import Reading, StandNoise, StandRows, readings_of
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -73,11 +73,12 @@ class StandEquations:
     ) -> None:
         self.robot, self.table, self.noise = robot, table, noise
         self._kp, self._friction, self._stiff = kp, friction, kp
+        self._heaviness = robot.total_mass
         model = robot.structure.model
         self._bodies = [(link, at, model.inertias[at].copy()) for link, at in bodies_of(robot)]
         self._laws = {point: GroundLaw.of(robot, point) for point in robot.contact_points}
         self._regressor = GravityRegressor(robot)
-        readings = list(_readings(robot, stands))
+        readings = list(readings_of(robot, stands))
         self._own = [self._begin(reading) for reading in readings]
         self._readings = [
             replace(reading, sides=self._sides(reading, base, approach))
@@ -103,11 +104,11 @@ class StandEquations:
         return total
 
     def weigh_at(self, x: Array) -> None:
-        """Takes the kp by which encoders' noise becomes torque, the stated ones before, from x.
+        """Takes kp and weight, by which noise becomes torque, the stated ones before, from x.
 
         If it followed the parameters from step to step, steps would go where noise is large.
         """
-        self._stiff = self._per_joint(x, "kp", self._kp)
+        self._stiff, self._heaviness = self._per_joint(x, "kp", self._kp), self._mass(x)
 
     def stand(self, stand: int, numbers: Numbers, looks: int = _LOOKS) -> Linearised:
         """Returns the whitened residuals of one stand, its own unknowns eliminated."""
@@ -161,12 +162,23 @@ class StandEquations:
             friction=self._per_joint(x, "friction", self._friction),
             offset=self._per_joint(x, "offset", np.zeros(robot.nu)),
             softness={foot: table.value(x, "softness", foot, "", 1.0) for foot in robot.feet},
+            moment={
+                foot: np.array([table.value(x, "moment", foot, axis, 0.0) for axis in AXES])
+                for foot in robot.feet
+            },
             down=size * np.array([one, two, -upright]),
             tilts=size * np.array([[1.0, 0.0, one / upright], [0.0, 1.0, two / upright]]),
             imu=np.array([table.value(x, "imu", "imu", axis, 0.0) for axis in ("roll", "pitch")]),
+            mass=self._mass(x),
+            heaviness=self._heaviness,
             stiff=self._stiff,
             rubbing=self._friction,  # as stated: where little is estimated, torques were sure
         )
+
+    def _mass(self, x: Array) -> float:
+        """Returns the mass of the whole robot (kg)."""
+        masses = [place for place, one in enumerate(self.table) if one.kind == "mass"]
+        return self.robot.total_mass + float((x - self.table.stated)[masses].sum())
 
     def _per_joint(self, x: Array, kind: str, stated: Array) -> Array:
         names = self.robot.joint_names
@@ -380,21 +392,3 @@ class StandEquations:
         turned.normalize()
         moved = np.array([turned.w, turned.x, turned.y, turned.z, base[4] + step[2]])
         self._own[stand] = moved, forces + step[3:].reshape(-1, 3)
-
-
-def _readings(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
-    for row in range(len(stands)):
-        yield Reading(
-            command=stands.command[row],
-            position=stands.position[row],
-            torque=stands.torque[row],
-            force={foot: float(weighed[row]) for foot, weighed in stands.force.items()},
-            tilt=stands.tilt[row],
-            points=tuple(
-                point
-                for foot, points in robot.feet.items()
-                if foot not in stands.swing[row]
-                for point in points
-            ),
-            sides=np.zeros(robot.nu),
-        )

@@ -15,6 +15,7 @@ from pupper_analysis.errors import ConfigurationError, FitError, MeasurementErro
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.identification.hulls import unbounded_coms
 from pupper_analysis.identification.links import AXES, bodies_of
+from pupper_analysis.identification.logarithms import Logarithms
 from pupper_analysis.identification.measurements.stands import MeasuredStands, quantum_of
 from pupper_analysis.identification.parameters import (
     ParameterTable,
@@ -96,23 +97,25 @@ def fit_stands(
     table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
     noise, friction = expected_noise(robot, given, rubbing, encoder)
     weighed = _weighed(robot, table, weight)
-    start, stopped = None, _at_stops(robot, given, *_offsets(robot, table))
+    known, stopped = None, _at_stops(robot, given, *_offsets(robot, table))
     settled = False  # which joints are at a stop; then how large noise is can be found
     while True:
         used = _commands_of_servos(robot, given, stiffness, stopped)
         equations = StandEquations(robot, used, table, stiffness, friction, noise)
-        if settled and start is not None:
-            equations.weigh_at(start)
-            equations.noise = find_noise(equations, table, start, weighed)
-        posterior = _estimate(robot, used, equations, weighed, start)
+        if settled and known is not None:
+            equations.weigh_at(known.mean)
+            equations.noise = find_noise(equations, known, weighed)
+            equations.table = table.scaled("moment", equations.noise.moment / noise.moment)
+        known = _estimate(robot, used, equations, weighed, None if known is None else known.mean)
         # With what is known of the encoders now, fewer joints may be at a stop.
-        nearer = stopped & _at_stops(robot, given, *_offsets(robot, table, posterior))
+        nearer = stopped & _at_stops(robot, given, *_offsets(robot, table, known))
         if settled and (nearer == stopped).all():
             break
         settled = bool((nearer == stopped).all())
-        start, stopped = posterior.mean, nearer
+        stopped = nearer
+    equations.table = ParameterTable(known.parameters)
     notes = (*_unused(robot, given, stiffness, stopped), *unbounded_coms(robot, table))
-    return describe_stands(robot, used, equations, posterior, noise, notes, weight is not None)
+    return describe_stands(robot, used, equations, known, noise, notes, weight is not None)
 
 
 def _estimate(
@@ -123,15 +126,21 @@ def _estimate(
     start: Array | None,
 ) -> Posterior:
     """Returns the parameters that stands and priors make most probable."""
+    table = equations.table
+    logarithms = Logarithms(table)
 
-    def linearise(x: Array, about: Array) -> Linearised:
-        return equations.linearise(x, about) + weighed(x)
+    def linearise(y: Array, about: Array) -> Linearised:
+        x = logarithms.to_parameters(y)
+        other = x if y is about else logarithms.to_parameters(about)
+        return logarithms.linearise(equations.linearise(x, other) + weighed(x), y)
 
+    begin = logarithms.of_parameters(table.stated if start is None else start)
     try:
-        posterior = estimate_parameters(equations.table, linearise, start, enough=_ENOUGH)
+        found = estimate_parameters(table, linearise, begin, least=logarithms.least, enough=_ENOUGH)
     except FitError:
         _check_feet(robot, stands, equations)  # which may tell why
         raise
+    posterior = logarithms.of_posterior(found)
     _check_feet(robot, stands, equations, posterior)
     return posterior
 
@@ -186,6 +195,8 @@ def parameters_of(
         yield "slope", "floor", axis, 0.0
     for foot in robot.feet:
         yield "softness", foot, "", 1.0
+        for axis in AXES:
+            yield "moment", foot, axis, 0.0
     if np.isfinite(stands.tilt).any():
         yield "imu", "imu", "roll", 0.0
         yield "imu", "imu", "pitch", 0.0

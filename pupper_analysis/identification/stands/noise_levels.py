@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised
+from pupper_analysis.identification.estimate import Linearised, Posterior
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.stands.equations import StandEquations
 from pupper_analysis.identification.stands.rows import StandNoise
@@ -33,10 +33,7 @@ _EVALUATIONS = 40
 
 
 def find_noise(
-    equations: StandEquations,
-    table: ParameterTable,
-    x: Array,
-    more: Callable[[Array], Linearised],
+    equations: StandEquations, known: Posterior, more: Callable[[Array], Linearised]
 ) -> StandNoise:
     """Returns the noise with moments on feet, flatness and joints' friction that are most likely.
 
@@ -45,13 +42,12 @@ def find_noise(
 
     Args:
         equations: Of the stands, with the noise that is expected.
-        table: The parameters.
-        x: (n,) about which residuals are taken.
+        known: With that noise; about its parameters residuals are taken.
         more: Returns further residuals.
     """
     from scipy import optimize  # slow to import
 
-    expected = equations.noise
+    expected, x, table = equations.noise, known.mean, ParameterTable(known.parameters)
     equations.linearise(x, x, _SETTLES)  # finds stands' own unknowns
     about = x.copy()  # so that they stay as they are: no level is better by when it is tried
 
@@ -66,7 +62,10 @@ def find_noise(
 
     def unlikely(levels: Array) -> float:
         equations.noise = at(levels)
-        evidence = (equations.linearise(x, about, 1) + more(x)).evidence(table, x)
+        told = equations.linearise(x, about, 1) + more(x)
+        # Moments that all stands have alike are as large as those of each.
+        alike = table.scaled("moment", equations.noise.moment / expected.moment)
+        evidence = told.evidence(alike, known.moved)
         return float(levels @ levels) / (2 * _SPREAD**2) - evidence
 
     simplex = np.vstack([np.zeros(3), -np.eye(3)])

@@ -25,9 +25,12 @@ class Numbers:
         friction: (nu,) N m.
         offset: (nu,) rad.
         softness: {foot: factor on how far it sinks}.
+        moment: {foot: (3,) moment on it, in parts of the force on it (m)}.
         down: (3,) gravity in the ground's axes (m/s^2).
         tilts: (2, 3) its derivatives by the slope.
         imu: (2,) roll and pitch of the IMU in the base (rad).
+        mass: Of the whole robot (kg).
+        heaviness: That, by which moments on feet are balanced (kg).
         stiff: (nu,) kp, by which an encoder's noise becomes torque.
         rubbing: (nu,) friction, that nobody knows the place in.
     """
@@ -38,9 +41,12 @@ class Numbers:
     friction: Array
     offset: Array
     softness: dict[str, float]
+    moment: dict[str, Array]
     down: Array
     tilts: Array
     imu: Array
+    mass: float
+    heaviness: float
     stiff: Array
     rubbing: Array
 

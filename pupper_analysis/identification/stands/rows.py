@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import cross_matrices
 from pupper_analysis.identification.links import AXES
-from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.identification.measurements.stands import MeasuredStands
+from pupper_analysis.identification.parameters import KINDS, ParameterTable
 from pupper_analysis.identification.stands.numbers import GravityRegressor, Numbers
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -55,7 +58,7 @@ class StandNoise:
     """
 
     encoder: float
-    moment: float = 3e-4
+    moment: float = KINDS["moment"].width
     flatness: float = 3e-4
     friction: float = 1.0
     torque: float = 0.02
@@ -84,6 +87,25 @@ class Reading:
     tilt: Array
     points: tuple[str, ...]
     sides: Array
+
+
+def readings_of(robot: Robot, stands: MeasuredStands) -> Iterator[Reading]:
+    """Yields what was measured of each stand."""
+    for row in range(len(stands)):
+        yield Reading(
+            command=stands.command[row],
+            position=stands.position[row],
+            torque=stands.torque[row],
+            force={foot: float(weighed[row]) for foot, weighed in stands.force.items()},
+            tilt=stands.tilt[row],
+            points=tuple(
+                point
+                for foot, points in robot.feet.items()
+                if foot not in stands.swing[row]
+                for point in points
+            ),
+            sides=np.zeros(robot.nu),
+        )
 
 
 @dataclass(eq=False)
@@ -210,9 +232,9 @@ class StandRows:
         limits = robot.effort_limits
         full = np.where(np.isfinite(limits), limits, self._scale * robot.stand_height)
         self._sensor = noise.torque * full
-        on_each = self._scale / len(points)  # N
-        sources = [noise.encoder] * robot.nu + [noise.moment * on_each] * 3 * len(points)
-        self.rows = Rows((len(table), 3 + 3 * len(points)), np.array(sources))
+        pressed = np.maximum(forces[:, 2], 0.0)
+        sources = np.append([noise.encoder] * robot.nu, noise.moment * np.repeat(pressed, 3))
+        self.rows = Rows((len(table), 3 + 3 * len(points)), sources)
         self._balance()
         self._contact()
         self._torques()
@@ -226,7 +248,9 @@ class StandRows:
     def _balance(self) -> None:
         """S tau - g + passive + sum J_p^T f_p = 0."""
         numbers, nv = self._numbers, self._robot.nv
-        wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces)])
+        moments = np.array([numbers.moment[foot] for foot in self._feet])
+        kept = self._forces[:, 2:] * moments
+        wrenches = np.hstack([self._forces, np.cross(self._arms, self._forces) + kept])
         stiffness = self.config.pushed_rates(self._twists, wrenches)
         gravity, by_mass, by_com, by_slope = self._regressor.at(self.config, numbers)
         sides = self._reading.sides
@@ -235,6 +259,7 @@ class StandRows:
         residual = self.config.passive() - gravity
         residual += np.einsum("pij,pi->j", self.jacobians, self._forces)
         residual[6:] += torque + sides * numbers.friction
+        residual += np.einsum("pij,pi->j", self._twists[:, 3:], kept)
         by_x, by_own, by_noise = self.rows.add(residual, self._unsure(sides, by_sensor))
         by_own[:, :3] = -stiffness[:, _TURNS_AND_HEIGHT]
         by_own[:, 3:] = self.jacobians.reshape(-1, nv).T
@@ -247,10 +272,14 @@ class StandRows:
             )
             for at in self._at("softness", foot):
                 by_x[:, at] += self._deep[point] * moved[point]
+            for axis, name in enumerate(AXES):
+                for at in self._at("moment", foot, name):
+                    by_x[:, at] += self._forces[point, 2] * self._twists[point, 3 + axis]
+            by_own[:, 3 + 3 * point + 2] += moments[point] @ self._twists[point, 3:]
         # A true position is the measured one less offset and noise; a servo's torque follows the
         # true one.
         nu = self._robot.nu
-        by_noise[6:, :nu] += np.diag(self._stiff)
+        by_noise[6:, :nu] += np.diag(self.kp * self._known)
         by_noise[:, :nu] += stiffness[:, 6:]
         by_noise[:, nu:] = self._twists[:, 3:].reshape(-1, nv).T
         for joint, name in enumerate(self._names):
@@ -270,22 +299,28 @@ class StandRows:
         for name, pull in zip("xy", by_slope, strict=True):
             for at in self._at("slope", "floor", name):
                 by_x[:, at] -= pull
-        self._in_positions(residual, by_x, by_own)
+        self._in_positions(residual, by_x, by_own, by_noise)
 
-    def _in_positions(self, residual: Array, by_x: Array, by_own: Array) -> None:
+    def _in_positions(self, residual: Array, by_x: Array, by_own: Array, by_noise: Array) -> None:
         """Takes motors' rows to what a position is off by, times the kp at which noise is taken.
 
-        It is positions that are measured. By torques, masses and kp that are all too small would
-        fit best: what is off would be small with them, and noise is not.
+        And the base's likewise to parts of the robot's weight. It is positions that are measured.
+        By torques and forces, masses and kp that are all too small would fit best: what is off
+        would be small with them, and noise is not.
         """
-        driven = self._known & (self._numbers.kp > 0)
-        kp = np.where(driven, self._numbers.kp, 1.0)
-        share = np.where(driven, self._stiff / kp, 1.0)
+        numbers = self._numbers
+        driven = self._known & (numbers.kp > 0)
+        kp = np.where(driven, numbers.kp, 1.0)
+        share = np.full(len(residual), numbers.heaviness / numbers.mass)
+        share[6:] = np.where(driven, self._stiff / kp, 1.0)
         for joint, name in enumerate(self._names):
             for at in self._at("kp", name) if driven[joint] else []:
                 by_x[6 + joint, at] -= residual[6 + joint] / kp[joint]
-        for rows in (residual, by_x.T, by_own.T):
-            rows[..., 6:] *= share
+        for link, *_ in numbers.bodies:
+            for at in self._at("mass", link):
+                by_x[:6, at] -= residual[:6] / numbers.mass
+        for rows in (residual, by_x.T, by_own.T, by_noise.T):
+            rows *= share
 
     def _unsure(self, sides: Array, by_sensor: NDArray[np.bool_]) -> Array:
         """Returns the standard deviations (nv,) of balance, but for what encoders' noise does."""
