@@ -477,8 +477,8 @@ def test_motion_is_smoothed_without_a_lag() -> None:
     position = np.sin(rate * time) + 1e-4 * random.normal(size=len(time))
     (band,) = find_bands(position[:, None], interval)
     assert 0.7 < band.density / (2 * interval * 1e-8) < 1.1
-    # Where noise is so little of accelerations: 8e-11 (2 pi)^4 f^5 / 5 = 5e-4 rate^4 / 2: 38 Hz.
-    assert 28 < band.cutoff < 45
+    # Where noise is so little of accelerations: 8e-11 (2 pi)^4 f^5 / 5 = 1e-3 rate^4 / 2: 44 Hz.
+    assert 33 < band.cutoff < 50
     at = time[500:-500] + 0.3 * interval
     found = smooth(position, interval, 12.0, at)
     assert found.velocity == pytest.approx(rate * np.cos(rate * at), abs=0.01 * rate)
@@ -497,9 +497,9 @@ def test_encoders_tell_accelerations_up_to_where_noise_is_little_of_their_power(
     still = np.zeros_like(position)
     noisy = np.column_stack([position, still]) + noise * random.normal(size=(len(time), 2))
     bands = find_bands(noisy, interval)
-    # 2 x 0.004 x 1.6e-9 (2 pi)^4 f^5 / 5 = 5e-4 of 12.5, what both do on average: 17 Hz.
+    # 2 x 0.004 x 1.6e-9 (2 pi)^4 f^5 / 5 = 1e-3 of 12.5, what both do on average: 20 Hz.
     for band in bands:
-        assert 12 < band.cutoff < 20
+        assert 15 < band.cutoff < 25
     loud = find_bands(noisy + 30 * noise * random.normal(size=noisy.shape), interval)
     assert loud[0].cutoff < bands[0].cutoff / 3  # goes with the fifth root of the square
 

@@ -24,9 +24,14 @@ them are guessed."""
 _SLOWEST = 1.0
 """Hz: what moves a joint by hand is faster. Below, nothing is left of a log of some seconds."""
 
-_NOISE = 5e-4
-"""Of the power of accelerations: by no more does their noise make an inertia too small, of which
-half a percent is told at best."""
+_NOISE = 1e-3
+"""Of the power of accelerations up to a cut-off. Windows of two of its periods pass a thirtieth of
+that: by no more does it make an inertia too small, were the encoder ten times as loud as it looks.
+"""
+
+_BEYOND = 2 * _PER_OCTAVE
+"""Parts beyond a frequency, two octaves, in which its noise is looked for: where friction makes
+joints jerk, their motion is louder than it for an octave. A driver's filter makes it quieter."""
 
 _ORDER = 4
 """Of Butterworth's filter, which is run in both directions: flat to 0.4 % at half its cut-off."""
@@ -70,9 +75,8 @@ def find_bands(position: Array, interval: float) -> tuple[Band, ...]:
 
     Noise of positions is noise of accelerations that grows with the fourth power of the frequency.
     How much of it there is up to a frequency is known from above, as noise is in all that is told:
-    there is no more of it than of the quietest part of the spectrum up to an octave beyond. (At the
-    spectrum's end there may be less: encoders' drivers filter.) What accelerates one joint counts
-    for all, by their mean: of a joint that hardly moves nothing is asked but to do so quietly.
+    no more than in the quietest part of the spectrum up to two octaves beyond. What accelerates one
+    joint counts for all, by their mean: of one that hardly moves it is asked but to do so quietly.
 
     Args:
         position: (n, joints) evenly sampled (rad, m).
@@ -88,7 +92,7 @@ def find_bands(position: Array, interval: float) -> tuple[Band, ...]:
     loud = (frequency[:, None] ** 4 * power).cumsum(axis=0) * frequency[1]
     motion = loud[[part[-1] for part in parts]].mean(axis=1, keepdims=True)
     floor = np.minimum.accumulate([power[part].mean(axis=0) for part in parts])
-    floor = floor[np.minimum(np.arange(len(parts)) + _PER_OCTAVE, len(parts) - 1)]
+    floor = floor[np.minimum(np.arange(len(parts)) + _BEYOND, len(parts) - 1)]
     noise = floor * middle[:, None] ** 5 / 5
     told = (noise <= _NOISE * motion) & (middle[:, None] <= _FINEST / interval)
     last = [int(np.flatnonzero(one).max(initial=0)) for one in told.T]
