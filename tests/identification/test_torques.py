@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -27,6 +28,7 @@ from pupper_analysis.identification.torques.blocks import (
     one_way,
 )
 from pupper_analysis.identification.torques.couplings import Coupling, parse_coupling
+from pupper_analysis.identification.torques.doubts import repeats
 from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS, TorqueEquations
 from pupper_analysis.identification.torques.estimate import Torques, innovations_together
 from pupper_analysis.identification.torques.fit import fit_torques
@@ -561,3 +563,47 @@ def test_logs_without_torques_or_motion_are_refused() -> None:
     with pytest.raises(MeasurementError) as refused:
         fit_torques(leg(), [still])
     assert refused.value.cause.code == "log-without-motion"
+
+
+def held_for(count: int) -> np.ndarray:
+    """Which row each sample has where positions are told anew at every so many."""
+    return np.arange(len(log().time)) // count * count
+
+
+@pytest.mark.parametrize(
+    ("position", "code", "values"),
+    [
+        (lambda: log().position[held_for(5)], "positions-repeated", {"count": 5}),
+        (
+            lambda: np.random.default_rng(0).uniform(-1, 1, log().position.shape),
+            "positions-jump",
+            {"joints": list(JOINTS)},
+        ),
+        (
+            lambda: 0.02 * np.sin(2 * np.pi * 12 * log().time)[:, None] * [1.0, 0.7],
+            "joints-turn-too-soon",
+            {},
+        ),
+    ],
+)
+def test_what_ails_positions_is_said(
+    position: Callable[[], np.ndarray], code: str, values: dict[str, object]
+) -> None:
+    with pytest.raises(MeasurementError) as refused:
+        fit_torques(leg(), [replace(log(), position=position())])
+    assert refused.value.cause.code == code
+    for name, value in values.items():
+        found = refused.value.cause.values[name]
+        assert (list(found) if isinstance(value, list) else found) == value
+
+
+def test_an_encoder_of_few_steps_that_turns_slowly_repeats_nothing() -> None:
+    time = np.arange(0, 10, 0.001)
+    angle = 0.3 * np.sin(time)
+    coarse = 1e-3 * np.round(angle / 1e-3)
+    assert (np.diff(coarse) == 0).mean() > 0.5
+    assert repeats(coarse) == 1
+    assert repeats(angle) == 1
+    assert repeats(coarse[np.arange(len(time)) // 20 * 20]) == 20
+    assert repeats(np.r_[angle, np.full(30000, angle[-1])]) == 1  # it rests
+    assert repeats(np.zeros(100)) == 1

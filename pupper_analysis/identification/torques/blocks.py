@@ -115,7 +115,7 @@ def measure_torques(
     couplings: Array | None = None,
     lag: float = 0.0,
 ) -> MeasuredTorques | None:
-    """Returns the equations of some logs; None if no part of one is long enough.
+    """Returns the equations of some logs; None if no part of one that is fitted is long enough.
 
     A mean of tau = Y pi over a window holds as it does at a moment, as it is linear in pi. Where a
     joint turns its friction makes acceleration jump; a filter against encoders' noise blurs that,
@@ -136,17 +136,16 @@ def measure_torques(
         return None
     cutoff = min(band.cutoff for band in bands.values())
     runs = [run for part in parts for run in _blocks(part, list(bands), cutoff, rest, lag)]
-    if not runs:
-        return None
-    rates = np.concatenate([run.velocity[~run.held_out].reshape(-1, len(rest)) for run in runs])
-    if not len(rates):
-        return None
+    rates = np.concatenate(
+        [np.zeros((0, len(rest)))]
+        + [run.velocity[~run.held_out].reshape(-1, len(rest)) for run in runs]
+    )
     noise = np.zeros(len(rest))
     for joint, band in bands.items():
         noise[joint] = band.velocity_noise(_PASSED * cutoff)
     drives = np.eye(len(rest)) if couplings is None else np.vstack([np.eye(len(rest)), couplings])
     least = np.maximum(
-        _STILL * np.sqrt(np.mean((rates @ drives.T) ** 2, axis=0)),
+        _STILL * np.sqrt(((rates @ drives.T) ** 2).sum(axis=0) / max(len(rates), 1)),
         _STILL_NOISE * np.sqrt(drives**2 @ noise**2),
     )
     for run in runs:

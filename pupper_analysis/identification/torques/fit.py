@@ -35,6 +35,7 @@ from pupper_analysis.identification.torques.couplings import (
     coupling_rows,
     parse_coupling,
 )
+from pupper_analysis.identification.torques.doubts import check_positions_are_new, why_nothing
 from pupper_analysis.identification.torques.equations import ENTRIES, OF_JOINTS
 from pupper_analysis.identification.torques.estimate import TORQUES, Torques
 from pupper_analysis.identification.torques.result import TorqueFit
@@ -105,6 +106,7 @@ def fit_torques(
         for at, name in enumerate(log.joints):
             if log.torque is None or not np.isfinite(log.torque[:, at]).any():
                 raise MeasurementError(log.source, diagnose("joint-without-torque", joint=name))
+        check_positions_are_new(log)
         _check_free(robot, log)
     bound = [parse_coupling(one) if isinstance(one, str) else one for one in couplings]
     rows = coupling_rows(robot, bound, [name for log in logs for name in log.joints])
@@ -113,8 +115,7 @@ def fit_torques(
     for _ in range(_ROUNDS):
         measured = measure_torques(placed, shares, robot.home, rows, lag)
         if measured is None or not any(_counted(measured, held_out=False)):
-            source = logs[0].source if logs else robot.name
-            raise MeasurementError(source, diagnose("nothing-to-fit"))
+            raise why_nothing(robot, logs, measured)
         torques = Torques.of(robot, measured, bound)
         table = _parameters(torques, known)
         posterior = torques.fit(table, start)

@@ -87,7 +87,10 @@ class SecondMoments(Moments):
         """
         width = self.table.width
         random = np.random.default_rng(0)
-        drawn = random.multivariate_normal(np.zeros(len(mean)), covariance, _DRAWS, method="eigh")
+        # Rounding makes what is known best negative by less than it is of what is known least.
+        drawn = random.multivariate_normal(
+            np.zeros(len(mean)), covariance, _DRAWS, check_valid="ignore", method="eigh"
+        )
         drawn = np.concatenate([drawn, -drawn])
         best = self.to_parameters(mean)
         ends = [self.to_parameters(self.with_least_masses(one)) for one in mean + width * drawn]

@@ -64,6 +64,11 @@ class Band:
     cutoff: float
     density: float
 
+    @property
+    def told(self) -> bool:
+        """Whether there is any such frequency: of what jumps there is none."""
+        return self.cutoff > _SLOWEST
+
     def velocity_noise(self, highest: float) -> float:
         """Returns the standard deviation of a velocity up to a frequency in Hz (rad/s, m/s)."""
         # The integral of (2 pi f)^2 over the band.
