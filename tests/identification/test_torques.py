@@ -223,6 +223,19 @@ def test_a_torque_of_the_other_sign_is_told(sign: tuple[int, int]) -> None:
     assert found.held_out > 3 * fitted().held_out
 
 
+@pytest.mark.parametrize("gain", [1.15, 0.85])
+def test_a_torque_whose_gain_is_another_is_told_by_the_links_it_carries_with_others(
+    gain: float,
+) -> None:
+    """Of two joints it is told that one is so large beside the other, and not which is right."""
+    torque = log().torque
+    assert torque is not None
+    found = fit_torques(leg(), [replace(log(), torque=torque * [1.0, gain])], priors=PRIORS)
+    (told,) = (one for one in found.diagnostics if one.code == "torque-gain-differs")
+    ratio = gain if told.values["joint"] == "knee" else 1 / gain
+    assert float(str(told.values["gain"])) == pytest.approx(ratio, abs=0.04)
+
+
 def test_swapped_joints_are_not_explained() -> None:
     torque = log().torque
     assert torque is not None

@@ -28,6 +28,9 @@ _SAME_NOISE = 0.02
 """Of deviations: noise that changes by no more changes no interval that is shown."""
 
 
+_GAIN = 0.1
+"""What is known of a torque's gain before: motors' currents by a constant of a data sheet."""
+
 TORQUES = "torques"
 """Subject of the lag of torques behind positions: one for all of them."""
 
@@ -145,6 +148,44 @@ class Torques:
             y = posterior.mean
             left, _ = self._linear(moments, y)
         return self._with_memory(moments, posterior, noise)
+
+    def find_gains(self, posterior: Posterior) -> tuple[Array, Array]:
+        """Returns how many times its size each joint's torque is told, beside the others'.
+
+        Links' weights are in the torques of several joints. So, had each sensor a gain of its own,
+        which no parameter is, measurements would tell it but for one that all have in common.
+
+        Args:
+            posterior: What is known of parameters, if all gains are 1.
+
+        Returns:
+            The gains (joints,), those of the others being 1 on average, and standard deviations.
+        """
+        table = ParameterTable(posterior.parameters)
+        moments = SecondMoments(table, self.equations.mass)
+        y = moments.of_parameters(posterior.mean)
+        left, slopes = self._linear(moments, y)
+        joints = left[0].shape[1]
+        sizes = [SeriesNoise.of([one[:, at] for one in left]).long_run for at in range(joints)]
+        z = (y - table.stated) / table.width
+        whole = np.zeros((len(table) + joints, len(table) + joints))
+        downhill = np.zeros(len(whole))
+        whole[:-joints, :-joints] = table.precision
+        downhill[:-joints] = -table.precision @ z
+        whole[-joints:, -joints:] = np.eye(joints) / _GAIN**2
+        for off, by_moments, torque in zip(left, slopes, self.torques, strict=True):
+            for at, size in enumerate(sizes):
+                told = np.isfinite(off[:, at])
+                rows = np.zeros((int(told.sum()), len(whole)))
+                rows[:, :-joints] = by_moments[told, at] * table.width
+                rows[:, len(table) + at] = (off + torque)[told, at]
+                whole += rows.T @ rows / size**2
+                downhill -= rows.T @ off[told, at] / size**2
+        covariance = np.linalg.inv(whole)
+        beside = np.eye(joints) - (1 - np.eye(joints)) / max(joints - 1, 1)
+        gains = beside @ (covariance @ downhill)[-joints:]
+        spread: Array = np.sqrt(np.diag(beside @ covariance[-joints:, -joints:] @ beside.T))
+        return 1 + gains, spread
 
     def _linearise(
         self, moments: SecondMoments, noise: Sequence[SeriesNoise]

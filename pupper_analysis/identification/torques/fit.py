@@ -14,7 +14,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.estimate import Posterior
+from pupper_analysis.identification.estimate import NORMAL_95, Posterior
 from pupper_analysis.identification.held_out import HOLD_OUT, hold_base, share_out
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.measurements.log import Log
@@ -60,6 +60,14 @@ as this where its friction is none of Coulomb's (Staubli's TX40)."""
 _AGAINST = -0.3
 """Correlation of a measured torque with that of the file's own numbers, from which on it pulls the
 other way: where a file is wrong there is little of it, and not the opposite."""
+
+_HARDLY = 0.1
+"""Of a measured torque: where the file's own numbers make less, as friction is the rest, they do
+not tell which way it is."""
+
+_GAIN, _SURE = 0.03, 4.0
+"""Of a torque, and standard deviations: by so much a gain differs that is to be told. Constants of
+motors are as good as that, and friction that is none of Coulomb's looks like a percent."""
 
 _TOLD = 1.0
 """Of a direction's information in the priors' widths: measurements tell it as well as these."""
@@ -239,6 +247,7 @@ def _told(
         failures=tuple(_unexplained(names, by_joint, noise, size)),
         diagnostics=(
             *(one for quality in qualities for one in quality.diagnostics),
+            *_gains(torques, names, posterior),
             *_notes(torques, names, torques.predicted(table, stated), root_mean_square(after[late]),
                     root_mean_square(before[late])),
         ),
@@ -287,6 +296,20 @@ def _unexplained(
         )
 
 
+def _gains(torques: Torques, names: Sequence[str], posterior: Posterior) -> Iterator[Diagnostic]:
+    """Yields whose torque is told too large or too small, beside those of other joints."""
+    gains, spread = torques.find_gains(posterior)
+    off = np.where(np.abs(gains - 1) > _GAIN, np.abs(gains - 1) / spread, 0.0)
+    worst = int(np.argmax(off))
+    if off[worst] > _SURE:
+        yield diagnose(
+            "torque-gain-differs",
+            joint=names[worst],
+            gain=float(gains[worst]),
+            spread=float(NORMAL_95 * spread[worst]),
+        )
+
+
 def _notes(
     torques: Torques, names: Sequence[str], stated: Sequence[Array], off: float, before: float
 ) -> Iterator[Diagnostic]:
@@ -300,7 +323,7 @@ def _notes(
         seen = np.concatenate([one[:, at] for one in torques.torques])
         said = np.concatenate([one[:, at] for one in stated])
         both = np.isfinite(seen)
-        if both.sum() < 2 or seen[both].std() * said[both].std() == 0:
+        if both.sum() < 2 or not said[both].std() > _HARDLY * seen[both].std() > 0:
             continue
         if np.corrcoef(seen[both], said[both])[0, 1] < _AGAINST:
             backwards.append(name)
