@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.arrays import inertia_of, inertia_tensor
+from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.identification.fit import fit
 from pupper_analysis.identification.measurements.log import Log
@@ -620,3 +621,13 @@ def test_an_encoder_of_few_steps_that_turns_slowly_repeats_nothing() -> None:
     assert repeats(coarse[np.arange(len(time)) // 20 * 20]) == 20
     assert repeats(np.r_[angle, np.full(30000, angle[-1])]) == 1  # it rests
     assert repeats(np.zeros(100)) == 1
+
+
+def test_joints_that_are_bound_to_each_other_are_left_out_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "bound.xml"
+    bound = '</actuator><equality><joint joint1="knee" joint2="hip"/></equality>'
+    file.write_text(MJCF.replace("</actuator>", bound), encoding="utf-8")
+    with pytest.raises(ConfigurationError) as refused:
+        fit_torques(load_robot(file), [log()])
+    assert "leave their columns out" in str(refused.value)
+    assert all(name in str(refused.value) for name in JOINTS)

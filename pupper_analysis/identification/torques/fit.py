@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import MeasurementError
+from pupper_analysis.errors import ConfigurationError, MeasurementError
 from pupper_analysis.identification.estimate import NORMAL_95, Posterior
 from pupper_analysis.identification.held_out import HOLD_OUT, hold_base, share_out
 from pupper_analysis.identification.links import AXES
@@ -143,8 +143,9 @@ def _check_free(robot: Robot, log: Log) -> None:
     closure = robot.closure
     if closure is not None:
         bound = {robot.joint_names[joint] for joint in (*closure.leading, *closure.following)}
-        if not bound.isdisjoint(log.joints):
-            robot.check_tree("fit")
+        told = [name for name in log.joints if name in bound]
+        if told:
+            raise ConfigurationError("log", diagnose("log-of-bound-joints", joints=told))
 
 
 def _counted(measured: MeasuredTorques, *, held_out: bool) -> list[bool]:
