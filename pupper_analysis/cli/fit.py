@@ -19,11 +19,14 @@ from pupper_analysis.cli.robots import (
     robot_from,
     with_robot,
 )
+from pupper_analysis.cli.stance_options import GAINS, parse_gain
 from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from pupper_analysis.identification.measurements.log import Log
     from pupper_analysis.identification.result import Fit
     from pupper_analysis.identification.stands.plan import StandPlan
@@ -105,11 +108,10 @@ if TYPE_CHECKING:
 @click.option(
     "--weight", metavar="MASS", help="What the whole robot weighs on a scale; e.g. 3.55kg."
 )
-@click.option("--kp", type=float, metavar="KP", help="Stiffness of the servos (N m/rad).")
 @click.option(
     "--encoder", metavar="ANGLE", help="Standard deviation of a measured position; e.g. 0.05deg."
 )
-@add_options(FILES, VARIANT)
+@add_options(FILES, VARIANT, GAINS)
 @shared.verbose_option
 @shared.look_option
 @shared.json_option
@@ -131,7 +133,8 @@ def fit(
     output: Path | None,
     priors: tuple[str, ...],
     weight: str | None,
-    kp: float | None,
+    kp: tuple[str, ...],
+    kd: tuple[str, ...],
     encoder: str | None,
     everything: bool,
     style: str,
@@ -169,10 +172,11 @@ def fit(
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"
     robot = robot_from(meant)
+    stiffness, damping = parse_gain("kp", kp, robot), parse_gain("kd", kd, robot)
     result: Fit | StandPlan
     if count is not None:
         result = _plan(
-            robot, count or 0, output, priors, kp, both_sides=both_sides, degrees=degrees
+            robot, count, output, priors, stiffness, both_sides=both_sides, degrees=degrees
         )
     else:
         from pupper_analysis.identification.fit import fit as fit_numbers
@@ -184,7 +188,8 @@ def fit(
                 robot,
                 measured,
                 priors=priors,
-                kp=kp,
+                kp=stiffness,
+                kd=damping,
                 weight=mass,
                 encoder=sure,
                 hold_out=hold_out,
@@ -236,7 +241,7 @@ def _plan(
     count: int,
     output: Path | None,
     priors: tuple[str, ...],
-    kp: float | None,
+    kp: ArrayLike | None,
     *,
     both_sides: bool,
     degrees: bool,

@@ -47,7 +47,7 @@ AS_PUBLISHED = (
 LOAD: tuple[Callable[[Command], Command], ...] = tuple(
     option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
 )
-SERVOS = (
+GAINS = (
     click.option(
         "--kp",
         multiple=True,
@@ -55,6 +55,9 @@ SERVOS = (
         help=ROBOT_FIELDS["kp"].help,
     ),
     click.option("--kd", multiple=True, metavar="[JOINTS=]NMS", help=ROBOT_FIELDS["kd"].help),
+)
+SERVOS = (
+    *GAINS,
     click.option(
         "--integrator",
         type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
@@ -135,7 +138,7 @@ class RobotAndTask:
 
     def gains(self, robot: Robot) -> tuple[ArrayLike | None, ArrayLike | None]:
         """Returns the servos' stiffness and damping at a robot's joints; None: the model's own."""
-        return _gain("kp", self.kp, robot), _gain("kd", self.kd, robot)
+        return parse_gain("kp", self.kp, robot), parse_gain("kd", self.kd, robot)
 
     def task(self) -> StandTask:
         """Returns the task of the stance."""
@@ -177,7 +180,7 @@ def robot_and_task(command: Command) -> Command:
     return add_options(*groups)(gathered)
 
 
-def _gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
+def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
     """Returns a gain for all joints, or (nu,) one each; the model's own where none is given."""
     from fnmatch import fnmatchcase
 

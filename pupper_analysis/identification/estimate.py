@@ -31,7 +31,7 @@ _NEAR = 100.0
 """Times the step that is let go: derivatives from so near, a standard deviation as a rule, do."""
 
 _KEPT = 0.5
-"""Of what a step promised: where less came, derivatives are made anew."""
+"""Of what a step promised: where less came, or twice as much, derivatives are made anew."""
 
 _LEAST_KEPT = 0.1
 """Of what a step promised: with less it is not taken, and a shorter one tried."""
@@ -237,7 +237,7 @@ def estimate_parameters(
             or moved.gain > _KEPT * promised
             or moved.gain > max(_LEAST_KEPT * promised, _MUDDY)
         ):
-            x, slopes.outdated = moved.x, moved.kept < _KEPT
+            x, slopes.outdated = moved.x, not _KEPT <= moved.kept <= 1 / _KEPT
         elif not at_x:
             slopes.outdated, damping = True, 0.0
         elif promised < (_STALLED * here.cost if costly and moved is None else _OPEN):

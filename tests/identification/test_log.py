@@ -135,8 +135,13 @@ def test_wrong_columns_are_found() -> None:
     degrees, swapped = np.rad2deg(good.position), "command-and-position-swapped"
     rate = np.gradient(good.position, good.time, axis=0)
     inspect_log(robot, replace(good, velocity=rate))
+    both = [0, 0]  # commanded alike: neither's is the other's
+    inspect_log(
+        robot, replace(good, position=good.position[:, both], command=good.command[:, both])
+    )
     for wrong, code in (
         (replace(good, position=good.command, command=good.position), swapped),
+        (replace(good, position=good.position[:, ::-1]), "positions-of-other-joints"),
         (replace(good, position=degrees, command=np.rad2deg(good.command)), "column-in-degrees"),
         (replace(good, position=degrees / 8, command=good.command / 8), "columns-of-two-units"),
         (replace(good, velocity=np.rad2deg(rate)), "velocity-in-another-unit"),

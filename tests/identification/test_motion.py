@@ -16,7 +16,6 @@ from pupper_analysis.convert.load import load_robot
 from pupper_analysis.errors import (
     ConfigurationError,
     MeasurementError,
-    ModelError,
     UnknownNameError,
 )
 from pupper_analysis.identification.measurements.log import Log
@@ -151,6 +150,8 @@ def test_a_motor_that_is_no_servo_needs_gains() -> None:
         for file, text in zip(files, (URDF, motor), strict=True):
             file.write_text(text, encoding="utf-8")
         robot = load_robot(*files)
-    if not robot.description.made_servos:
-        with pytest.raises(ModelError):
-            fit_motion(robot, [log()])
+    assert robot.description.made_servos  # so that it stands; they are no one's
+    for given in ({}, {"kp": 6.0}, {"kd": 0.0}):
+        with pytest.raises(MeasurementError) as refused:
+            fit_motion(robot, [log()], **given)
+        assert refused.value.cause.code == "command-without-gains"

@@ -42,6 +42,11 @@ _OPPOSED = -0.7
 """Of the correlation between commands and positions: a quarter of a turn late makes 0, and no servo
 that follows its command is later."""
 
+_OWN, _OTHERS = 0.5, 0.9
+"""Correlation of a position with its own joint's command, below which it may be another's, and with
+that other's. A servo that lags by a third of a period still has 0.5; of joints that are commanded
+alike both are high."""
+
 _SLOWEST = 0.1
 """s between samples: servos answer in less, and of a walk of 2 Hz five samples a step are left."""
 
@@ -191,6 +196,7 @@ def _remarks(robot: Robot, log: Log, named: list[int], found: LogQuality) -> Ite
     yield from _units(robot, log, named)
     if not found.moves.any():
         yield diagnose("log-without-motion", most=Quantity(found.range.max(initial=0.0), "rad"))
+    yield from _exchanged(robot, log, named, found.moves)
     yield from _reversed(robot, log, named, found.moves)
     yield from _swapped(robot, log, named, found.moves)
     still = [name for name, moves in zip(found.joints, found.moves, strict=True) if not moves]
@@ -298,6 +304,28 @@ def _reversed(
             found.append(robot.joint_names[index])
     if found:
         yield diagnose("command-sign-differs", joints=found)
+
+
+def _exchanged(
+    robot: Robot, log: Log, named: list[int], moves: NDArray[np.bool_]
+) -> Iterator[Diagnostic]:
+    """Finds joints whose position follows another's command, and not their own."""
+    commanded = np.flatnonzero(np.isfinite(log.command).any(axis=0))
+    moving = [index for index, one in zip(named, moves, strict=True) if one and index in commanded]
+    asked, done = log.command[:, moving], log.position[:, moving]
+    told = np.isfinite(asked).all(axis=1) & np.isfinite(done).all(axis=1)
+    if told.sum() < 10:
+        return
+    asked, done = asked[told] - asked[told].mean(axis=0), done[told] - done[told].mean(axis=0)
+    size = np.outer(np.linalg.norm(asked, axis=0), np.linalg.norm(done, axis=0))
+    alike = np.divide(asked.T @ done, size, out=np.zeros_like(size), where=size > 0)
+    whose = {
+        robot.joint_names[moving[at]]: robot.joint_names[moving[int(np.argmax(column))]]
+        for at, column in enumerate(alike.T)
+        if column[at] < _OWN and column.max() > _OTHERS
+    }
+    if whose:
+        yield diagnose("positions-of-other-joints", joints=list(whose), whose=list(whose.values()))
 
 
 def _swapped(

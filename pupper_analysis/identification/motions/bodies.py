@@ -11,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.identification.links import AXES, link_of
+from pupper_analysis.identification.motions.moments import LEAST_MASS
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
 
@@ -91,7 +92,8 @@ class MovingBodies:
         for number, (link, body) in enumerate(zip(self.links, self._bodies, strict=True)):
             if self.mass[number] <= 0:
                 continue
-            mass = max(table.value(vector, "mass", link, "", self.mass[number]), 0.0)
+            least = LEAST_MASS * self.mass[number]
+            mass = max(table.value(vector, "mass", link, "", self.mass[number]), least)
             com = [
                 table.value(vector, "com", link, axis, own)
                 for axis, own in zip(AXES, self.com[number], strict=True)

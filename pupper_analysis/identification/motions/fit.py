@@ -43,7 +43,12 @@ _LOOKS = 200
 """Postures of a log in which parts are looked at that may touch."""
 
 _MISFIT = 2.0
-"""What is left, in parts of an encoder's noise, from which a model does not explain a motion."""
+"""What is left, in parts of an encoder's noise, from which a model does not explain a motion: of
+half of the joints."""
+
+_MISFIT_OF_ONE = 10.0
+"""The same of a single joint: a clock that shakes by a tenth of an interval leaves 3, a joint that
+touches something, or whose column is another's, hundreds."""
 
 
 @check_arguments
@@ -75,8 +80,9 @@ def fit_motion(
     Raises:
         ConfigurationError: If an argument is out of its range.
         FitError: If it does not converge.
-        MeasurementError: If a log is none of this robot's, or nothing can be made of it.
-        ModelError: If the model has no servos and no gains are given.
+        MeasurementError: If a log is none of this robot's, or nothing can be made of it; if no file
+            states gains of its servos, and none are given.
+        ModelError: If the model has motors that are no servos, and no gains are given.
         UnknownNameError: If a log has joints that the robot has not.
     """
     motion, qualities = begin_motion(robot, logs, priors, hold_out, kp, kd)
@@ -102,6 +108,8 @@ def begin_motion(
     known = parse_priors(priors)
     robot, shared = hold_base(robot), share_out(logs, hold_out)
     drive = model_with_servos(robot, kp, kd)
+    if kp is None or kd is None:
+        _check_gains(robot, [log for log, _ in shared])
     qualities = tuple(inspect_log(robot, log, drive.kp) for log, _ in shared)
     runs: list[Run] = []
     for (log, share), quality in zip(shared, qualities, strict=True):
@@ -110,6 +118,19 @@ def begin_motion(
     table = _parameters(robot, drive, qualities, known)
     interval = float(np.median([quality.interval for quality in qualities]))
     return Motion(Simulator(robot, drive, table, interval), runs), qualities
+
+
+def _check_gains(robot: Robot, logs: Sequence[Log]) -> None:
+    """Checks that files state the gains of servos that moved: those made to stand are no one's.
+
+    Raises:
+        MeasurementError: If not.
+    """
+    made = {servo.joint for servo in robot.description.made_servos}
+    for log in logs:
+        lacking = [name for name in log.joints if name in made]
+        if lacking:
+            raise MeasurementError(log.source, diagnose("command-without-gains", joints=lacking))
 
 
 def _check(robot: Robot, drive: Servos, logs: Sequence[Log], runs: Sequence[Run]) -> None:
@@ -215,7 +236,8 @@ def _told(
 
 def _unexplained(robot: Robot, by_joint: Array, noise: Array, off: float) -> Iterator[Diagnostic]:
     """Yields what the fitted model does not explain."""
-    if np.nanmedian(by_joint / noise) > _MISFIT:
+    left = by_joint / noise
+    if np.nanmedian(left) > _MISFIT or np.nanmax(left, initial=0.0) > _MISFIT_OF_ONE:
         worst = int(np.nanargmax(by_joint))
         yield diagnose(
             "motion-not-explained",

@@ -10,7 +10,7 @@ from pupper_analysis.identification.parameters import ParameterTable
 
 Array = NDArray[np.float64]
 
-_LEAST_MASS = 0.01
+LEAST_MASS = 0.01
 """Of the stated mass: a lighter body's com is anywhere, and no simulation is of use."""
 
 
@@ -40,7 +40,7 @@ class Moments:
 
     def _lightness(self, vector: Array) -> Array:
         """Returns m0 / m of each com."""
-        least = _LEAST_MASS * self._stated_mass
+        least = LEAST_MASS * self._stated_mass
         found: Array = self._stated_mass / np.maximum(vector[self._masses], least)
         return found
 
