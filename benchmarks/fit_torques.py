@@ -121,8 +121,10 @@ def serve(
     truth: Truth,
     random: np.random.Generator,
     bandwidth: float,
-) -> Log:
+) -> Log | None:
     """Returns the log of an arm whose servos follow sines, by MuJoCo's own steps.
+
+    None if no such arm can be: a drawn inertia makes energy negative, and the simulation unstable.
 
     Positions and torques are those of one moment: what ``mj_step`` leaves are the torques of the
     moment before. Friction is made for the planted masses and armatures: without ``mj_setConst``
@@ -151,6 +153,8 @@ def serve(
             position.append(now)
             torque.append(data.qfrc_applied[dofs].copy())
         mujoco.mj_step(model, data)
+        if any(one.number for one in data.warning):
+            return None
     return measured(robot, clock[::each], np.array(position), np.array(torque), truth, random)
 
 
@@ -209,6 +213,9 @@ def run(
             if bandwidth
             else move(robot, model, truth, random)
         )
+        if log is None:
+            print(f"{name} {seed}: no such arm can be")
+            continue
         start = time.perf_counter()
         found = fit_torques(robot, [log], priors=PRIORS)
         seconds = time.perf_counter() - start
