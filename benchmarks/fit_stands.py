@@ -105,7 +105,7 @@ def random_stands(robot: Robot, rng: np.random.Generator, count: int) -> list[Co
             com_margin=(0.03 if lifted or not many else 0.05) * size,
         )
         try:
-            stand = pa.solve_stand(robot, task)
+            stand = pa.solve_stand(robot, task, explain=False)
             torques = pa.stance.stand_statics(robot, stand).joint_torques
             found.append((stand, stand.qpos[7:] + torques / servo_gains(robot).kp))
         except pa.PupperAnalysisError:

@@ -17,7 +17,6 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import (
     ConfigurationError,
     MeasurementError,
-    PupperAnalysisError,
 )
 from pupper_analysis.files import whole_file
 from pupper_analysis.identification.estimate import NORMAL_95
@@ -31,20 +30,18 @@ from pupper_analysis.identification.parameters import (
 from pupper_analysis.identification.result import Expected
 from pupper_analysis.identification.stands.equations import StandEquations
 from pupper_analysis.identification.stands.fit import (
-    SURE,
     expected_noise,
     parameters_of,
     stated_stiffness,
 )
+from pupper_analysis.identification.stands.random_stands import RandomStands
 from pupper_analysis.identification.told import told_by
 from pupper_analysis.results import Result
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, servo_gains
 from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
-from pupper_analysis.stance.stand import solve_stand
-from pupper_analysis.stance.task import StandTask
+from pupper_analysis.stance.sag.steady_state import SteadyState
 
 Array = NDArray[np.float64]
 
@@ -53,36 +50,6 @@ _MOST_STANDS = 1000
 
 _CANDIDATES = 6
 """Per stand that is wanted: among so many the best are found that a hundred more hardly better."""
-
-_TRIES = 8
-"""Per candidate: of random stands, one in two to four is in reach, in balance and lasts."""
-
-_IN_VAIN = 24
-"""Tries, of which none is a stand: one in eight would have been, with 96 %."""
-
-_UTILISED = 0.6
-"""Of a motor's limit, at most: what is measured is a robot that stands for minutes."""
-
-_HEIGHTS = (0.75, 1.1)
-"""Of the nominal stand's height."""
-
-_TILT = 0.25
-"""rad: roll and pitch, either way."""
-
-_STEP = 0.15
-"""Of the height: how far a foot stands from its nominal place, either way."""
-
-_LIFTED = 0.15
-"""Of the height: how high a foot is swung."""
-
-_ON_THREE = 0.4
-"""Share of candidates with a foot in the air, of robots with four feet and more."""
-
-_CLEAR = 0.005
-"""m: between links, in a stand that a robot comes to."""
-
-_MARGIN = 0.05
-"""Of the height: how far the com is from the polygon's edge."""
 
 
 @dataclass(frozen=True)
@@ -160,17 +127,10 @@ def plan_stands(
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
     rng = np.random.default_rng(seed)
     known = parse_priors(priors)
-    margin = SURE * _offset_width(robot, known)
-    wanted = _CANDIDATES * count
-    found: list[tuple[Stand, SteadyState]] = []
-    for tries in range(_TRIES * wanted):
-        if len(found) == wanted or (tries == _IN_VAIN and not found):
-            break
-        if (stand := _random_stand(robot, rng, kp, margin)) is not None:
-            found.append(stand)
+    candidates = RandomStands(robot, rng, kp, known)
+    found = candidates.draw(_CANDIDATES * count)
     if len(found) < count:
-        told = diagnose("too-few-candidates", found=len(found), wanted=count)
-        raise MeasurementError(robot.name, told)
+        raise MeasurementError(robot.name, candidates.explain(count))
     stands = _predicted(robot, found, kp, both_sides=both_sides)
     stiffness, rubbing = stated_stiffness(robot, stands, kp), DryFriction.of(robot).joints
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
@@ -237,48 +197,6 @@ _EXCHANGES = 5
 
 def _volume(information: Array) -> float:
     return float(np.linalg.slogdet(information)[1])
-
-
-def _offset_width(robot: Robot, priors: Sequence[Prior]) -> float:
-    """Returns how far an encoder's zero may be off (rad), as a standard deviation."""
-    offsets = [("offset", name, "", 0.0) for name in robot.joint_names]
-    named = [prior for prior in priors if prior.kind == "offset"]
-    return max((one.width for one in give_widths(offsets, named)), default=0.0)
-
-
-def _random_stand(
-    robot: Robot, rng: np.random.Generator, kp: ArrayLike | None, margin: float
-) -> tuple[Stand, SteadyState] | None:
-    """Returns a stand that the robot's servos hold, and where they let it sag to; None of none.
-
-    Its joints keep off their limits: whose encoder is off may be at a stop that nobody sees.
-    """
-    size = robot.stand_height
-    feet = list(robot.feet)
-    swing = {}
-    if len(feet) > 3 and rng.random() < _ON_THREE:
-        swing = {feet[rng.integers(len(feet))]: _LIFTED * size}
-    try:
-        task = StandTask(
-            height=size * rng.uniform(*_HEIGHTS),
-            roll=rng.uniform(-_TILT, _TILT),
-            pitch=rng.uniform(-_TILT, _TILT),
-            swing=swing,
-            foot_offsets={foot: tuple(rng.uniform(-_STEP, _STEP, 2) * size) for foot in feet},
-            com="inside",
-            com_margin=_MARGIN * size,
-            self_clearance=_CLEAR,
-            joint_margin=margin,
-        )
-        stand = solve_stand(robot, task)
-        sagged = steady_state(robot, stand, kp=kp, feedforward=True)
-    except PupperAnalysisError:
-        return None
-    share = np.abs(sagged.joint_torques) / robot.effort_limits
-    carries = set(sagged.stance_feet) == set(stand.stance_feet)
-    if sagged.failures or share.max() > _UTILISED or not carries:
-        return None
-    return stand, sagged
 
 
 def _predicted(

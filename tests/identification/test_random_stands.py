@@ -1,0 +1,65 @@
+"""Random stands: com and joints keep off by what is not known of them, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pupper_analysis.identification.links import bodies_of
+from pupper_analysis.identification.parameters import parse_prior
+from pupper_analysis.identification.stands import random_stands
+from pupper_analysis.identification.stands.random_stands import RandomStands
+from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.study.parameters import scale_robot
+
+
+@pytest.mark.parametrize(
+    "priors", [("mass=20%", "com=8mm"), ("mass=0", "com=0", "com:base_link=4mm")]
+)
+def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[str, ...]) -> None:
+    """Against 2000 robots whose masses and coms are drawn from the priors."""
+    robot, rng = load_variant("original"), np.random.default_rng(4)
+    known = [parse_prior(one) for one in priors]
+    mass = next(one.share for one in known if one.kind == "mass" and one.subject == "*")
+    found = []
+    for _ in range(2000):
+        factors = {}
+        for link, _at in bodies_of(robot):
+            com = [one.width for one in known if one.kind == "com" and one.subject in ("*", link)]
+            factors[f"mass:{link}"] = 1 + (0.0 if np.isnan(mass) else mass) * rng.normal()
+            factors |= {f"com_{axis}:{link}": com[-1] * rng.normal() for axis in "xyz"}
+        drawn = scale_robot(robot, factors)
+        found.append(Configuration(drawn, robot.home).center_of_mass()[:2])
+    aside = np.std(found, axis=0).max()
+    # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
+    assert random_stands._com_width(robot, known) == pytest.approx(aside, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["original", "long-leg"])
+def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
+    variant: str,
+) -> None:
+    """They keep off: joints by three widths of encoders' zeros, links by half of what is there."""
+    robot = load_variant(variant)
+    priors = [parse_prior("offset=2deg"), parse_prior("com=5mm")]
+    found = RandomStands(robot, np.random.default_rng(0), None, priors).draw(6)
+    assert len(found) == 6
+    off = 3 * np.radians(2.0)
+    for stand, sagged in found:
+        assert (stand.qpos[7:] > robot.lower_limits + off - 1e-9).all()
+        assert (stand.qpos[7:] < robot.upper_limits - off + 1e-9).all()
+        assert stand.self_clearance.distance > 0.001
+        assert set(sagged.stance_feet) == set(stand.stance_feet)
+
+
+@pytest.mark.slow
+def test_what_leaves_no_stand_is_named() -> None:
+    robot, rng = load_variant("original"), np.random.default_rng(0)
+    unsure = RandomStands(robot, rng, None, [parse_prior("offset=20deg")])
+    assert unsure.draw(3) == []
+    assert unsure.explain(3).code == "too-few-in-reach"
+    soft = RandomStands(load_variant("v3"), rng, 0.3)
+    assert soft.draw(3) == []
+    assert soft.explain(3).code == "too-few-are-held"
