@@ -281,7 +281,8 @@ def show(found: Fit) -> None:
     """Prints how well a fit predicts what it has not seen."""
     if isinstance(found, MotionFit):
         print(f"held out {1e3 * found.held_out:.2f} mrad, file {1e3 * found.held_out_before:.2f},")
-        print(f"the robot itself repeats to {1e3 * found.repeatability:.2f} mrad")
+        if np.isfinite(found.repeatability):  # of runs with the same commands
+            print(f"the robot itself repeats to {1e3 * found.repeatability:.2f} mrad")
     if isinstance(found, TorqueFit):
         print(f"held out {found.held_out:.3g} N m, {100 * found.held_out / found.torque:.1f} %,")
         print(f"file {found.held_out_before:.3g} N m; {found.equations} equations")

@@ -92,7 +92,8 @@ def fit_stands(
         raise MeasurementError(
             given.source, diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
         )
-    stiffness = stated_stiffness(robot, given, kp)
+    commanded: NDArray[np.bool_] = np.isfinite(given.command).any(axis=0)
+    stiffness = stated_stiffness(robot, given.source, commanded, kp)
     rubbing = DryFriction.of(robot).joints
     table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
     noise, friction = expected_noise(robot, given, rubbing, encoder)
@@ -202,13 +203,20 @@ def parameters_of(
         yield "imu", "imu", "pitch", 0.0
 
 
-def stated_stiffness(robot: Robot, stands: MeasuredStands, kp: ArrayLike | None) -> Array:
+def stated_stiffness(
+    robot: Robot, source: str, commanded: NDArray[np.bool_], kp: ArrayLike | None
+) -> Array:
     """Returns the servos' stated stiffness (nu,) (N m/rad); 0 without a servo.
+
+    Args:
+        robot: The robot.
+        source: From where the commands are.
+        commanded: (nu,) which joints have commands.
+        kp: What a caller says (N m/rad).
 
     Raises:
         MeasurementError: If a joint has commands, and no file states its servo's kp.
     """
-    commanded = np.isfinite(stands.command).sum(axis=0) > 0
     if kp is None:
         own = own_servos(robot)
         made = {servo.joint for servo in robot.description.made_servos}
@@ -218,7 +226,7 @@ def stated_stiffness(robot: Robot, stands: MeasuredStands, kp: ArrayLike | None)
             if asked and (name not in own or name in made)
         ]
         if lacking:
-            raise MeasurementError(stands.source, diagnose("command-without-kp", joints=lacking))
+            raise MeasurementError(source, diagnose("command-without-kp", joints=lacking))
         return np.array([own.get(name, (0.0, 0.0))[0] for name in robot.joint_names])
     return servo_gains(robot, kp, 0.0).kp
 

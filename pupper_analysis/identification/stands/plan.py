@@ -125,6 +125,7 @@ def plan_stands(
         raise ConfigurationError("count", diagnose("no-count", count=count))
     if seed < 0:
         raise ConfigurationError("seed", diagnose("no-seed", seed=seed))
+    stiffness = stated_stiffness(robot, robot.name, np.ones(robot.nu, dtype=bool), kp)
     rng = np.random.default_rng(seed)
     known = parse_priors(priors)
     candidates = RandomStands(robot, rng, kp, known)
@@ -132,7 +133,7 @@ def plan_stands(
     if len(found) < count:
         raise MeasurementError(robot.name, candidates.explain(count))
     stands = _predicted(robot, found, kp, both_sides=both_sides)
-    stiffness, rubbing = stated_stiffness(robot, stands, kp), DryFriction.of(robot).joints
+    rubbing = DryFriction.of(robot).joints
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
     noise, friction = expected_noise(robot, stands, rubbing, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
