@@ -92,7 +92,7 @@ def fit_stands(
         raise MeasurementError(
             given.source, diagnose("too-few-stands", stands=len(given), least=_LEAST_STANDS)
         )
-    commanded: NDArray[np.bool_] = np.isfinite(given.command).any(axis=0)
+    commanded = np.isfinite(given.command).sum(axis=0) > 0
     stiffness = stated_stiffness(robot, given.source, commanded, kp)
     rubbing = DryFriction.of(robot).joints
     table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
