@@ -5,11 +5,12 @@
 What is true of a robot is drawn from the priors that the fit is told: masses (15 %), coms (10 mm),
 zeros of encoders (1.5 deg, less of stiff servos), kp (15 %, half of it common), dry friction
 (30 %), the IMU's turn (1 deg), the ground's slope (0.2 deg). Twice these widths hold 95 %: masses
-and kp to 30 %, coms to 20 mm, zeros to 3 deg. (Masses and kp are drawn by amounts, and taken for off
-by factors: a mass of a half, 3.3 widths away, is 4.6 then, and called far from the file.) Its stands are predicted by the equations of sag,
-which share none with the fit's, on ground that is uneven; or simulated in MuJoCo. Encoders have 12
-bits and shake, an IMU and a scale are read, both with noise (``--unweighed``: no scale). Seeds are
-of a robot's own: runs are the same each time.
+and kp to 30 %, coms to 20 mm, zeros to 3 deg. (Masses and kp are drawn by amounts, and taken for
+off by factors: a mass of a half is 3.3 widths away, and 4.6 for the fit, which calls it far from
+the file.) Its stands are predicted by the equations of sag, which share none with the fit's, on
+ground that is uneven; or simulated in MuJoCo. Encoders have 12 bits and shake, an IMU and a scale
+are read, both with noise (``--unweighed``: no scale). Seeds are of a robot's own: runs are the same
+each time.
 
 ``--slope`` and ``--soft`` are of the ground, and nobody tells the fit.
 """
