@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,3 +89,10 @@ class SeriesNoise:
         back = lfilter([self.innovation], [1.0, *-self.coefficients], weights[::-1], axis=0)
         turned: Array = back.T
         return turned
+
+
+def root_mean_square(series: Iterable[Array]) -> float:
+    """Returns the root mean square of what is not NaN; NaN of nothing."""
+    whole = np.concatenate([one.ravel() for one in series])
+    told = whole[np.isfinite(whole)]
+    return float(np.sqrt(np.mean(told**2))) if told.size else math.nan

@@ -11,7 +11,7 @@ from pupper_analysis.identification.estimate import (
     Posterior,
     estimate_parameters,
 )
-from pupper_analysis.identification.motions.moments import Moments
+from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.parameters import Parameter, ParameterTable
 from pupper_analysis.identification.slopes import Slopes
 

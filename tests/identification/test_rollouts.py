@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from pupper_analysis.identification.links import link_of
 from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.motions.bodies import MovingBodies
 from pupper_analysis.identification.motions.derivatives import differentiate
-from pupper_analysis.identification.motions.moments import Moments
 from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
 from pupper_analysis.identification.noise import SeriesNoise
 from pupper_analysis.identification.parameters import Parameter, ParameterTable

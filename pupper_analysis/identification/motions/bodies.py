@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.identification.links import AXES, link_of
-from pupper_analysis.identification.motions.moments import LEAST_MASS
+from pupper_analysis.identification.moments import LEAST_MASS
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.motions.moments import Moments
+from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.motions.rollouts import Run, Simulator
 
 Array = NDArray[np.float64]

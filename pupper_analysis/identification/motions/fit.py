@@ -19,9 +19,10 @@ from pupper_analysis.identification.measurements.log_quality import (
     find_quantum,
     inspect_log,
 )
-from pupper_analysis.identification.motions.residuals import Motion, root_mean_square
+from pupper_analysis.identification.motions.residuals import Motion
 from pupper_analysis.identification.motions.result import MotionFit
 from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
+from pupper_analysis.identification.noise import root_mean_square
 from pupper_analysis.identification.parameters import (
     ParameterTable,
     Prior,

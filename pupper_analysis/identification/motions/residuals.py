@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -15,10 +13,10 @@ from pupper_analysis.identification.estimate import (
     Posterior,
     estimate_parameters,
 )
+from pupper_analysis.identification.moments import Moments
 from pupper_analysis.identification.motions.derivatives import differentiate
-from pupper_analysis.identification.motions.moments import Moments
 from pupper_analysis.identification.motions.rollouts import Run, Simulator
-from pupper_analysis.identification.noise import SeriesNoise
+from pupper_analysis.identification.noise import SeriesNoise, root_mean_square
 from pupper_analysis.identification.parameters import KINDS
 from pupper_analysis.identification.slopes import Slopes
 
@@ -196,21 +194,8 @@ class Motion:
         if posterior.open_step is not None:
             open_step = posterior.open_step / width
             covariance += np.outer(open_step, open_step)
-        # From moments to coms.
-        mean = self.moments.to_parameters(posterior.mean)
-        turn = self.moments.derivative(posterior.mean) * width / width[:, None]
-        back = np.linalg.inv(turn)
         bends = self._bends(posterior, covariance)
-        covariance = turn @ covariance @ turn.T + bends.T @ bends / len(bends)
-        covariance = (covariance + covariance.T) / 2
-        return replace(
-            posterior,
-            mean=mean,
-            covariance=width[:, None] * covariance * width,
-            information=back.T @ posterior.information @ back,
-            precision=back.T @ posterior.precision @ back,
-            open_step=None if posterior.open_step is None else width * (turn @ open_step),
-        )
+        return self.moments.of_posterior(posterior, posterior.mean, covariance, bends)
 
     def _bends(self, posterior: Posterior, covariance: Array) -> Array:
         """Returns how far parameters are from where straight lines lead (draws, n), in widths.
@@ -323,10 +308,3 @@ def _alike(one: Sequence[SeriesNoise], other: Sequence[SeriesNoise]) -> bool:
         abs(own.long_run / its.long_run - 1) < _SAME_NOISE
         for own, its in zip(one, other, strict=True)
     )
-
-
-def root_mean_square(series: Iterable[Array]) -> float:
-    """Returns the root mean square of what is not NaN; NaN of nothing."""
-    whole = np.concatenate([one.ravel() for one in series])
-    told = whole[np.isfinite(whole)]
-    return float(np.sqrt(np.mean(told**2))) if told.size else math.nan

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.identification.motions.residuals import root_mean_square
-from pupper_analysis.identification.noise import SeriesNoise
+from pupper_analysis.identification.noise import SeriesNoise, root_mean_square
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.torques.blocks import MeasuredTorques
 from pupper_analysis.identification.torques.couplings import Coupling
@@ -228,19 +227,9 @@ class Torques:
         spread *= posterior.rows / max(posterior.freedom, 1.0)  # what parameters took of the noise
         spread = width[:, None] * spread * width + posterior.precision
         covariance = narrow @ spread @ narrow
-        # From moments to parameters.
         inside = moments.with_least_masses(posterior.mean)
-        turn = moments.derivative(inside) * width / width[:, None]
         bends = moments.bends(inside, (covariance + covariance.T) / 2)
-        covariance = turn @ covariance @ turn.T + bends.T @ bends / len(bends)
-        covariance, back = (covariance + covariance.T) / 2, np.linalg.inv(turn)
-        return replace(
-            posterior,
-            mean=moments.to_parameters(inside),
-            covariance=width[:, None] * covariance * width,
-            information=back.T @ posterior.information @ back,
-            precision=back.T @ posterior.precision @ back,
-        )
+        return moments.of_posterior(posterior, inside, covariance, bends)
 
 
 def innovations_together(noise: Sequence[SeriesNoise], left: Sequence[Array]) -> Array:

@@ -19,7 +19,7 @@ from pupper_analysis.identification.held_out import HOLD_OUT, hold_base, share_o
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.measurements.log_quality import LogQuality, inspect_log
-from pupper_analysis.identification.motions.residuals import root_mean_square
+from pupper_analysis.identification.noise import root_mean_square
 from pupper_analysis.identification.parameters import (
     KINDS,
     ParameterTable,

@@ -9,15 +9,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arrays import inertia_entries
 from pupper_analysis.identification.links import AXES
-from pupper_analysis.identification.motions.moments import Moments
+from pupper_analysis.identification.moments import LEAST_MASS, Moments
 from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.identification.torques.equations import ENTRIES
 
 Array = NDArray[np.float64]
-
-_LEAST_MASS = 0.01
-"""Of the stated mass: no link is lighter, and its com would be anywhere."""
-
 
 _DRAWS = 200
 """Pairs: what bends adds to a deviation is known to a twentieth."""
@@ -49,7 +45,7 @@ class SecondMoments(Moments):
         for link, stated in self._kg.items():
             place = self.table.place("mass", link)
             if place is not None:
-                found[place] = max(found[place], _LEAST_MASS * stated)
+                found[place] = max(found[place], LEAST_MASS * stated)
         return found
 
     def to_parameters(self, moments: Array) -> Array:
@@ -113,7 +109,7 @@ class SecondMoments(Moments):
                     off += (moments[place] - self.table.stated[place]) * unit
                     units[place] = unit
             mass = self.table.place("mass", link)
-            kg = stated if mass is None else max(float(moments[mass]), _LEAST_MASS * stated)
+            kg = stated if mass is None else max(float(moments[mass]), LEAST_MASS * stated)
             share = stated**2 / kg
             moved = share * _about(off, off)[told]
             slopes = {place: 2 * share * _about(off, unit)[told] for place, unit in units.items()}

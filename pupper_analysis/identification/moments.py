@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.parameters import ParameterTable
 
@@ -65,3 +68,28 @@ class Moments:
         found[self._coms, self._coms] = lightness
         found[self._coms, self._masses] = -(lightness**2) * off / self._stated_mass
         return found
+
+    def of_posterior(
+        self, posterior: Posterior, moments: Array, covariance: Array, bends: Array
+    ) -> Posterior:
+        """Returns what is known of parameters, of what is known of moments.
+
+        Args:
+            posterior: Of moments.
+            moments: (n,) where these are taken to be.
+            covariance: (n, n) of them, in the priors' widths.
+            bends: (draws, n) how far parameters are from where straight lines lead, likewise.
+        """
+        width = np.array([one.width for one in posterior.parameters])
+        turn = self.derivative(moments) * width / width[:, None]
+        back, step = np.linalg.inv(turn), posterior.open_step
+        covariance = turn @ covariance @ turn.T + bends.T @ bends / len(bends)
+        covariance = (covariance + covariance.T) / 2
+        return replace(
+            posterior,
+            mean=self.to_parameters(moments),
+            covariance=width[:, None] * covariance * width,
+            information=back.T @ posterior.information @ back,
+            precision=back.T @ posterior.precision @ back,
+            open_step=None if step is None else width * (turn @ (step / width)),
+        )
