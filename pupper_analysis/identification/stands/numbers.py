@@ -30,7 +30,7 @@ class Numbers:
         tilts: (2, 3) its derivatives by the slope.
         imu: (2,) roll and pitch of the IMU in the base (rad).
         mass: Of the whole robot (kg).
-        heaviness: That, by which moments on feet are balanced (kg).
+        heaviness: The mass at which noise is taken (kg), as ``stiff`` is the kp.
         stiff: (nu,) kp, by which an encoder's noise becomes torque.
         rubbing: (nu,) friction, that nobody knows the place in.
     """
