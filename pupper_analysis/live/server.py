@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 import webbrowser
@@ -27,7 +28,7 @@ RELOADED = 10.0
 """s within which a browser that left and comes back, asking for the same, goes on where it was: it
 has loaded the page again, or lost its connection for a moment."""
 
-_LEAVE = 3.0  # s that sessions have to end what they are at
+_LEAVE = 1.0  # s that all sessions together have to end what they are at
 
 
 class Served:
@@ -52,7 +53,7 @@ class Served:
     def __init__(self, robot: str, size: float, language: str, host: str, port: int | None) -> None:
         self._language = Language(language)
         self.sessions: dict[int, Any] = {}
-        self._lock = threading.Lock()
+        self._lock, self._closed = threading.Lock(), False
         door, free = Door(host), viser_parts.free_port(host, port)
         self._server = viser_parts.start_server(host, free, f"{robot}, live", door)
         self.address = viser_parts.address_of(self._server, host, door)
@@ -76,6 +77,8 @@ class Served:
         raise NotImplementedError
 
     def _opened(self, client: Any) -> None:
+        if self._closed:  # it has waited in viser's queue until now, and would keep the process
+            return
         address, words, language = viser_parts.asked_for(self._server, client.client_id)
         say = Language(language) if language in NAMES else self._language
         camera = client.camera
@@ -86,7 +89,7 @@ class Served:
         session = self._session(client, address, words, say)
         with self._lock:
             self.sessions[client.client_id] = session
-        if client.client_id not in self._server.get_clients():  # it left meanwhile
+        if self._closed or client.client_id not in self._server.get_clients():  # or it left
             self._left(client)
 
     def _left(self, client: Any) -> None:
@@ -99,14 +102,15 @@ class Served:
     def close(self) -> None:
         """Ends all sessions, and serves no more."""
         with self._lock:
+            self._closed = True
             sessions = [*self.sessions.values()]
             self.sessions.clear()
         for session in sessions:
             session.close()
-        for session in sessions:
-            for thread in session.threads:
-                thread.join(_LEAVE)
         viser_parts.stop_server(self._server)
+        end = time.monotonic() + _LEAVE
+        for thread in itertools.chain.from_iterable(session.threads for session in sessions):
+            thread.join(max(0.0, end - time.monotonic()))
 
 
 class Page(Served):

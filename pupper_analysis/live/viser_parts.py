@@ -6,6 +6,7 @@ import contextlib
 import io
 import logging
 import socket
+import warnings
 from collections.abc import Iterator, Sequence
 from functools import partial
 from http import HTTPStatus
@@ -16,6 +17,9 @@ from urllib.parse import parse_qs, urlsplit
 from pupper_analysis.diagnostics import LANGUAGES, diagnose
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.live.door import HEADERS, MOST_BYTES, Door, problem_of
+
+FAREWELL = 0.3
+"""s that browsers have to answer when the server ends; one that sleeps or is gone never does."""
 
 
 def import_viser() -> Any:
@@ -73,6 +77,8 @@ def start_server(host: str, port: int, label: str, door: Door | None = None) -> 
     # What knocks at the port and says nothing, or nonsense, is no error of this program.
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
+    # Nor is a browser that leaves while its page is made.
+    warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
     with silence_viser(), _behind(door or Door(host)):
         server = import_viser().ViserServer(host=host, port=port, label=label, verbose=False)
     server.request_share_url = lambda *_, **__: None
@@ -114,7 +120,7 @@ def _behind(door: Door) -> Iterator[None]:
                 response.headers["Set-Cookie"] = door.cookie
             return response
 
-        own = {"process_request": answered, "max_size": MOST_BYTES}
+        own = {"process_request": answered, "max_size": MOST_BYTES, "close_timeout": FAREWELL}
         return serve(handler, *where, **(options | own))
 
     websockets.serve = guarded

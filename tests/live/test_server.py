@@ -1,0 +1,55 @@
+"""A page that is closed is gone at once, whatever its browsers do."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.live.server import Page
+from pupper_analysis.pupper.live import LiveVariants
+
+viser = pytest.importorskip("viser", reason="viser is not installed")
+websockets = pytest.importorskip("websockets.asyncio.client")
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    one = Page(LiveVariants(pa.VARIANTS["v3"]))
+    yield one
+    one.close()
+
+
+def test_a_browser_that_does_not_answer_holds_up_nobody(page: Page) -> None:
+    """viser gives up after 6 s, and its thread is left; one that sleeps may need 10 s and more."""
+    server = page._server._websock_server._server_thread
+
+    async def sleep_while_it_closes() -> None:
+        async with websockets.connect(
+            page.address.replace("http", "ws"),
+            origin=f"http://{urlsplit(page.address).netloc}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            max_size=None,
+        ):
+            await asyncio.sleep(0.05)
+            assert server.is_alive()
+            page.close()  # the browser's loop stands still meanwhile: it does not say goodbye
+            assert not server.is_alive()
+
+    asyncio.run(sleep_while_it_closes())
+
+
+def test_who_waited_until_it_is_closed_gets_no_session(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """viser calls for browsers in a queue, which Python waits for at its end."""
+    made: list[Any] = []
+    monkeypatch.setattr(page, "_session", lambda *asked: made.append(asked))
+    page.close()
+    page._opened(object())
+    assert made == []
+    assert page.sessions == {}
