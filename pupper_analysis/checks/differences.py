@@ -47,6 +47,12 @@ ORDER = (
     "flex",
     "plugin",
     "flag",
+    "collision",
+    "geom",
+    "pair",
+    "exclude",
+    "option",
+    "key",
 )
 """All kinds: those of equal effect are listed in this order."""
 

@@ -1,4 +1,4 @@
-"""The numbers of a joint: what each is called in a URDF, in an MJCF and in both engines.
+"""The numbers of joints and of what touches: what each is called in the files and in the engines.
 
 Reading, audit, comparison, `sync` and conversion go through this one table;
 `docs/explanation/architecture.md` shows how to add a row.
@@ -178,3 +178,48 @@ PASSIVE: Final = tuple(attribute for attribute in JOINT_ATTRIBUTES if attribute.
 
 COMPILED: Final = tuple(one for one in JOINT_ATTRIBUTES if one.mujoco or one.of_joints)
 """What MuJoCo has an array for: an MJCF's joint states it by a word of that attribute."""
+
+
+@dataclass(frozen=True)
+class ElementAttribute:
+    """A number of an MJCF's geom, contact pair, option or keyframe, none of which a URDF has.
+
+    Attributes:
+        element: Its element's tag: ``geom``, ``pair``, ``option`` or ``key``.
+        word: The element's attribute; a change is called so, too.
+        mujoco: MuJoCo's array, with a row for each element; of an option the attribute of ``opt``.
+        unit: Of its numbers, where they have one in common.
+    """
+
+    element: str
+    word: str
+    mujoco: str
+    unit: str = ""
+
+
+_CONTACT: Final = ("solref", "solimp", "margin", "gap")
+_UNITS: Final = {"margin": "m", "gap": "m", "timestep": "s", "gravity": "m/s^2"}
+_OF_GEOMS: Final = (
+    "friction", "condim", *_CONTACT, "contype", "conaffinity", "priority", "solmix", "adhesion",
+    "surfacevel",
+)  # fmt: skip
+_OF_PAIRS: Final = ("friction", "solreffriction", *_CONTACT, "adhesion")
+_OF_OPTIONS: Final = (
+    "timestep", "integrator", "cone", "solver", "jacobian", "impratio", "iterations", "tolerance",
+    "ls_iterations", "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations",
+    "ccd_tolerance", "sdf_initpoints", "sdf_iterations", "sleep_tolerance", "magnetic", "o_margin",
+    "o_solref", "o_solimp", "o_friction", "disableactuator",
+)  # fmt: skip
+_OF_KEYS: Final = ("qpos", "qvel", "act", "ctrl", "mpos", "mquat", "plastic", "time")
+
+ELEMENT_ATTRIBUTES: Final = (
+    *(ElementAttribute("geom", word, f"geom_{word}", _UNITS.get(word, "")) for word in _OF_GEOMS),
+    ElementAttribute("pair", "condim", "pair_dim"),
+    *(ElementAttribute("pair", word, f"pair_{word}", _UNITS.get(word, "")) for word in _OF_PAIRS),
+    *(ElementAttribute("option", word, word, _UNITS.get(word, "")) for word in _OF_OPTIONS),
+    *(ElementAttribute("key", word, f"key_{word}") for word in _OF_KEYS),
+)
+"""What decides how a robot touches the world, how MuJoCo steps, and where it begins.
+
+Gravity and the medium are compared with what acts on the robot; shapes and flags are described by
+`robot_model.elements`."""

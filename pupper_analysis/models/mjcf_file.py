@@ -99,6 +99,27 @@ class MjcfFile:
         stated = [geom for geom in geoms if {"mass", "density"} & set(geom.attributes)]
         return (*inertial, *stated, *geoms, node)[0].place
 
+    def nth(self, body: str, tag: str, number: int, attributes: Collection[str] = ()) -> Place:
+        """Finds an element without a name: the n-th of its tag, from 0, directly in a body.
+
+        Args:
+            body: The body's name; ``"world"`` is the worldbody.
+            tag: The element's.
+            number: Which.
+            attributes: Where one of these is stated is asked for: in itself, or a default class.
+
+        Returns:
+            Its file and line; those of the body where it has no so many, as within a ``<frame>``.
+        """
+        node = self._index.get(("body", body))
+        tops = (top for root in self._roots for top in root.children if top.tag == "worldbody")
+        above = list(tops) if body == "world" else [] if node is None else [node]
+        found = [one for top in above for one in top.children if one.tag == tag]
+        if number >= len(found):
+            return self.place("body", body)
+        stating = stating_element(self._roots[0], found[number], attributes) if attributes else None
+        return (stating or found[number]).place
+
     def elements(self, tag: str) -> Iterator[tuple[Mapping[str, str], Place]]:
         """Yields the attributes and the place of every element of a kind, as they are written.
 

@@ -110,6 +110,41 @@ def shape_points(shape: Shape) -> Array | None:
     return shape.pose.point(local)
 
 
+def support_of(shape: Shape, directions: Array) -> Array | None:
+    """Returns the support function of a shape's convex hull, in its body's frame.
+
+    h(d) = max over points x of the hull of d'x. Two shapes have one hull if their functions are
+    the same, wherever their axes point: MuJoCo and most engines touch with the hull.
+
+    Args:
+        shape: The shape.
+        directions: (n, 3) unit vectors in the body's frame.
+
+    Returns:
+        (n,) (m); None if the shape's extent is not known (a missing mesh, a plane).
+    """
+    local, size = directions @ shape.pose.rotation, shape.size
+    match shape.kind:
+        case "sphere":
+            reach = np.full(len(local), size[0])
+        case "box":
+            reach = np.abs(local) @ np.array(size)
+        case "ellipsoid":
+            reach = np.linalg.norm(local * np.array(size), axis=1)
+        case "cylinder":
+            reach = size[1] * np.abs(local[:, 2]) + size[0] * np.hypot(local[:, 0], local[:, 1])
+        case "capsule":
+            reach = size[1] * np.abs(local[:, 2]) + size[0]
+        case "mesh":
+            vertices = shape.vertices()
+            if vertices is None:
+                return None
+            reach = (local @ vertices.T).max(axis=1)
+        case _:
+            return None
+    return np.asarray(directions @ shape.pose.position + reach)
+
+
 def extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
     """Returns points (n, 3) that span all shapes of some bodies, in the frame of one of them (m).
 

@@ -92,7 +92,7 @@ def read_mjcf_model(file: MjcfFile) -> MjcfModel:
             ),
             inertial=_inertial(model, body, stated.get(body)),
             shapes=tuple(
-                _shape(model, geom)
+                read_shape(model, geom)
                 for geom in _range(model.body_geomadr[body], model.body_geomnum[body])
             ),
             frames=tuple(frames.get(body, ())),
@@ -235,7 +235,8 @@ _SHAPES = {
 }
 
 
-def _shape(model: mujoco.MjModel, geom: int) -> Shape:
+def read_shape(model: mujoco.MjModel, geom: int) -> Shape:
+    """Returns the shape of a geom, in its body's frame."""
     kind, count = _SHAPES.get(int(model.geom_type[geom]), ("other", 0))
     pose = Pose(np.array(model.geom_pos[geom]), rotation_from_quaternion(model.geom_quat[geom]))
     return Shape(

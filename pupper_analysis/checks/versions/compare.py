@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from pupper_analysis.checks.attribution import EXPLAINED
 from pupper_analysis.checks.changes import apply_changes, changes_between, convention_changes
 from pupper_analysis.checks.differences import Difference, Effect, RelativeError
 from pupper_analysis.checks.versions.behaviour import Trial
+from pupper_analysis.checks.versions.elements import ElementDifference, changed_elements
 from pupper_analysis.checks.versions.revision import VersionedFile, open_version
 from pupper_analysis.checks.versions.version import Version, version_of
 from pupper_analysis.checks.words import VERSIONS
@@ -23,7 +24,9 @@ from pupper_analysis.matching.structure import guess_of_trees
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, rename_joints, with_fixed
+from pupper_analysis.models.places import Place
 from pupper_analysis.results import Result
 
 
@@ -40,7 +43,9 @@ class ModelChange(Result):
         new: The new value, in the old link frames; None if it is not there any more.
         unit: Of both.
         diagnostic: The change, with both values, and words for it.
-        effects: {quantity: what it does alone}; empty for what is not in a tree of joints.
+        effects: {quantity: what it does alone}; empty for what is not in a tree of joints, nor felt
+            by a simulation.
+        consequences: Of what touches, options and keyframes: what it does in a simulation.
         old_place: File and line, where known.
         new_place: File and line, where known.
     """
@@ -52,6 +57,7 @@ class ModelChange(Result):
     unit: str
     diagnostic: Diagnostic
     effects: dict[str, Effect]
+    consequences: tuple[Diagnostic, ...]
     old_place: str
     new_place: str
 
@@ -104,7 +110,8 @@ def diff_models(
     """Compares two URDFs or two MJCFs: two versions of one file, or two files.
 
     What is a matter of choice (link frames, where a hinge's origin is on its axis) is no change.
-    Of shapes, only what they weigh counts; visuals, contacts, keyframes and sensors do not.
+    Shapes count where they touch: where their surfaces are, and of an MJCF their numbers of
+    contact, with its pairs, options, flags and keyframes. What is only seen, and sensors, do not.
 
     Args:
         old: The old file, or ``REVISION:PATH`` for one that git has.
@@ -218,6 +225,10 @@ class _Comparison:
                 effects = judge.effects(before, trial.behaviour(change.apply(first, second)))
             self.differences.append(change.difference(effects))
         self.differences += self._others()
+        one, two, models = self.one.file, self.two.file, None
+        if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
+            models = one.model, two.model
+        self.differences += changed_elements(self.one.elements, self.two.elements, models)
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)
@@ -253,12 +264,15 @@ class _Comparison:
     def _change(self, difference: Difference) -> ModelChange:
         """Returns a difference as a change, with where it stands in both files."""
         kind, element = difference.kind, difference.element
+        found: Sequence[Place | None]
+        if isinstance(difference, ElementDifference):
+            found, consequences = difference.places, difference.consequences
+        else:
+            new, consequences = self.new_name.get(element, element), ()
+            found = self.one.sources.place(kind, element), self.two.sources.place(kind, new)
         places = [
-            source.label(version.sources.place(kind, name))
-            for source, version, name in (
-                (self.sources[0], self.one, element),
-                (self.sources[1], self.two, self.new_name.get(element, element)),
-            )
+            "" if place is None else source.label(place)
+            for source, place in zip(self.sources, found, strict=True)
         ]
         return ModelChange(
             kind,
@@ -268,6 +282,7 @@ class _Comparison:
             difference.unit,
             difference.diagnostic,
             difference.effects,
+            consequences,
             *places,
         )
 

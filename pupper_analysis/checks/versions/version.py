@@ -29,6 +29,8 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot_model.elements import Element, Key, list_collisions, list_elements
+from pupper_analysis.robot_model.urdf import read_urdf_model
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +42,7 @@ class Version:
         tree: Its joints and bodies. The base of a URDF is free, for it states none.
         others: {(kind, element): value} of what is not in the tree: joints that follow others,
             motors, springs, tendons ...
+        elements: What touches, and of an MJCF its options and keyframes.
         sources: Where the numbers stand.
         notes: What was assumed or left out.
     """
@@ -47,6 +50,7 @@ class Version:
     file: UrdfFile | MjcfFile
     tree: MultibodyTree
     others: Mapping[tuple[str, str], Any]
+    elements: Mapping[Key, Element]
     sources: Sources
     notes: tuple[Diagnostic, ...]
 
@@ -74,6 +78,7 @@ def _of_urdf(file: UrdfFile) -> Version:
         file=file,
         tree=urdf_tree(root, file.path, base, frames),
         others={("mimic", name): list(value) for name, value in mimics.items()},
+        elements=list_collisions(read_urdf_model(file)),
         sources=UrdfSources(file, UrdfTree(root), {base: base, **carriers}, {}, {}, {}, (base,)),
         notes=(*file.notes, *held),
     )
@@ -101,12 +106,15 @@ def _of_mjcf(file: MjcfFile) -> Version:
     base = _base(model, names)
     reference = Reference(whole if joined else file.model, whole, names, base)
     others: dict[tuple[str, str], Any] = {
-        (extra.kind, extra.element): extra.value for extra in mjcf_only_effects(reference)
+        (extra.kind, extra.element): extra.value
+        for extra in mjcf_only_effects(reference)
+        if extra.kind != "flag"  # it is among the elements
     }
     return Version(
         file=file,
         tree=mjcf_tree(spec, file.path, base, frames),
         others={**others, **_motors(NamedModel(reference))},
+        elements=list_elements(file),
         sources=MjcfSources(file, model, {base: base, **carriers}, {}, (base,)),
         notes=tuple(notes),
     )

@@ -50,7 +50,7 @@ def _blocks(diff: ModelDiff) -> Iterable[doc.Block]:
                 _place(diff.old, change.old_place, change.old, change.unit),
                 _place(diff.new, change.new_place, change.new, change.unit),
             ),
-            (_effects(change),),
+            tuple(map(doc.tell, change.consequences)) or (_effects(change),),
         )
     if not diff.same:
         yield from _torques(diff)

@@ -1,0 +1,389 @@
+"""Changes of what touches, of MuJoCo's options and of keyframes, and what each does alone.
+
+What a change does, MuJoCo says: both models are simulated from the same keyframe, the old one as it
+is and with this change alone.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.checks.differences import Difference, Effect
+from pupper_analysis.checks.words import VERSIONS
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.places import Place
+from pupper_analysis.robot_model.elements import (
+    DISABLE_BITS,
+    ENABLE_BITS,
+    ENABLED,
+    Element,
+    Key,
+    Value,
+    flag_name,
+)
+from pupper_analysis.robot_model.geometry import support_of
+from pupper_analysis.robot_model.model import Shape
+
+Array = NDArray[np.float64]
+
+FELT = 1e-4
+"""m, rad: what moves nothing by more in `SECONDS` is harmless. (A stand is settled to 1e-5.)"""
+
+SECONDS = 2.0
+"""Of a simulation (s): what falls has fallen, and servos of some hertz have come to rest."""
+
+_MOST_STEPS = 4000
+"""Of a simulation with a small time step; it is cut then, and says its seconds."""
+
+_SAMPLES = 20
+
+_FALL = 1.0
+"""m: what loses more has gone through the floor, or off it."""
+
+SAME_NUMBER = 1e-9
+"""Relative: files that were written anew round their numbers so."""
+
+SAME_SHAPE = 1e-6
+"""m: shapes whose surfaces are no further apart are one."""
+
+_WAYS: Final = np.concatenate(
+    [np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))]
+)
+_DIRECTIONS: Final = _WAYS / np.linalg.norm(_WAYS, axis=1, keepdims=True)
+"""In which the extents of two shapes are compared: axes, and enough others that no turn of a box
+or cylinder hides between them."""
+
+SHAPE: Final = "shape"
+
+
+@dataclass(frozen=True, eq=False)
+class ElementDifference(Difference):
+    """A change of one number or shape of elements that had it alike; or what came or went.
+
+    Attributes:
+        consequences: What it does in a simulation.
+        places: Where the first of them stands, in both files; None where it does not.
+    """
+
+    consequences: tuple[Diagnostic, ...] = ()
+    places: tuple[Place | None, Place | None] = (None, None)
+
+
+def apart(one: Shape, two: Shape) -> float:
+    """Returns how far the surfaces of two shapes' hulls are apart at most (m).
+
+    Of shapes without extents (planes, missing meshes) their places and sizes are compared: infinite
+    if they differ.
+    """
+    first, second = (support_of(shape, _DIRECTIONS) for shape in (one, two))
+    if first is not None and second is not None:
+        return float(np.abs(first - second).max())
+    ends = [(shape.pose.position, shape.pose.rotation, shape.size) for shape in (one, two)]
+    near = (
+        np.allclose(here, there, rtol=0, atol=SAME_SHAPE) for here, there in zip(*ends, strict=True)
+    )
+    return (
+        0.0 if one.kind == two.kind and len(one.size) == len(two.size) and all(near) else math.inf
+    )
+
+
+def describe_shape(shape: Shape) -> Diagnostic:
+    """Returns a shape as a fact: its kind, sizes and place."""
+    return diagnose(
+        "shape",
+        kind=Term(shape.kind),
+        sizes=tuple(Quantity(size, "m") for size in shape.size),
+        x=Quantity(float(shape.pose.position[0]), "m"),
+        y=Quantity(float(shape.pose.position[1]), "m"),
+        z=Quantity(float(shape.pose.position[2]), "m"),
+    )
+
+
+def changed_elements(
+    old: Mapping[Key, Element],
+    new: Mapping[Key, Element],
+    models: tuple[mujoco.MjModel, mujoco.MjModel] | None,
+) -> Iterator[ElementDifference]:
+    """Yields what has changed; elements whose number has changed alike are one change.
+
+    Args:
+        old: The old file's.
+        new: The new one's.
+        models: What MuJoCo compiles of both; None where it is not known what a change does.
+    """
+    trial = None if models is None else _Trial(*models)
+    alike: dict[tuple[Any, ...], list[Key]] = {}
+    for key in dict.fromkeys((*old, *new)):
+        one, two = old.get(key), new.get(key)
+        if not any(element is not None and element.touches for element in (one, two)):
+            continue  # it is seen alone
+        if one is None or two is None:
+            alike.setdefault((key[0], "", one is None, key), []).append(key)
+            continue
+        for word in dict.fromkeys((*one.values, *two.values)):
+            here, there = one.values.get(word, ()), two.values.get(word, ())
+            if word == "friction":  # those that another condim adds are no change of their own
+                here, there = (values[: min(len(here), len(there))] for values in (here, there))
+            if not _same(here, there):
+                alike.setdefault((key[0], word, here, there), []).append(key)
+        if (
+            one.shape is not None
+            and two.shape is not None
+            and apart(one.shape, two.shape) > SAME_SHAPE
+        ):
+            both = str(describe_shape(one.shape)), str(describe_shape(two.shape))
+            alike.setdefault((key[0], SHAPE, *both), []).append(key)
+    for (kind, word, *_), keys in alike.items():
+        yield _change(kind, word, keys, old, new, trial)
+
+
+def _same(one: Value, two: Value) -> bool:
+    return len(one) == len(two) and np.allclose(one, two, rtol=SAME_NUMBER, atol=1e-12)
+
+
+def _change(
+    kind: str,
+    word: str,
+    keys: list[Key],
+    old: Mapping[Key, Element],
+    new: Mapping[Key, Element],
+    trial: _Trial | None,
+) -> ElementDifference:
+    names = tuple(name for _, name in keys)
+    one, two = old.get(keys[0]), new.get(keys[0])
+    before, after = (_value(element, word) for element in (one, two))
+    whole = kind in ("option", "flag")  # of which there is one, with many numbers
+    told = diagnose(
+        "mjcf-element-differs",
+        subject=(kind, word if kind == "option" else names[0]),
+        others=() if whole else names[1:],
+        what="" if whole else Term(word) if word in _TERMS else word,
+        one=before,
+        two=after,
+        **VERSIONS.named,
+    )
+    effects: dict[str, Effect] = {}
+    consequences: tuple[Diagnostic, ...] = ()
+    if trial is not None:
+        effects, consequences = trial.effect(
+            word, [(key, old.get(key), new.get(key)) for key in keys]
+        )
+    shapes = [element.shape for element in (one, two) if element is not None and element.shape]
+    if word == SHAPE and math.isfinite(distance := apart(*shapes)):
+        moved = diagnose("surface-moves", distance=Quantity(distance, "m"))
+        consequences = (moved, *consequences)
+    return ElementDifference(
+        kind=kind,
+        element=word if kind == "option" else names[0],
+        urdf=_plain(one, word),
+        mjcf=_plain(two, word),
+        unit=next(
+            (row.unit for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)), ""
+        ),
+        diagnostic=told,
+        effects=effects,
+        consequences=consequences,
+        places=(one.place(word) if one else None, two.place(word) if two else None),
+    )
+
+
+_CHOICES: Final = {
+    "integrator": mujoco.mjtIntegrator,
+    "cone": mujoco.mjtCone,
+    "solver": mujoco.mjtSolver,
+    "jacobian": mujoco.mjtJacobian,
+}
+
+_TERMS: Final = (SHAPE, "friction")
+
+
+def _value(element: Element | None, word: str) -> object:
+    """Returns a value as it is said."""
+    if element is None:
+        return Term("none")
+    if not word:
+        return Term("there") if element.shape is None else describe_shape(element.shape)
+    if word == SHAPE:
+        assert element.shape is not None
+        return describe_shape(element.shape)
+    numbers = element.values.get(word, ())
+    if word in _CHOICES and numbers:
+        return _CHOICES[word](int(numbers[0])).name.split("_", 1)[1].lower()
+    if word == ENABLED:
+        return Term("enabled" if numbers[0] else "disabled")
+    return " ".join(f"{number:.6g}" for number in numbers) or Term("none")
+
+
+def _plain(element: Element | None, word: str) -> object:
+    """Returns a value as data."""
+    if element is None:
+        return None
+    if word in ("", SHAPE):
+        shape = element.shape
+        return (
+            "there" if shape is None else [shape.kind, *shape.size, *shape.pose.position.tolist()]
+        )
+    numbers = list(element.values.get(word, ()))
+    return numbers[0] if len(numbers) == 1 else numbers
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What a simulation came to.
+
+    Attributes:
+        seconds: How long it was (s).
+        qpos: (samples, nq); not numbers from where it diverged.
+        com: (samples,) height of all that moves (m).
+        friction: The least coefficient of a contact with the world at the end; None without any.
+    """
+
+    seconds: float
+    qpos: Array
+    com: Array
+    friction: float | None
+
+
+class _Trial:
+    """Simulates the old file as it is, and with changes."""
+
+    def __init__(self, old: mujoco.MjModel, new: mujoco.MjModel) -> None:
+        self.old, self.new = old, new
+
+    @cached_property
+    def _unchanged(self) -> dict[int, _Run]:
+        return {}
+
+    def effect(
+        self, word: str, elements: Iterable[tuple[Key, Element | None, Element | None]]
+    ) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+        """Returns what a change does alone, or, where it cannot be made alone, with all others."""
+        model, key, together = copy.copy(self.old), 0, False
+        for (kind, name), one, two in elements:
+            if kind == "flag":
+                _switch(model, self.new, name)
+            elif one is None or two is None or not _apply(model, self.new, kind, word, one, two):
+                model, together = self.new, True
+                break
+            elif kind == "key":
+                key = one.row
+        if key not in self._unchanged:
+            self._unchanged[key] = _simulate(self.old, key)
+        before, after = self._unchanged[key], _simulate(model, key)
+        start = self.old.key(key).name if self.old.nkey else ""
+        return _weigh(before, after, start, together=together)
+
+
+def _apply(
+    model: mujoco.MjModel, new: mujoco.MjModel, kind: str, word: str, one: Element, two: Element
+) -> bool:
+    """Makes one change in a model, in place; returns whether it could be made alone."""
+    if kind == "option":
+        row = next(row for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word))
+        setattr(model.opt, row.mujoco, getattr(new.opt, row.mujoco))
+        return True
+    if word == SHAPE:
+        mesh = mujoco.mjtGeom.mjGEOM_MESH.value
+        if mesh in (model.geom_type[one.row], new.geom_type[two.row]):
+            return False
+        arrays = ["geom_type", "geom_size", "geom_pos", "geom_quat", "geom_rbound", "geom_aabb"]
+        model.geom_sameframe[one.row] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
+    else:
+        arrays = [
+            row.mujoco for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)
+        ]
+    for array in arrays:
+        here, there = getattr(model, array), getattr(new, array)
+        if here[one.row].shape != there[two.row].shape:
+            return False
+        here[one.row] = there[two.row]
+    return True
+
+
+def _switch(model: mujoco.MjModel, new: mujoco.MjModel, flag: str) -> None:
+    """Takes over one flag, in place."""
+    for name, bits in (("disableflags", DISABLE_BITS), ("enableflags", ENABLE_BITS)):
+        for bit in bits:
+            if flag_name(bit) == flag:
+                here, there = getattr(model.opt, name), getattr(new.opt, name)
+                setattr(model.opt, name, here & ~bit.value | there & bit.value)
+
+
+def _simulate(model: mujoco.MjModel, key: int) -> _Run:
+    """Simulates a model from a keyframe, as MuJoCo leaves it when it is reset to it."""
+    data = mujoco.MjData(model)
+    if key < model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, key)
+    step = float(model.opt.timestep)
+    seconds = min(SECONDS, _MOST_STEPS * step)
+    moving = np.asarray(model.body_weldid != 0)
+    masses = model.body_mass * moving
+    qpos, com, done = [], [], 0
+    with silence_mujoco():
+        for sample in range(1, _SAMPLES + 1):
+            wanted = round(sample * seconds / _SAMPLES / step)
+            try:
+                mujoco.mj_step(model, data, nstep=wanted - done)
+            except mujoco.FatalError:
+                data.qpos[:] = np.nan
+            done = wanted
+            lost = not data.time > (wanted - 0.5) * step  # MuJoCo begins anew where it diverges
+            qpos.append(np.full(model.nq, np.nan) if lost else data.qpos.copy())
+            height = float(masses @ data.xipos[:, 2]) / max(float(masses.sum()), 1e-300)
+            com.append(np.nan if lost else height)
+    return _Run(seconds, np.array(qpos), np.array(com), _least_friction(model, data))
+
+
+def _least_friction(model: mujoco.MjModel, data: mujoco.MjData) -> float | None:
+    found = [
+        float(contact.friction[0]) if contact.dim > 1 else 0.0
+        for contact in data.contact
+        if 0 in model.body_weldid[model.geom_bodyid[contact.geom]]
+    ]
+    return min(found, default=None)
+
+
+def _weigh(
+    before: _Run, after: _Run, start: str, *, together: bool
+) -> tuple[dict[str, Effect], tuple[Diagnostic, ...]]:
+    """Returns by how much two simulations differ, and what of it a user would see."""
+    seconds = Quantity(min(before.seconds, after.seconds), "s")
+    if before.qpos.shape != after.qpos.shape:
+        return {}, ()
+    where: dict[str, Any] = {"seconds": seconds, "start": start, "together": together}
+    same_end = np.isnan(before.qpos) & np.isnan(after.qpos)
+    off = np.where(same_end, 0.0, np.abs(after.qpos - before.qpos))
+    worst = float(np.nan_to_num(off, nan=math.inf).max(initial=0.0))
+    facts = []
+    if worst > FELT:
+        rise = float(after.com[-1] - before.com[-1])
+        facts.append(
+            diagnose(
+                "simulation-changes",
+                diverges=math.isnan(rise),
+                higher=Quantity(rise, "m") if rise > FELT else None,
+                lower=Quantity(-rise, "m") if -_FALL <= rise < -FELT else None,
+                falls=Quantity(-rise, "m") if rise < -_FALL else None,
+                ends=abs(rise) > FELT,
+                off=Quantity(worst, "rad") if math.isfinite(worst) else None,
+                **where,
+            )
+        )
+    if None not in (before.friction, after.friction) and before.friction != after.friction:
+        one, two = (math.atan(run.friction or 0.0) for run in (before, after))
+        facts.append(diagnose("slides-from", one=Quantity(one, "rad"), two=Quantity(two, "rad")))
+    if not facts:
+        return {}, (diagnose("simulation-unchanged", **where),)
+    effects = {"simulation": Effect(worst, worst, math.inf)} if worst > FELT else {}
+    return effects, tuple(facts)

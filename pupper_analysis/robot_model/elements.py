@@ -1,0 +1,192 @@
+"""What an MJCF states besides bodies and joints: geoms, contact pairs, options, keyframes.
+
+What touches what, how MuJoCo steps and where it begins are part of a robot as its joints are. The
+numbers are those of `models.attributes.ELEMENT_ATTRIBUTES`, as MuJoCo compiles them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
+from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import Place
+from pupper_analysis.robot_model.mjcf import read_shape
+from pupper_analysis.robot_model.model import Shape, UrdfModel
+
+Key = tuple[str, str]
+"""An element's tag and name."""
+
+Value = tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Element:
+    """An element of an MJCF.
+
+    Attributes:
+        row: Its row in MuJoCo's arrays.
+        values: {word: its numbers}.
+        place: Returns where a word of it is stated, in itself or a default class; where it stands
+            itself, if it is not.
+        shape: That of a geom.
+        touches: Whether a geom can touch anything, by ``contype`` and ``conaffinity`` or in a pair.
+    """
+
+    row: int
+    values: Mapping[str, Value]
+    place: Callable[[str], Place]
+    shape: Shape | None = None
+    touches: bool = True
+
+
+_FRICTION_OF: Final = {1: 0, 3: 1, 4: 2, 6: 3}
+"""{condim: how many of a geom's three coefficients of friction act}."""
+
+
+def list_elements(file: MjcfFile) -> dict[Key, Element]:
+    """Returns what an MJCF states besides bodies and joints.
+
+    Pairs and excludes are called after what they are of.
+
+    Args:
+        file: A file that MuJoCo compiles.
+    """
+    model = file.model
+    found: dict[Key, Element] = {}
+    names, seen = geom_names(model), dict[int, int]()
+    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    for geom, name in enumerate(names):
+        body = int(model.geom_bodyid[geom])
+        number = seen[body] = seen.get(body, -1) + 1
+        touches = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
+        values = _values(model, "geom", geom)
+        values["friction"] = values["friction"][: _FRICTION_OF[int(model.geom_condim[geom])]]
+        place = _place_of_geom(file, model.geom(geom).name, model.body(body).name, number)
+        found["geom", name] = Element(geom, values, place, read_shape(model, geom), bool(touches))
+    pairs, excludes = ([place for _, place in file.elements(tag)] for tag in ("pair", "exclude"))
+    for pair in range(model.npair):
+        ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
+        values = _values(model, "pair", pair)
+        found["pair", _both(ends)] = Element(
+            pair, values, _at(_nth(pairs, pair, model.npair, file))
+        )
+    for exclude, signature in enumerate(model.exclude_signature.tolist()):
+        ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
+        at = _at(_nth(excludes, exclude, model.nexclude, file))
+        found["exclude", _both(ends)] = Element(exclude, {}, at)
+    options = {
+        one.word: _numbers(getattr(model.opt, one.mujoco))
+        for one in ELEMENT_ATTRIBUTES
+        if one.element == "option"
+    }
+    stated = next((place for _, place in file.elements("option")), Place(file.path))
+    found["option", "option"] = Element(0, options, _stating(file, "option", stated))
+    flags = next((place for _, place in file.elements("flag")), stated)
+    for bit in (*DISABLE_BITS, *ENABLE_BITS):
+        enabled = {ENABLED: (float(has_flag(model, bit)),)}
+        found["flag", flag_name(bit)] = Element(0, enabled, _at(flags))
+    for key in range(model.nkey):
+        name = model.key(key).name or f"#{key}"
+        found["key", name] = Element(key, _values(model, "key", key), _at(file.place("key", name)))
+    return found
+
+
+def _both(ends: tuple[str, str]) -> str:
+    return " and ".join(sorted(ends))
+
+
+def _nth(places: list[Place], number: int, count: int, file: MjcfFile) -> Place:
+    """Returns the place of MuJoCo's n-th; the file alone where it has others than are written."""
+    return places[number] if len(places) == count else Place(file.path)
+
+
+def _place_of_geom(file: MjcfFile, name: str, body: str, number: int) -> Callable[[str], Place]:
+    def place(word: str) -> Place:
+        words = _SHAPE_WORDS if word == "shape" else (word,) if word else ()
+        if not name:
+            return file.nth(body, "geom", number, words)
+        return (file.stated("geom", name, words) if words else None) or file.place("geom", name)
+
+    return place
+
+
+_SHAPE_WORDS: Final = ("size", "fromto", "type", "pos", "quat", "mesh")
+
+
+def _stating(file: MjcfFile, tag: str, otherwise: Place) -> Callable[[str], Place]:
+    """Returns what finds the element of a tag that states a word."""
+
+    def place(word: str) -> Place:
+        stated = (where for words, where in file.elements(tag) if word in words)
+        return next(stated, otherwise)
+
+    return place
+
+
+def _at(place: Place) -> Callable[[str], Place]:
+    return lambda _: place
+
+
+ENABLED: Final = "enabled"
+"""What a flag says: 1 or 0."""
+
+DISABLE_BITS: Final = tuple(
+    bit for bit in mujoco.mjtDisableBit.__members__.values() if bit.name.startswith("mjDSBL_")
+)
+ENABLE_BITS: Final = tuple(
+    bit for bit in mujoco.mjtEnableBit.__members__.values() if bit.name.startswith("mjENBL_")
+)
+
+
+def flag_name(bit: Any) -> str:
+    """Returns a flag's attribute of ``<flag>``."""
+    return str(bit.name).split("_", 1)[1].lower()
+
+
+def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
+    """Whether what a flag is of is enabled."""
+    if isinstance(bit, mujoco.mjtDisableBit):
+        return not model.opt.disableflags & bit.value
+    return bool(model.opt.enableflags & bit.value)
+
+
+def geom_names(model: mujoco.MjModel) -> list[str]:
+    """Returns each geom's name; one without is called after its body and its place there."""
+    names, seen = [], dict[int, int]()
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        seen[body] = seen.get(body, 0) + 1
+        called = model.body(body).name or f"body #{body}"
+        names.append(model.geom(geom).name or f"{called} #{seen[body]}")
+    return names
+
+
+def list_collisions(model: UrdfModel) -> dict[Key, Element]:
+    """Returns the shapes of a URDF that touch, {("collision", link, or "link #2"): element}."""
+    found: dict[Key, Element] = {}
+    for link in model.links.values():
+        touching = [shape for shape in link.shapes if shape.collides]
+        for number, shape in enumerate(touching, 1):
+            name = link.name if number == 1 else f"{link.name} #{number}"
+            place = model.file.place("link", link.name, "collision/geometry")
+            found["collision", name] = Element(number - 1, {}, _at(place), shape)
+    return found
+
+
+def _values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
+    """Returns an element's numbers, those of a table's rows that it has."""
+    return {
+        one.word: _numbers(getattr(model, one.mujoco)[row])
+        for one in ELEMENT_ATTRIBUTES
+        if one.element == element
+    }
+
+
+def _numbers(value: object) -> Value:
+    return tuple(np.asarray(value, dtype=float).ravel().tolist())

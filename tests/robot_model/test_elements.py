@@ -1,0 +1,118 @@
+"""Geoms, pairs, options and keyframes of an MJCF: their numbers, and where each stands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.robot_model.elements import ENABLED, list_elements
+from pupper_analysis.robot_model.geometry import shape_points, support_of
+from pupper_analysis.robot_model.model import Pose, Shape
+
+TEXT = """<mujoco>
+  <option timestep="0.003" cone="elliptic">
+    <flag contact="disable" energy="enable"/>
+  </option>
+  <default>
+    <geom margin="0.001"/>
+    <default class="foot">
+      <geom friction="0.7 0.1 0.2" condim="4"/>
+    </default>
+  </default>
+  <worldbody>
+    <geom name="floor" type="plane" size="0 0 1"/>
+    <body name="a">
+      <freejoint/>
+      <geom size="0.1" contype="0" conaffinity="0"/>
+      <geom class="foot" size="0.02" pos="0 0 -0.2"/>
+    </body>
+    <body name="b" pos="1 0 0"><joint/><geom name="box" type="box" size="0.1 0.2 0.3"/></body>
+  </worldbody>
+  <contact>
+    <pair geom1="floor" geom2="box" friction="0.3 0.3 0.01 0.01 0.01"/>
+    <exclude body1="a" body2="b"/>
+  </contact>
+  <keyframe><key name="home" qpos="0 0 1 1 0 0 0 0.5"/></keyframe>
+</mujoco>
+"""
+
+
+def test_numbers_are_those_that_mujoco_compiles_with_their_lines(tmp_path: Path) -> None:
+    file = tmp_path / "r.xml"
+    file.write_text(TEXT)
+    found = list_elements(read_mjcf(file))
+    foot = found["geom", "a #2"]
+    assert foot.values["friction"] == (0.7, 0.1)  # condim 4 has no rolling friction
+    assert foot.values["margin"] == (0.001,)
+    assert (foot.place("friction").line, foot.place("margin").line) == (8, 6)
+    assert (foot.place("shape").line, foot.place("solref").line) == (16, 16)
+    assert not found["geom", "a #1"].touches
+    assert found["pair", "box and floor"].values["friction"][:2] == (0.3, 0.3)
+    assert found["pair", "box and floor"].place("").line == 21
+    assert found["exclude", "a and b"].place("").line == 22
+    option = found["option", "option"]
+    assert (option.values["timestep"], option.place("timestep").line) == ((0.003,), 2)
+    flags = {name: one.values[ENABLED] for (kind, name), one in found.items() if kind == "flag"}
+    assert (flags["contact"], flags["energy"], flags["gravity"]) == ((0.0,), (1.0,), (1.0,))
+    assert found["key", "home"].values["qpos"] == (0, 0, 1, 1, 0, 0, 0, 0.5)
+
+
+def test_each_array_of_contacts_and_options_of_mujoco_has_a_row() -> None:
+    """What MuJoCo comes to have is compared, or stands here with a reason."""
+    apart = {
+        "geom": {"type", "size", "pos", "quat", "dataid",  # the shape
+                 "aabb", "rbound", "sameframe", "bodyid",  # made of others
+                 "matid", "rgba", "group", "user", "castshadow",  # seen
+                 "fluid", "plugin"},  # of what acts on the robot
+        "pair": {"dim", "geom1", "geom2", "signature"},  # condim; whom it is of
+        "key": set(),
+        "option": {"gravity", "wind", "density", "viscosity",  # of what acts on the robot
+                   "disableflags", "enableflags"},  # flags
+    }  # fmt: skip
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    for element, others in apart.items():
+        owner, start = (model.opt, "") if element == "option" else (model, f"{element}_")
+        names = {name.removeprefix(start) for name in dir(owner) if name.startswith(start)}
+        names = {name for name in names if not name.startswith("_")}
+        rows = {
+            row.mujoco.removeprefix(start) for row in ELEMENT_ATTRIBUTES if row.element == element
+        }
+        assert names == rows | others | (rows & others), element
+
+
+@pytest.mark.parametrize(
+    ("kind", "size"),
+    [
+        ("sphere", (0.1,)),
+        ("box", (0.1, 0.2, 0.3)),
+        ("ellipsoid", (0.1, 0.2, 0.3)),
+        ("cylinder", (0.1, 0.3)),
+        ("capsule", (0.1, 0.3)),
+    ],
+)
+def test_a_support_function_bounds_the_shape_and_is_reached(
+    kind: str, size: tuple[float, ...]
+) -> None:
+    """Along its axes MuJoCo's own sizes say how far a shape reaches; no point of it is beyond."""
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    shape = Shape("", kind, Pose(np.array([1.0, 2.0, 3.0]), turn), size, collides=True)
+    ways = np.random.default_rng(5).normal(size=(200, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    points = shape_points(shape)
+    assert points is not None
+    far = (ways @ points.T).max(axis=1)
+    reach = support_of(shape, ways)
+    assert reach is not None
+    assert (far <= reach + 1e-12).all()
+    half = {"sphere": size[0], "capsule": sum(size)}.get(kind, size[-1])
+    along = support_of(shape, np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]))
+    assert along is not None
+    sideways = (
+        size[1] if kind in ("box", "ellipsoid") else size[0]
+    )  # x of the body is y of the shape
+    assert along == pytest.approx([3 + half, 1 + sideways])

