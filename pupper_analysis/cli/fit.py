@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="CSV, npz, MCAP or ROS bag of motions, the base held: time, positions, commands or "
-    "torques. Repeatable.",
+    help="CSV, npz, MCAP or ROS bag of motions, the base held: time, positions, commands. "
+    "Repeatable.",
 )
 @click.option(
     "--topic",
@@ -66,19 +66,6 @@ if TYPE_CHECKING:
     type=click.FloatRange(0, 0.9),
     metavar="SHARE",
     help="Share of each log, at its end, that is predicted instead of fitted; 0.2 by default.",
-)
-@click.option(
-    "--by",
-    type=click.Choice(("command", "torque")),
-    help="What a log is fitted by; by default its commands, and its torques if it has none.",
-)
-@click.option(
-    "--coupling",
-    "couplings",
-    multiple=True,
-    metavar="NAME=JOINT+JOINT",
-    help="Of torques: a motor that turns with several joints and has friction of its own; e.g. "
-    "motor_6=joint_5+joint_6. Repeatable.",
 )
 @click.option(
     "--plan",
@@ -123,10 +110,8 @@ def fit(
     stands: Path | None,
     logs: tuple[Path, ...],
     hold_out: float | None,
-    by: str | None,
     topics: tuple[str, ...],
     joints: str | None,
-    couplings: tuple[str, ...],
     count: int | None,
     degrees: bool,
     both_sides: bool,
@@ -146,8 +131,7 @@ def fit(
     A soft servo is a torque sensor: tau = kp (command - position). A file of stands has a row for
     each: command.<joint> and position.<joint> (rad, or [deg] in the header), and if they were read
     torque.<joint>, force.<foot>, roll and pitch, swing (feet in the air), from (above or below).
-    A log is of a robot that hangs or is bolted down: time, position.<joint>, and command.<joint> or
-    torque.<joint> (measured at the joint).
+    A log is of a robot that hangs or is bolted down: time, position.<joint>, command.<joint>.
 
     Every number comes with its interval; what the measurements cannot tell is named, with what else
     to measure.
@@ -193,8 +177,6 @@ def fit(
                 weight=mass,
                 encoder=sure,
                 hold_out=hold_out,
-                by=by,
-                couplings=couplings,
             )
     if style == "text":
         print_notes(robot, everything=everything)

@@ -15,7 +15,3 @@ from .stands.plan import StandPlan as StandPlan
 from .stands.plan import plan_stands as plan_stands
 from .stands.plan import write_plan as write_plan
 from .stands.result import StandFit as StandFit
-from .torques.couplings import Coupling as Coupling
-from .torques.couplings import parse_coupling as parse_coupling
-from .torques.fit import fit_torques as fit_torques
-from .torques.result import TorqueFit as TorqueFit

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from pupper_analysis.arguments import check_arguments
@@ -17,8 +16,6 @@ from pupper_analysis.identification.motions.fit import fit_motion
 from pupper_analysis.identification.parameters import Prior
 from pupper_analysis.identification.result import Fit
 from pupper_analysis.identification.stands.fit import fit_stands
-from pupper_analysis.identification.torques.couplings import Coupling
-from pupper_analysis.identification.torques.fit import fit_torques
 from pupper_analysis.robot.robot import Robot
 
 
@@ -33,14 +30,10 @@ def fit(
     weight: float | None = None,
     encoder: float | None = None,
     hold_out: float | Sequence[Log] | None = None,
-    by: str | None = None,
-    couplings: Sequence[Coupling | str] = (),
 ) -> Fit:
     """Fits a robot's numbers to what was measured of it: stands at rest, or logs of motions.
 
-    See ``fit_stands``, ``fit_motion`` and ``fit_torques`` of ``pupper_analysis.identification``.
-    Logs with commands are fitted by these, as servos make torques of them; logs with torques
-    alone, by those. Of logs with both, ``by`` says which.
+    See ``fit_stands`` and ``fit_motion`` of ``pupper_analysis.identification``.
 
     Args:
         robot: The robot.
@@ -52,15 +45,13 @@ def fit(
         encoder: Of stands: standard deviation of a position (rad); from its step by default.
         hold_out: Of logs: the share of each, at its end, that is predicted instead of fitted (0.2
             by default); or logs that are.
-        by: Of logs: ``"command"`` or ``"torque"``; commands by default, where there are any.
-        couplings: Of torques: motors that turn with several joints (``motor_6=joint_5+joint_6``).
 
     Raises:
         ConfigurationError: If an option is none of these measurements.
         FitError: If it does not converge.
         MeasurementError: If the measurements are none of this robot's, or tell nothing.
     """
-    measured = _kind(measurements, by)
+    measured = "stands" if isinstance(measurements, MeasuredStands) else "log"
     given: dict[str, object] = {
         "kp": kp,
         "kd": kd,
@@ -68,7 +59,6 @@ def fit(
         "encoder": encoder,
         "hold_out": hold_out,
     }
-    given |= {"by": by, "couplings": tuple(couplings) or None}
     for name, value in given.items():
         if value is not None and name not in _OPTIONS[measured]:
             raise ConfigurationError(name, diagnose("option-of-others", measured=measured))
@@ -76,30 +66,11 @@ def fit(
         return fit_stands(robot, measurements, priors=priors, weight=weight, kp=kp, encoder=encoder)
     share = HOLD_OUT if hold_out is None else hold_out
     logs = [measurements] if isinstance(measurements, Log) else measurements
-    if measured == "torques":
-        return fit_torques(robot, logs, priors=priors, hold_out=share, couplings=couplings)
     return fit_motion(robot, logs, priors=priors, hold_out=share, kp=kp, kd=kd)
 
 
 _OPTIONS = {
     "stands": ("kp", "weight", "encoder"),
-    "log": ("kp", "kd", "hold_out", "by"),
-    "torques": ("hold_out", "by", "couplings"),
+    "log": ("kp", "kd", "hold_out"),
 }
 """{what was measured: which options it has}."""
-
-
-def _kind(measurements: MeasuredStands | Log | Sequence[Log], by: str | None) -> str:
-    """Returns what is fitted: stands, a log by its commands, or by its torques.
-
-    Raises:
-        ConfigurationError: If ``by`` is neither command nor torque.
-    """
-    if by not in (None, "command", "torque"):
-        raise ConfigurationError("by", diagnose("fit-by-what", by=by))
-    if isinstance(measurements, MeasuredStands):
-        return "stands"
-    logs = [measurements] if isinstance(measurements, Log) else measurements
-    if by is None and logs and not any(np.isfinite(log.command).any() for log in logs):
-        return "torques"
-    return "torques" if by == "torque" else "log"

@@ -61,11 +61,6 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind("friction", "N m", share=1.0, width=0.05, positive=True),
         ParameterKind("damping", "N m s/rad", share=1.0, width=0.02, positive=True),
         ParameterKind("armature", "kg m^2", share=1.0, width=0.002, positive=True),
-        ParameterKind("inertia", "kg m^2", share=0.5, width=1e-5),
-        # What a torque sensor says of nothing; told by how large the measured torques are.
-        ParameterKind("bias", "N m", width=0.05),
-        # Drivers filter and send torques and positions on their own ways.
-        ParameterKind("lag", "s", width=0.01),
         ParameterKind("delay", "s", width=0.01, positive=True),
         # What a spirit level leaves, or the one of a telephone.
         ParameterKind("slope", "rad", width=math.radians(0.2)),

@@ -13,7 +13,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.identification.consistency import make_consistent
 from pupper_analysis.identification.estimate import Posterior
@@ -144,10 +143,6 @@ def _numbers(
         ):
             why = diagnose("mjcf-alone-states-it" if one_file else "servo-of-no-file")
             left.append(diagnose("not-in-the-files", parameter=one.name, why=why))
-        elif one.kind in OF_JOINTS and one.subject not in robot.joint_names:
-            left.append(
-                diagnose("not-in-the-files", parameter=one.name, why=diagnose("motor-of-no-file"))
-            )
         elif one.kind in OF_BODIES and one.component:
             _put_component(numbers, robot, one, value)
         elif one.kind in (*OF_BODIES, *OF_JOINTS, *OF_SERVOS):
@@ -158,18 +153,12 @@ def _numbers(
 def _put_component(
     numbers: dict[Key, float | Array], robot: Robot, one: Parameter, value: float
 ) -> None:
-    """Puts one entry of a com or an inertia among the numbers; the others are the file's."""
+    """Puts one entry of a com among the numbers; the others are the file's."""
     model = robot.pin_model
     at = model.frames[model.getFrameId(one.subject, pin.FrameType.BODY)].parentJoint
-    inertia, key = model.inertias[at], (one.kind, one.subject)
-    if one.kind == "com":
-        com = np.array(numbers.get(key, inertia.lever))
-        com[AXES.index(one.component)] = value
-        numbers[key] = com
-        return
-    entries = inertia_entries(np.array(numbers.get(key, inertia.inertia)))
-    entries[list(INERTIA_ENTRIES).index(f"i{one.component}")] = value
-    numbers[key] = inertia_tensor(entries)
+    com = np.array(numbers.get((one.kind, one.subject), model.inertias[at].lever))
+    com[AXES.index(one.component)] = value
+    numbers[one.kind, one.subject] = com
 
 
 def _spread(one: Parameter, value: float, std: float) -> Iterator[tuple[str, tuple[float, float]]]:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.bar import MJCF, TRUE, URDF, log
 from tests.support.commands import check_refusal, run_command
-from tests.support.leg import JOINTS, MJCF, URDF, measured, motion
 
 
 @pytest.mark.longest
@@ -40,34 +40,29 @@ def test_a_plan_is_measured_and_fitted(capfd: pytest.CaptureFixture[str], tmp_pa
         assert json.loads(found.read_text())["explained"] is False
 
 
-def test_torques_are_fitted_and_the_files_corrected(
+def test_a_motion_is_fitted_and_the_files_corrected(
     capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = tmp_path / "leg.urdf", tmp_path / "leg.xml"
+    files = tmp_path / "bar.urdf", tmp_path / "bar.xml"
     for file, text in zip(files, (URDF, MJCF), strict=True):
         file.write_text(text, encoding="utf-8")
-    log, found = measured(10.0), tmp_path / "fit.json"
-    assert log.torque is not None
-    path = tmp_path / "log.npz"
-    # The knee's torque is that of its belt, too, which turns with the hip.
-    coupled = log.torque + 0.5 * np.sign(motion(log.time)[1].sum(axis=1))[:, None]
-    torque = {"torque [mNm]": 1e3 * coupled}
-    np.savez(path, joints=JOINTS, time=log.time, position=log.position, **torque)
-    given = ("fit", *map(str, files), "--log", str(path), "--prior", "mass=0")
-    told = ("-o", str(tmp_path / "fitted"), "--json", str(found), "--coupling", "belt=hip+knee")
+    swing, found, path = log().part(slice(0, 600)), tmp_path / "fit.json", tmp_path / "log.npz"
+    arrays = {"joints": swing.joints, "time": swing.time, "position": swing.position}
+    np.savez(path, **arrays, **{"command [deg]": np.rad2deg(swing.command)})
+    given = ("fit", *map(str, files), "--log", str(path), "--prior", "mass=0", "--prior", "com=0")
+    told = ("-o", str(tmp_path / "fitted"), "--json", str(found))
     status, out, err = run_command(capfd, *given, *told)
     assert status == 0, err
-    assert "friction belt" in out
+    assert "friction turn" in out
     estimates = {one["name"]: one for one in json.loads(found.read_text())["estimates"]}
-    assert estimates["friction belt"]["mean"] == pytest.approx(0.5, abs=0.1)
-    assert "frictionloss" in (tmp_path / "fitted" / "leg.xml").read_text()
+    assert estimates["kp turn"]["mean"] == pytest.approx(TRUE["kp"], rel=0.05)
+    assert 'kp="5"' not in (tmp_path / "fitted" / "bar.xml").read_text()
     here = tmp_path / "here"
     here.mkdir()
     monkeypatch.chdir(here)
-    check_refusal(capfd, here, (*given, "--by", "command"), "servo")
-    check_refusal(capfd, here, (*given, "--coupling", "belt=hip"), "belt=hip")
     check_refusal(capfd, here, (*given, "--topic", "state=/joint_states"), "bag")
-    check_refusal(capfd, here, (*given, "--kp", "3"), "kp")
+    np.savez(path, **arrays, torque=swing.position)
+    check_refusal(capfd, here, given, "fitted by the positions that its servos were asked for")
 
 
 def test_bad_input_is_one_line(

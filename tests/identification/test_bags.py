@@ -18,7 +18,6 @@ from pupper_analysis.identification.measurements.log_files import read_log
 
 STATE, CONTROLLER = "sensor_msgs/msg/JointState", "control_msgs/msg/JointTrajectoryControllerState"
 TRAJECTORY, ARRAY = "trajectory_msgs/msg/JointTrajectory", "std_msgs/msg/Float64MultiArray"
-LOW = "unitree_go/msg/LowState"
 JOINTS = ("knee", "hip")
 TIME = 0.005 * np.arange(240)
 POSITION = np.column_stack([0.4 * np.sin(5 * TIME), 0.1 + 0.3 * np.sin(7 * TIME)])
@@ -33,8 +32,6 @@ STORE.register(
             f"std_msgs/Header header\nstring[] joint_names\n{POINT} reference\n{POINT} feedback",
             CONTROLLER,
         ),
-        **get_types_from_msg("float32 q\nfloat32 dq\nfloat32 tau_est", "unitree_go/msg/MotorState"),
-        **get_types_from_msg("unitree_go/MotorState[20] motor_state", LOW),
     }
 )
 
@@ -109,15 +106,13 @@ def held(rows: int = 4) -> Any:
 
 
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
-def test_states_and_torques_are_read_at_their_stamps(tmp_path: Path, plugin: StoragePlugin) -> None:
-    path = bag(tmp_path, states(), plugin)
+def test_states_are_read_at_their_stamps(tmp_path: Path, plugin: StoragePlugin) -> None:
+    path = bag(tmp_path, [*states(), *commands(trajectory, TRAJECTORY)], plugin)
     found = read_log(path)
     assert found.joints == JOINTS
     assert found.time == pytest.approx(TIME, abs=1e-6)
     assert found.position == pytest.approx(POSITION)
-    assert found.torque == pytest.approx(EFFORT)
     assert found.velocity is None
-    assert np.isnan(found.command).all()
     (file,) = (one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
     assert read_log(file).position == pytest.approx(POSITION)
 
@@ -157,7 +152,7 @@ def test_a_controller_tells_both(tmp_path: Path) -> None:
 
 
 def test_a_driver_tells_the_state_and_a_controller_the_command(tmp_path: Path) -> None:
-    """What the controller takes for the state has no torques, and may be late."""
+    """What the controller takes for the state may be late."""
     kind = STORE.types[CONTROLLER]
     controller = [
         ("/controller_state", CONTROLLER, now,
@@ -167,21 +162,6 @@ def test_a_driver_tells_the_state_and_a_controller_the_command(tmp_path: Path) -
     found = read_log(bag(tmp_path, [*controller, *states()]))
     assert found.position == pytest.approx(POSITION)
     assert found.command == pytest.approx(POSITION + 0.01)
-    assert found.torque == pytest.approx(EFFORT)
-
-
-def test_motors_of_unitree_are_read_by_names_that_are_given(tmp_path: Path) -> None:
-    motor = STORE.types["unitree_go/msg/MotorState"]
-    messages = []
-    for row, now in enumerate(TIME.tolist()):
-        motors = [
-            motor(*POSITION[row, at : at + 1], 0.5, *EFFORT[row, at : at + 1]) for at in (0, 1)
-        ]
-        motors += [motor(0, 0, 0)] * 18
-        messages.append(("/lowstate", LOW, now, STORE.types[LOW](motors)))
-    found = read_log(bag(tmp_path, messages), joints=JOINTS)
-    assert found.position == pytest.approx(POSITION, abs=1e-6)
-    assert found.torque == pytest.approx(EFFORT, abs=1e-6)
 
 
 def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
@@ -195,6 +175,7 @@ def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
             messages.append(
                 ("/joint_states", STATE, now, state(["hip"], [angle], [1.0], now + 0.001))
             )
+    messages += commands(trajectory, TRAJECTORY)
     found = read_log(bag(tmp_path, messages))
     assert found.position[:, 0] == pytest.approx(POSITION[:, 0])
     lost = np.isnan(found.position[:, 1])
@@ -203,14 +184,9 @@ def test_nothing_is_put_where_messages_are_missing(tmp_path: Path) -> None:
     assert found.position[~lost, 1] == pytest.approx(POSITION[~lost, 1], abs=2e-4)
 
 
-@pytest.mark.parametrize("nothing", [0.0, np.nan])
-def test_zeros_of_a_driver_without_sensors_are_no_torques(tmp_path: Path, nothing: float) -> None:
-    messages = [
-        ("/joint_states", STATE, now, state(JOINTS, POSITION[row], (nothing, nothing), now))
-        for row, now in enumerate(TIME.tolist())
-    ]
+def test_efforts_do_not_stand_in_for_commands(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError) as refused:
-        read_log(bag(tmp_path, messages))
+        read_log(bag(tmp_path, states()))
     assert refused.value.cause.code == "joint-without-command"
 
 
@@ -221,8 +197,6 @@ def test_of_several_topics_one_is_to_be_said(tmp_path: Path) -> None:
     with pytest.raises(MeasurementError) as refused:
         read_log(path)
     assert refused.value.cause.code == "topics-of-one-kind"
-    found = read_log(path, topics={"state": "/joint_states"})
-    assert found.position == pytest.approx(POSITION)
     asked = read_log(path, topics={"state": "/joint_states", "command": "/sim/joint_states"})
     assert asked.command[-1] == pytest.approx([9, 9])
     assert asked.position == pytest.approx(POSITION)
@@ -293,6 +267,6 @@ def test_without_the_package_the_extra_is_named(
 
 
 def test_a_log_of_a_bag_is_one_like_any_other(tmp_path: Path) -> None:
-    found = read_log(str(bag(tmp_path, states())))
+    found = read_log(str(bag(tmp_path, [*states(), *commands(trajectory, TRAJECTORY)])))
     assert isinstance(found, Log)
     assert found.interval == pytest.approx(0.005, abs=1e-6)

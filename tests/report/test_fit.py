@@ -14,7 +14,6 @@ from pupper_analysis.identification.result import Estimate, Expected, describe_p
 from pupper_analysis.identification.stands.plan import PlannedStand, StandPlan
 from pupper_analysis.identification.stands.result import JointResidual, StandFit
 from pupper_analysis.identification.told import Together, Told
-from pupper_analysis.identification.torques.result import TorqueFit
 from pupper_analysis.report import plots
 from pupper_analysis.report.document import Cell, Document, Name, Number, Table
 from pupper_analysis.report.documents.registry import document
@@ -184,43 +183,3 @@ def test_a_plan_shows_commands_in_degrees_and_intervals_before_and_after() -> No
     assert expected["± before (95 %)"] == pytest.approx([math.degrees(0.07)])
     assert expected["± after (95 %)"] == pytest.approx([math.degrees(0.01)])
     assert expected["unit"] == ["deg"]
-
-
-def torque_fit(held_out: float = 0.5) -> TorqueFit:
-    known = posterior()
-    return TorqueFit(
-        name="arm",
-        source="arm.csv",
-        estimates=tuple(describe_parameters(known)),
-        together=(),
-        failures=(),
-        diagnostics=(),
-        posterior=known,
-        seconds=9.0,
-        held_out=held_out,
-        held_out_before=4.0,
-        fitted=0.3,
-        fitted_before=5.0,
-        torque=10.0,
-        by_joint={"hip": 0.7, "knee": 0.1, "toe": math.nan},
-        by_joint_before={"hip": 5.0, "knee": 1.0, "toe": math.nan},
-        torque_noise={"hip": 0.06, "knee": 0.02, "toe": math.nan},
-        cutoff={"hip": 12.0, "knee": 8.0, "toe": 20.0},
-        length=0.025,
-        equations=600,
-        directions=3,
-    )
-
-
-def test_torques_are_told_by_what_was_held_out_beside_the_files_own() -> None:
-    page = document(torque_fit())
-    told = lines(page)
-    assert told.index("0.5 N m, 5 %") < told.index("4 N m, 40 %")
-    assert "600 means over 25 ms" in told
-    assert "acceleration up to 8 Hz" in told
-    assert "Of 4 numbers they tell 3 combinations" in told
-    (plot,) = (block for block in page.blocks if isinstance(block, plots.BarPlot))
-    bars = {shown(bar.name): (bar.value, bar.other) for bar in plot.bars}
-    assert bars == {"hip": (0.7, 0.06), "knee": (0.1, 0.02)}
-    none = lines(document(torque_fit(math.nan)))
-    assert none.index("0.3 N m, 3 %") < none.index("5 N m, 50 %")

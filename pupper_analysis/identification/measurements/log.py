@@ -30,7 +30,8 @@ class Log:
             (rad, m); NaN where there is none.
         position: (n, joints) that encoders tell (rad, m); NaN where a sample is missing.
         velocity: (n, joints) likewise (rad/s, m/s); None if there are none.
-        torque: (n, joints) of the motors (N m, N); None if there are none.
+        torque: (n, joints) of the motors (N m, N), which say whether they are at their limits; None
+            if there are none.
     """
 
     source: str
@@ -102,8 +103,8 @@ def make_log(
         lines: (n,) of the file.
 
     Raises:
-        MeasurementError: If it is no log: columns are missing, time does not rise, samples are too
-            few.
+        MeasurementError: If it is no log: columns are missing, a joint has no commands, time does
+            not rise, samples are too few.
     """
     position = kinds["position"]
     if not len(time) or not position:
@@ -111,7 +112,7 @@ def make_log(
         raise MeasurementError(source, diagnose("column-missing", column=missing))
     _check_time(source, time, lines)
     joints = tuple(position)
-    columns = {kind: kinds[kind] for kind in ("command", "velocity", "torque")}
+    columns = {kind: kinds.get(kind, {}) for kind in ("command", "velocity", "torque")}
     for kind, found in columns.items():
         for joint in found:
             if joint not in position:
@@ -123,7 +124,7 @@ def make_log(
         for kind, found in columns.items()
     }
     for place, joint in enumerate(joints):
-        if not (np.isfinite(stacked["command"][:, place]).any() or joint in columns["torque"]):
+        if not np.isfinite(stacked["command"][:, place]).any():
             raise MeasurementError(source, diagnose("joint-without-command", joint=joint))
     return Log(
         source,

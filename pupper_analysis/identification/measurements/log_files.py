@@ -33,13 +33,17 @@ def read_log(
 ) -> Log:
     """Reads a log from a CSV file, an ``.npz``, an ``.mcap`` or a ROS bag.
 
-    Columns are ``time``, ``position.<joint>``, and of each joint ``command.<joint>`` or
-    ``torque.<joint>`` or both; ``velocity.<joint>`` may be there. Units are SI unless they are said
-    in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A cell that is empty is missing.
+    Columns are ``time``, ``position.<joint>``, ``command.<joint>``; there may be
+    ``velocity.<joint>``, and ``torque.<joint>``, by which it is seen whether motors give all they
+    can. Units are SI unless they are said in brackets: ``time [ms]``, ``position.FL_knee [deg]``. A
+    cell that is empty is missing.
 
-    Of a bag, topics are found by their types: states are those of ``sensor_msgs/JointState``, of a
-    trajectory controller or of Unitree's ``LowState``; commands those of such a controller, single
-    points of trajectories, arrays of numbers, or ``LowCmd``.
+    Of a bag, topics are found by their types: states are those of ``sensor_msgs/JointState`` or of
+    a ``control_msgs/JointTrajectoryControllerState``; commands those of such a controller, a
+    ``trajectory_msgs/JointTrajectory`` of single points, or a ``std_msgs/Float64MultiArray``.
+    Moments are those of the messages' headers, or if one topic has none, those at which all were
+    recorded. They are those of the joint whose position is there most often: numbers of others are
+    put between theirs, but not where one of these is missing, and a command holds until the next.
 
     Args:
         path: The file; of a ROS 2 bag also its folder.
@@ -52,7 +56,7 @@ def read_log(
     Raises:
         ConfigurationError: If topics or joints are given of what is no bag.
         MeasurementError: If it cannot be read or is no log: columns are missing or not known, a
-            cell is no number, time does not rise, samples are too few.
+            joint has no commands, a cell is no number, time does not rise, samples are too few.
         MissingPackageError: If it is a bag, and rosbags is not installed.
     """
     if is_bag(Path(path)):

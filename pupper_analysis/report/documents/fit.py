@@ -22,9 +22,6 @@ TITLES = {
     "friction": "fitted-friction",
     "damping": "fitted-damping",
     "armature": "fitted-armature",
-    "inertia": "fitted-inertia",
-    "bias": "fitted-bias",
-    "lag": "fitted-lag",
     "delay": "fitted-delay",
 }
 """{kind of parameter: title of its table}."""

@@ -1,1 +1,0 @@
-"""Fit of measured torques, by Pinocchio's joint-torque regressor."""
