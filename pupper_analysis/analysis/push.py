@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.analysis.stance import verdict_of
+from pupper_analysis.analysis.judge import judge
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.push import PushRecovery, push_recovery
-from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
@@ -83,7 +82,7 @@ def study_pushes(
             resolution=resolution,
             verification=fed,
         )
-        used = servos_used(robot, kp, kd)
-        verdict = verdict_of(robot, stand, stand_statics(robot, held), fed, None, used)
+        statics = stand_statics(robot, held)
+        verdict = judge(robot, stand, fed, statics=statics, asked=Asked.LASTS, kp=kp, kd=kd)
         found[robot.name] = PushedStance(robot.name, held, recovery, verdict)
     return found

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.stance import verdict_of
+from pupper_analysis.analysis.judge import judge
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.checks.engines import CrossCheck, cross_check
@@ -20,7 +20,6 @@ from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.gain_sweep import GainSweep, sweep_gains
 from pupper_analysis.simulation.verdict import Verdict
@@ -203,7 +202,7 @@ def analyze_variant(
     ]
     thigh, calf = leg_lengths(robot)
     statics = stand_statics(robot, stand)
-    verdict = verdict_of(robot, stand, statics, verification, sagging, servos_used(robot))
+    verdict = judge(robot, stand, verification, sagging, statics=statics)
     return Analysis(
         name=robot.name,
         nq=robot.nq,

@@ -8,19 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.analysis.judge import judge
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import (
     NoEquilibriumError,
     NoStiffnessError,
 )
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.prepare.self_check import as_published_in
 from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge_stance
+from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import (
     SteadyState,
@@ -134,38 +132,9 @@ def study_stance(
         min_max_torque=stand_statics(robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE),
         verification=fed,
         sagging=alone,
-        verdict=verdict_of(robot, stand, statics, fed, alone, servos_used(robot, kp, kd)),
+        verdict=judge(robot, stand, fed, alone, statics=statics, kp=kp, kd=kd),
         settled=settled,
         unsettled=unsettled,
         loops_open=None if robot.closure is None else robot.closure.open(held.qpos),
         minimum_stiffness=least,
-    )
-
-
-def verdict_of(
-    robot: Robot,
-    stand: Stand,
-    statics: GravityCompensation,
-    fed: StandVerification,
-    alone: StandVerification | None,
-    servos: ServosUsed,
-) -> Verdict:
-    """Weighs what was simulated of a stand, and what the robot's MJCF does by itself.
-
-    Args:
-        robot: The robot.
-        stand: The stand.
-        statics: What its motors hold.
-        fed: The simulation with feed-forward.
-        alone: The simulation without; None if there is none.
-        servos: Those that were simulated.
-    """
-    return judge_stance(
-        fed,
-        alone,
-        servos,
-        overloaded=beyond_limits(statics),
-        own=robot.own_run if servos.source is not ServoSource.GIVEN else None,
-        published=as_published_in(robot, stand, servos),
-        converted=robot.description.converted,
     )

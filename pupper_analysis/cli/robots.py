@@ -208,7 +208,7 @@ def robot_from(
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
-    """Prints what was assumed of a robot of files, and what its MJCF does by itself."""
+    """Prints what was assumed of a robot of files."""
     from pupper_analysis.report.documents.standing import assumption_texts
     from pupper_analysis.report.terminal import make_console
     from pupper_analysis.report.terminal import print_notes as print_lines

@@ -77,7 +77,6 @@ class RobotAndTask:
 
     which: RobotOptions
     as_is: bool
-    self_check: bool
     payload: float
     payload_at: str | None
     stance: Mapping[str, Any]
@@ -97,7 +96,6 @@ class RobotAndTask:
             payload=0.0,
             payload_at=None,
             stance={},
-            self_check=False,  # which is of feet
             fixed_base=True,
             **given,
         )
@@ -112,8 +110,7 @@ class RobotAndTask:
 
     def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
         """Returns a robot as it was asked for; of one of files it is told what was assumed."""
-        checks = {"as_is": self.as_is, "self_check": self.self_check}
-        robot = robot_from(meant, fixed_base=self.fixed_base, **checks)
+        robot = robot_from(meant, fixed_base=self.fixed_base, as_is=self.as_is)
         if isinstance(meant, RobotFiles) and self.style == "text":  # Markdown has them in its page
             print_notes(robot, everything=self.everything)
         return self._as_asked(robot)

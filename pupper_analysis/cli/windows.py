@@ -121,6 +121,6 @@ def _robot(meant: str | VariantSpec | RobotFiles, **more: bool) -> str | Variant
     """Returns a variant as it is, and the robot of files, of which it is told what was assumed."""
     if not isinstance(meant, RobotFiles):
         return meant
-    robot = robot_from(meant, self_check=False, **more)
+    robot = robot_from(meant, **more)
     print_notes(robot)
     return robot

@@ -22,7 +22,7 @@ from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.prepare.load import Feet, robot_of
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _OF_A_URDF = ("armature-from-mjcf", "effort-unstated", "fixed-base-stands", "root-link-left-out")
 """What is told of a URDF beside an MJCF, and is no news of one that was made of it."""
@@ -146,7 +146,6 @@ def load_robot(
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
     packages: Mapping[str, str | Path] | None = None,
-    self_check: bool = True,
     as_is: bool = False,
 ) -> Robot:
     """Loads a robot from its URDF, its MJCF or both, as they were published.
@@ -171,10 +170,6 @@ def load_robot(
         keyframe: The MJCF's keyframe to start from; by default ``home``, or another in which the
             robot stands.
         packages: {ROS package: its folder}, for ``package://`` paths of the URDF.
-        self_check: Simulate the MJCF as it was published, too: from its own keyframe on its own
-            actuators (``own_run``), and from the nominal stand, against the prediction
-            (``published``). It takes less than the rest. An MJCF that was made of the URDF was
-            never published.
         as_is: Add no servos, and alter no shapes: what the file has is to hold the robot.
 
     Returns:
@@ -195,7 +190,7 @@ def load_robot(
         name=name,
         joints=joints,
         keyframe=keyframe,
-        self_check=self_check and pair.converted != "mjcf",
         as_is=as_is,
     )
-    return pair.mark(robot)
+    published = None if pair.converted == "mjcf" else PublishedFile(pair.mjcf, keyframe)
+    return pair.mark(replace(robot, published=published))

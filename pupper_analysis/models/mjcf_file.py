@@ -6,12 +6,13 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 from lxml import etree
 
 from pupper_analysis.arguments import check_type
+from pupper_analysis.arrays import plain_state
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
@@ -25,6 +26,7 @@ from pupper_analysis.models.places import (
     refusal_at,
     refuse_file,
 )
+from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.models.xml import parse_xml
 
 
@@ -55,6 +57,12 @@ class MjcfFile:
     _model: mujoco.MjModel | None = field(default=None, repr=False)
     _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
     _roots: tuple[Node, ...] = field(default=(), repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**plain_state(self), "spec": state_of(self.spec)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update({**state, "spec": spec_from(state["spec"])})
 
     def place(self, kind: str, name: str, child: str | None = None) -> Place:
         """Finds an element, in the file where it really stands.

@@ -84,6 +84,7 @@ class Drive(StrEnum):
     NONE = "no actuator"
     WRONG_SIGN = "a servo whose stiffness is negative"
     NO_STIFFNESS = "a servo without stiffness"
+    VELOCITY = "velocity servo"
     OTHER = "an actuator that holds no position"
 
     @property
@@ -130,7 +131,7 @@ def drive_of(model: mujoco.MjModel, joint: int) -> Drive:
     return next((kind for kind in _ORDER if kind in kinds), Drive.OTHER)
 
 
-_ORDER = (Drive.SERVO, Drive.MOTOR, Drive.OTHER, Drive.NO_STIFFNESS)
+_ORDER = (Drive.SERVO, Drive.MOTOR, Drive.VELOCITY, Drive.OTHER, Drive.NO_STIFFNESS)
 
 
 def _kind(model: mujoco.MjModel, motor: int) -> Drive:
@@ -150,6 +151,8 @@ def _kind(model: mujoco.MjModel, motor: int) -> Drive:
         return Drive.SERVO if alike else Drive.OTHER
     if gain == 0:
         return Drive.NO_STIFFNESS
+    if law.damping > 0 and abs(law.gain - law.damping) <= _STIFFNESS_TOLERANCE * law.damping:
+        return Drive.VELOCITY
     # An affine bias is a servo's, even if its numbers are all zero.
     affine = model.actuator_biastype[motor] == mujoco.mjtBias.mjBIAS_AFFINE.value
     return Drive.OTHER if affine or model.actuator_biasprm[motor, :3].any() else Drive.MOTOR

@@ -249,17 +249,24 @@ def _filters(model: mujoco.MjModel, ctrl: Array) -> Array:
     return act
 
 
-def simulate_published(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float) -> Array:
+LAST = 1.0
+"""Of a simulation (s), in which it is looked at what drives give."""
+
+
+def simulate_published(
+    bare: Bare, data: mujoco.MjData, hold: Hold, seconds: float
+) -> tuple[Array, Array]:
     """Simulates the published model from its data on, in place.
 
     Returns:
-        (model.nv,) what its drives gave at the end, meanwhile (N m): the mean of the last fifth.
+        (model.nv,) each: the least and the most that its drives gave in the ``LAST`` second (N m).
     """
     model = bare.model
     dofs, kp, kd, goals, ahead = hold.outside
     steps = max(1, round(seconds / float(model.opt.timestep)))
-    counted = max(1, steps // 5)
-    given, outside = np.zeros(model.nv), np.zeros(model.nv)
+    last = max(1, min(steps, round(LAST / float(model.opt.timestep))))
+    low, high = np.full(model.nv, np.inf), np.full(model.nv, -np.inf)
+    outside = np.zeros(model.nv)
     places = model.jnt_qposadr[model.dof_jntid[dofs]] if len(dofs) else dofs
     # What motors give against gravity beside their commands is not what they are asked for.
     relief = model.jnt_actgravcomp[model.dof_jntid] != 0
@@ -267,6 +274,9 @@ def simulate_published(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: flo
     model.dof_damping[dofs] += kd  # taken implicitly, as the servos' own is
     data.ctrl[:], data.act[:] = hold.ctrl, hold.act
     with silence_mujoco():
+        if not len(dofs):  # nothing is to be done between steps
+            mujoco.mj_step(model, data, nstep=steps - last)
+            steps = last
         for step in range(steps):
             if len(dofs):
                 torque = ahead + kp * (goals - data.qpos[places])
@@ -279,10 +289,12 @@ def simulate_published(bare: Bare, data: mujoco.MjData, hold: Hold, seconds: flo
                         outside[dof] = wanted
                 data.qfrc_applied[:] = outside
             mujoco.mj_step(model, data)
-            if step >= steps - counted:
-                given += data.qfrc_actuator + outside - relief * data.qfrc_gravcomp
+            if step >= steps - last:
+                given = data.qfrc_actuator + outside - relief * data.qfrc_gravcomp
+                np.minimum(low, given, out=low)
+                np.maximum(high, given, out=high)
     model.dof_damping[dofs] = damping
-    return np.asarray(given / counted)
+    return low, high
 
 
 def _lever(

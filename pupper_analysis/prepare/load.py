@@ -15,7 +15,6 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.draft import PassRun
 from pupper_analysis.prepare.passes import run_passes
 from pupper_analysis.prepare.ready import Request
-from pupper_analysis.prepare.self_check import self_checked
 from pupper_analysis.prepare.simulable import check_simulable
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -34,7 +33,6 @@ def robot_of(
     name: str | None = None,
     joints: Mapping[str, str] | None = None,
     keyframe: str | None = None,
-    self_check: bool = True,
     as_is: bool = False,
 ) -> Robot:
     """Makes a robot of two files that have been read, as they are, or made ready in memory.
@@ -44,7 +42,7 @@ def robot_of(
     frames = None if feet is None else feet_frames(feet)
     request = Request(frames, fixed_base, name, joints, keyframe, as_is)
     robot, _ = prepare_robot(urdf, mjcf, request)
-    return self_checked(robot, mjcf, keyframe) if self_check else robot
+    return robot
 
 
 @dataclass(frozen=True)

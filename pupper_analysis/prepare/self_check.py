@@ -1,7 +1,7 @@
-"""What the MJCF does by itself, before anything that was changed on loading is believed.
+"""What a robot's file does as it was published, against what is computed of it.
 
-From its own keyframe, on its own actuators (``own_run``); and from the stand that was computed,
-held there, against the prediction (``as_published``). One short run each: less than the load costs.
+From the stand that was computed, held there. Made when a verdict is first asked for, as is what
+the file does by itself (``own_run``).
 """
 
 from __future__ import annotations
@@ -9,39 +9,30 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import (
     Bare,
-    Hold,
     hold_of,
     place_published,
-    published_model,
     self_controlled,
     simulate_published,
 )
 from pupper_analysis.prepare.causes import altered_on_loading, candidate_causes, with_line
-from pupper_analysis.prepare.start import stands_at
+from pupper_analysis.prepare.own_run import as_loaded, raw_model
 from pupper_analysis.robot.as_published import (
     Cause,
-    OwnRun,
     Published,
     PublishedRun,
     ServoSource,
     ServosUsed,
 )
-from pupper_analysis.robot.fall import (
-    base_motion,
-    base_moved,
-)
+from pupper_analysis.robot.fall import body_moved, nudge_velocity
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.sag.steady_state import steady_state
@@ -50,141 +41,60 @@ from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 
 Array = NDArray[np.float64]
 
-SECONDS = 1.0
-"""Of the run from the computed stand (s): servos of some hertz have come to rest, and what slides
-has slid."""
+SETTLING = 1.0
+"""Of the run from the computed stand before it is nudged (s): servos of some hertz have come to
+rest, and what slides has slid."""
+
+NUDGED = 4.0
+"""Of it after the nudge (s), which is forgotten by then or never."""
 
 SAME = 0.01
 """Share of the largest torque within which the file does as predicted: a verified stand's."""
-
-ALIKE = 0.1
-"""Of a keyframe's angles: a ctrl that is off by less, leads for the weight, is of angles. Torques
-of as many joints are not by chance."""
 
 SAME_HEIGHT = 1e-3
 """Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
 
 
-def self_checked(robot: Robot, mjcf: MjcfFile, keyframe: str | None) -> Robot:
-    """Returns a robot that knows what its MJCF does as it was published.
-
-    Args:
-        robot: The robot, with feet and a free base.
-        mjcf: Its file.
-        keyframe: The one that was asked for.
-    """
-    if not robot.floating or not robot.feet:
-        return robot
-    model = published_model(mjcf, robot)
-    if model is None:
-        held = Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
-        return replace(robot, published=held)
-    bare = Bare.of(model, robot)
-    published = None
-    with contextlib.suppress(PupperAnalysisError):
-        published = as_published(bare, robot, solve_stand(robot, explain=False))
-    if published is not None:
-        causes = tuple(with_line(cause, mjcf) for cause in published.causes)
-        published = replace(published, causes=causes)
-    own = own_run(bare, robot, _keyframes(model, robot, keyframe))
-    return replace(robot, own_run=own, published=published, published_model=model)
-
-
 def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published | None:
-    """Returns how the MJCF differs in a stand; in the nominal one where it cannot be told of it.
+    """Returns how the file differs in a stand; in the nominal one where it cannot be told of it.
 
     That is on other ground than the level one, and of a robot that was changed since it was loaded.
 
     Args:
         robot: The robot.
         stand: The stand.
-        servos: On which it is asked for: if their gains were given, what is wrong with the MJCF's
+        servos: On which it is asked for: if their gains were given, what is wrong with the file's
             does not count.
     """
     bad = any(servo.instead_of.bad for servo in robot.description.made_servos)
-    if servos.source is ServoSource.GIVEN and bad:
+    if robot.published is None or (servos.source is ServoSource.GIVEN and bad):
         return None
-    if robot.published_model is None or not stand.task.ground.level:
-        return robot.published
-    known = {} if robot.published is None else {one.code: one for one in robot.published.causes}
-    found = as_published(Bare.of(robot.published_model, robot), robot, stand)
+    if robot.published.file is None:
+        return None  # it is what is simulated
+    if robot.published.loaded is not None or not stand.task.ground.level:
+        return as_loaded(robot).once(published_nominal)
+    return _published_in(robot, stand)
+
+
+def published_nominal(robot: Robot) -> Published | None:
+    """Returns how the file differs in the nominal stand; None where there is none."""
+    with contextlib.suppress(PupperAnalysisError):
+        return _published_in(robot, solve_stand(robot, explain=False))
+    return None
+
+
+def _published_in(robot: Robot, stand: Stand) -> Published | None:
+    """Returns how the file differs in a stand, with the lines of what makes it differ."""
+    file = None if robot.published is None else robot.published.file
+    if not robot.floating or not robot.feet or file is None:
+        return None
+    model = robot.once(raw_model)
+    if model is None:
+        return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
+    found = as_published(Bare.of(model, robot), robot, stand)
     if found is None:
-        return robot.published
-    causes = tuple(known.get(cause.code, cause) for cause in found.causes)
-    return replace(found, causes=causes)
-
-
-def _keyframes(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> list[str]:
-    """Returns the keyframes to take one of: the wanted one, or those in which it stands first."""
-    if wanted is not None:
-        return [wanted]
-    joints = [model.joint(name).id for name in robot.joint_names]
-    places = model.jnt_qposadr[joints]
-    ranks = {}
-    for key in range(model.nkey):
-        name = model.key(key).name or f"keyframe {key + 1}"
-        values = dict(zip(robot.joint_names, model.key_qpos[key, places].tolist(), strict=True))
-        ranks[name] = (not stands_at(robot, values), name != "home")
-    return sorted(ranks, key=ranks.__getitem__)
-
-
-def own_run(bare: Bare, robot: Robot, keyframes: Sequence[str]) -> OwnRun | None:
-    """Simulates the MJCF from its keyframe, with its own actuators and ctrl.
-
-    Args:
-        bare: The MJCF as it was published.
-        robot: The robot.
-        keyframes: Of those of these that it has, the first is taken.
-
-    Returns:
-        What it does; None if it has no keyframe, no free base, or no servos at most joints: motors
-        that nothing controls let all fall. Unless the keyframe commands them angles.
-    """
-    model = bare.model
-    names = {model.key(key).name or f"keyframe {key + 1}": key for key in range(model.nkey)}
-    name = next((name for name in keyframes if name in names), None)
-    holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
-    if name is None or not bare.floating:
         return None
-    if 2 * holding < len(bare.drives) and not _commands_angles(model, names[name]):
-        return None
-    key, data = names[name], mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, key)
-    mujoco.mj_kinematics(model, data)
-    places = [int(model.jnt_qposadr[model.joint(joint).id]) for joint in robot.joint_names]
-    pose = data.qpos[places].copy()
-    hold = hold_of(bare, robot, data, None, pose)
-    own_ctrl = bool(model.key_ctrl[key].any())
-    if not own_ctrl and self_controlled(bare, robot):
-        return None
-    if own_ctrl:
-        nothing = np.zeros(0)
-        outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
-        hold = Hold(model.key_ctrl[key].copy(), model.key_act[key].copy(), outside, {})
-    data.ctrl[:], data.act[:] = hold.ctrl, hold.act
-    motion, end = base_motion(
-        model,
-        data,
-        bare.base,
-        bare.ground or 0.0,
-        lambda run, time: simulate_published(bare, run, hold, time),
-    )
-    return OwnRun(
-        keyframe=name,
-        own_ctrl=own_ctrl,
-        **asdict(motion),
-        collapses=motion.collapses,
-        joint_error=float(np.abs(end.qpos[places] - pose).max()),
-    )
-
-
-def _commands_angles(model: mujoco.MjModel, key: int) -> bool:
-    """Tells whether a keyframe's ctrl are its joints' angles: of servos, whatever it has."""
-    hinged = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
-    places = model.jnt_qposadr[model.actuator_trnid[hinged, 0]]
-    angles = model.key_qpos[key, places] * model.actuator_gear[hinged, 0]
-    off = float(np.linalg.norm(model.key_ctrl[key, hinged] - angles))
-    return bool(off < ALIKE * float(np.linalg.norm(angles)))
+    return replace(found, causes=tuple(with_line(cause, file) for cause in found.causes))
 
 
 def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
@@ -275,23 +185,28 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
     if data is None:
         return None
     mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     start = copy.copy(data)
     ahead = wanted.torques if wanted.feedforward else None
     hold = hold_of(bare, robot, data, ahead, wanted.targets)
-    given = simulate_published(bare, data, hold, SECONDS)
+    simulate_published(bare, data, hold, SETTLING)
+    data.qvel[:] += nudge_velocity(model)
+    low, high = simulate_published(bare, data, hold, NUDGED)
     joints = [model.joint(name).id for name in robot.joint_names]
     dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
     driven = robot.mj_convention.actuator_index >= 0
-    off = np.abs(given[dofs] - wanted.torques)[driven]
+    off = np.maximum(high[dofs] - wanted.torques, wanted.torques - low[dofs])[driven]
     largest = float(np.abs(wanted.torques).max())
-    motion = base_moved(model, start, data, bare.base, bare.ground or 0.0, SECONDS)
+    ground = bare.ground or 0.0
+    kept = float(start.subtree_com[bare.base][2]), ground
+    motion = body_moved(model, start, data, bare.base, SETTLING + NUDGED, kept)
     lost = motion.height - motion.end_height
     moved = data.qpos[places] - qpos[robot.nq - robot.nu :]
     torque = float(off.max(initial=0.0)) / largest if largest else 0.0
     differs = not (abs(lost) <= SAME_HEIGHT * motion.height and torque <= SAME)
     return PublishedRun(
         feedforward=wanted.feedforward,
-        duration=SECONDS,
+        duration=motion.duration,
         torque_error=torque,
         height_error=-lost,
         joint_error=float(np.abs(moved).max()),

@@ -11,7 +11,7 @@ from pupper_analysis.arguments import check_type
 from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.robot import PublishedFile, Robot
 
 Array = NDArray[np.float64]
 
@@ -36,4 +36,5 @@ def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Rob
     robot = build_robot(
         describe_variant(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
     )
-    return replace(robot, notes=(*base.remarks(), *robot.notes))
+    notes = (*base.remarks(), *robot.notes)
+    return replace(robot, notes=notes, published=PublishedFile(None))

@@ -11,9 +11,18 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.report.document import Text
 from pupper_analysis.report.words import text
-from pupper_analysis.robot.as_published import Cause, OwnRun, Published, ServoSource, ServosUsed
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.verdict import Ending, Verdict, VerdictCode
+from pupper_analysis.robot.as_published import (
+    Cause,
+    OwnCommands,
+    OwnRun,
+    Published,
+    ServoSource,
+    ServosUsed,
+)
+from pupper_analysis.simulation.verdict import Asked, Ending, Verdict, VerdictCode
+
+FEW = 3
+"""Joints that are named one by one, with what the file has there."""
 
 
 @dataclass(frozen=True)
@@ -34,19 +43,16 @@ class Clause:
 
 def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
     """Returns what a verdict says: what decides it first, then what else it rests on."""
+    own, fails = tuple(own_clauses(verdict.own)), verdict.code is VerdictCode.OWN_DRIVES_FAIL
     told = (
-        *_file_itself(verdict.own, verdict.servos.replaced),
+        *(own if fails else ()),
+        *_replaced(verdict.servos.replaced),
         *_computed(verdict),
         *_published(verdict.published),
         *_beyond(verdict),
+        *(() if fails else own),
     )
     return tuple(sorted(told, key=lambda clause: clause.good != verdict.passed))
-
-
-def of_the_file(robot: Robot) -> tuple[Clause, ...]:
-    """Returns what is to be said of a robot's MJCF as it was published, if anything is."""
-    bad = tuple(servo for servo in robot.description.made_servos if servo.instead_of.bad)
-    return (*_file_itself(robot.own_run, bad), *_published(robot.published))
 
 
 def in_words(verdict: Verdict) -> str:
@@ -54,12 +60,21 @@ def in_words(verdict: Verdict) -> str:
     return "; ".join(map(str, verdict_clauses(verdict)))
 
 
+_WORDS = {
+    Asked.STANDS: ("HOLDS", "FAILS"),
+    Asked.CARRIES: ("carries", "FAILS"),
+    Asked.TRACKED: ("tracked", "FAILED"),
+    Asked.LASTS: ("lasts", "FAILS"),
+}
+"""What it does, and what it does else, by what is asked."""
+
+
 def short_verdict(verdict: Verdict) -> str:
     """Returns a verdict in a word or two, for tables."""
-    if verdict.passed:
-        alone = verdict.commands_alone in (None, Ending.HOLDS)
-        return "HOLDS" if alone else "HOLDS with feed-forward"
-    return "FAILS"
+    alone = verdict.commands_alone in (None, Ending.HOLDS)
+    if verdict.passed and not alone:
+        return "HOLDS with feed-forward"
+    return _WORDS[verdict.asked][0 if verdict.passed else 1]
 
 
 def clause_text(clause: Clause) -> Text:
@@ -93,27 +108,41 @@ def verdict_of_files(key: str, converted: str) -> Text:
     return text("verdict-from-one-file", word=word) if good else word
 
 
-def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
-    """Says what the file's own servos and keyframe do, if they do not hold it."""
-    if own is not None and own.collapses and own.diverged:
-        told = diagnose("published-keyframe-diverges", keyframe=own.keyframe, own_ctrl=own.own_ctrl)
-        yield Clause(False, told)
-    elif own is not None and own.collapses:
+def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
+    """Says what a file does by itself, whatever comes of it: a line for each run."""
+    for run in () if own is None else (own, *((own.held,) if own.held else ())):
+        how: dict[str, Any] = {
+            "imported": run.imported,
+            "keyframe": run.keyframe or None,
+            "absent": run.commands is OwnCommands.ABSENT,
+            "angles": run.commands is OwnCommands.ANGLES,
+        }
+        if run.diverged:
+            yield Clause(False, diagnose("own-run-diverges", **how))
+            continue
+        joint = run.unheld or run.worst
+        if joint is not None:
+            how |= {"off": Quantity(abs(joint.off), "rad"), "drive": Term(joint.drive.value)}
         told = diagnose(
-            "published-keyframe-collapses",
-            keyframe=own.keyframe,
-            place=own.gone,
-            ctrl=own.own_ctrl and not own.gone,
-            servos=not own.own_ctrl and not own.gone,
-            away=Quantity(own.away, "m"),
-            height=Quantity(own.height, "m"),
-            duration=Quantity(own.duration, "s"),
-            end=Quantity(own.end_height, "m"),
+            "own-run",
+            collapses=run.collapses,
+            gives=run.unheld is not None and not run.collapses,
+            place=run.gone,
+            duration=Quantity(run.duration, "s"),
+            height=Quantity(run.height, "m"),
+            end=Quantity(run.end_height, "m"),
+            lean=Quantity(run.lean, "rad"),
+            away=Quantity(run.away, "m"),
+            joint=None if joint is None else joint.joint,
+            added=joint is not None and joint.added,
+            commanded=joint is not None and joint.told_away,
+            **how,
         )
-        yield Clause(False, told)
-    if own is not None and own.leaves:
-        angle = Quantity(own.joint_error, "rad")
-        yield Clause(False, diagnose("published-keyframe-left", keyframe=own.keyframe, angle=angle))
+        yield Clause(not run.falls, told)
+
+
+def _replaced(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
+    """Says which of the file's own servos do not hold what they are meant to."""
     if replaced:
         joints = [servo.joint for servo in replaced]
         kinds = dict.fromkeys(Term(servo.instead_of.value) for servo in replaced)
@@ -123,7 +152,9 @@ def _file_itself(own: OwnRun | None, replaced: tuple[MadeServo, ...]) -> Iterato
 def _computed(verdict: Verdict) -> Iterator[Clause]:
     """Says how the simulations of the computed robot ended, and on which servos."""
     fed, alone = verdict.with_feedforward, verdict.commands_alone
-    if fed is Ending.UNTRIED:
+    if fed is Ending.HOLDS and verdict.asked is not Asked.STANDS:
+        pass  # what it carries, and how it follows, is told beside it
+    elif fed is Ending.UNTRIED:
         told = diagnose("in-balance", within=not verdict.overloaded)
         yield Clause(verdict.code is not VerdictCode.IN_BALANCE, told)  # what decides stands first
     elif fed is not Ending.HOLDS:
@@ -236,7 +267,14 @@ def _beyond(verdict: Verdict) -> Iterator[Clause]:
 
 def on_servos(servos: ServosUsed, *, good: bool) -> Clause:
     """Says that a result rests on servos that were made up, and on which."""
-    told = diagnose("on-servos-made-up", count=len(servos.made), **_gains(servos))
+    few = servos.made if len(servos.made) <= FEW else ()
+    told = diagnose(
+        "on-servos-made-up",
+        count=len(servos.made),
+        names=[servo.joint for servo in few],
+        kinds=dict.fromkeys(Term(servo.instead_of.value) for servo in few),
+        **_gains(servos),
+    )
     return Clause(good, told)
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.robot.fall import has_collapsed
+from pupper_analysis.models.transmission import Drive, MadeServo
+from pupper_analysis.robot.fall import BodyMotion
 
 
 class ServoSource(StrEnum):
@@ -44,50 +44,84 @@ class ServosUsed:
         return tuple(servo for servo in self.made if servo.instead_of.bad)
 
 
-ANOTHER_POSE = 0.5
-"""rad, m: by more than that no servo gives way that holds a robot; it was commanded elsewhere."""
+GIVES_WAY = 0.1
+"""rad, m: a joint among servos that has none, and is so far off, was held by nothing: what has no
+stiffness does not sag, it goes until something stops it."""
+
+
+class OwnCommands(StrEnum):
+    """What a file's actuators are told in its own run."""
+
+    STATED = "the keyframe's ctrl"
+    ABSENT = "the zeros of a keyframe without ctrl"
+    ANGLES = "its joints' angles"
 
 
 @dataclass(frozen=True)
-class OwnRun:
-    """What the MJCF does from its own keyframe, with its own actuators and ``ctrl``.
+class JointOff:
+    """A joint that is not where it began.
 
     Attributes:
-        keyframe: Its name.
-        own_ctrl: Whether ``ctrl`` is the keyframe's; else its servos are told to hold its joints.
-        duration: s.
-        height: Of the base above the ground in the keyframe, or where the robot first touches the
-            ground from there (m).
-        end_height: At the end (m).
-        lean: Of the base against the keyframe at the end (rad).
-        away: How far the base has travelled from the keyframe's place, as seen from above (m).
-        diverged: Whether MuJoCo began anew, as numbers were no longer any.
-        collapses: Whether it has, or has fallen, sunk by ``robot.fall.SUNKEN`` of its height, or
-            travelled by its height.
-        joint_error: By how much a joint ends off the keyframe, at most (rad, m).
+        joint: Its name.
+        off: Where it is less where it was (rad, m).
+        drive: What drives it in the file.
+        commanded: Where its servo is told to be less where it was (rad, m); None where it has none.
+        added: Whether a servo was added there, on which the run rests.
     """
 
-    keyframe: str
-    own_ctrl: bool
-    duration: float
-    height: float
-    end_height: float
-    lean: float
-    away: float
-    diverged: bool
-    collapses: bool
-    joint_error: float = 0.0
+    joint: str
+    off: float
+    drive: Drive
+    commanded: float | None = None
+    added: bool = False
 
     @property
-    def gone(self) -> bool:
-        """Whether the base has left the place where it stood, and that is all."""
-        stands = not has_collapsed(self.lean, self.height, self.end_height, 0.0)
-        return self.collapses and not self.diverged and stands
+    def told_away(self) -> bool:
+        """Whether its own servo was told to go there: what is commanded is another pose."""
+        return self.commanded is not None and abs(self.commanded) > abs(self.off) / 2
+
+
+@dataclass(frozen=True)
+class OwnRun(BodyMotion):
+    """What MuJoCo makes of a file from its keyframe, nudged, exactly as a reset leaves it.
+
+    Attributes:
+        imported: Whether it is MuJoCo's own import of a URDF, given a free base, a floor and the
+            servos that were added.
+        keyframe: Its name; empty where the file has none: from the nominal stand.
+        commands: What its actuators are told.
+        limp: Whether most joints have motors, or nothing, which nobody commands.
+        worst: The joint that is furthest from where it began; None where it diverged.
+        unheld: The same of the joints without a servo, among others that have one, if that is more
+            than ``GIVES_WAY``.
+        held: Where the keyframe states no ctrl, the same with its servos told its angles.
+    """
+
+    imported: bool = False
+    keyframe: str = ""
+    commands: OwnCommands = OwnCommands.STATED
+    limp: bool = False
+    worst: JointOff | None = None
+    unheld: JointOff | None = None
+    held: OwnRun | None = None
 
     @property
-    def leaves(self) -> bool:
-        """Whether its own ctrl takes it to another pose, in which it stays."""
-        return self.own_ctrl and not self.collapses and self.joint_error > ANOTHER_POSE
+    def falls(self) -> bool:
+        """Whether it does not stay where it was to: by collapse, or by a joint that gives way."""
+        return self.collapses or self.unheld is not None
+
+    @property
+    def fails(self) -> bool:
+        """Whether no verdict may be a good one.
+
+        What a keyframe states is the file's word, zeros included. Where it states no ctrl, a reset
+        fills in zeros that nobody wrote; then the file is taken to mean that its servos hold the
+        angles. From the nominal stand, ``Published`` decides.
+        """
+        run = self.held or self
+        if run.limp or not run.keyframe or run.commands is OwnCommands.ABSENT:
+            return False
+        return run.falls
 
 
 @dataclass(frozen=True)
@@ -96,12 +130,13 @@ class PublishedRun:
 
     Attributes:
         feedforward: Whether its servos were told to hold the prediction; else the pose alone.
-        duration: s.
-        torque_error: Largest deviation of a joint's torque / largest predicted torque.
+        duration: s; it is nudged after the first.
+        torque_error: Largest deviation of a joint's torque / largest predicted torque, at any time
+            of the last second.
         height_error: Base's height less the predicted one (m).
         joint_error: Largest deviation of a joint (rad).
         collapses: Whether it has fallen, sunk by ``robot.fall.SUNKEN`` of its height, travelled
-            by its height, or diverged.
+            by its height, or diverged; of what is held, whether a joint has left the posture.
         differs: Whether it does, or is off by more than a verified stand may be.
     """
 

@@ -136,8 +136,7 @@ def with_knowledge_of(built: Robot, robot: Robot) -> Robot:
         built,
         stand_height=robot.stand_height,
         notes=robot.notes,
-        own_run=robot.own_run,
-        published=robot.published,
+        published=None if robot.published is None else robot.published.of_changed(robot),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import Lock
 from types import MappingProxyType
@@ -21,7 +21,7 @@ from pupper_analysis.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.conversion import acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit
-from pupper_analysis.robot.as_published import OwnRun, Published
+from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
@@ -38,6 +38,30 @@ _MADE = (
     "structure", "closure", "efforts", "effort_ranges", "effort_limits", "shapes", "_kept",
 )  # fmt: skip
 """What is worked out again, quicker than it travels."""
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedFile:
+    """A robot's MJCF, or its URDF alone, as it was published: what verdicts simulate beside it.
+
+    Attributes:
+        file: The MJCF; of a URDF alone MuJoCo's own import of it; None where the robot is as its
+            file has it, with nothing made up.
+        keyframe: The one that was asked for.
+        imported: Whether it is of a URDF alone.
+        integrator: MuJoCo's, if another one was asked for.
+        loaded: The robot that was made of it, where this is of one that was changed since.
+    """
+
+    file: MjcfFile | None
+    keyframe: str | None = None
+    imported: bool = False
+    integrator: int | None = None
+    loaded: Robot | None = None
+
+    def of_changed(self, robot: Robot) -> PublishedFile:
+        """Returns the file of what is made of a robot by changing it."""
+        return self if self.loaded is not None else replace(self, loaded=robot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +94,7 @@ class Robot:
         fingerprint: The name, and a hash of all that a stand depends on: joints, limits, masses and
             feet. Robots with the same hash have the same stands.
         notes: What was assumed or added on loading, or is wrong in the files.
-        own_run: What the MJCF does from its own keyframe; None where it was not looked at.
-        published: How the MJCF as it was published differs in the nominal stand; likewise.
-        published_model: MuJoCo's model of the MJCF as it was published; None of robots that were
-            changed since, or are as their files have them by construction.
+        published: The file as it was published, which verdicts look at; None where there is none.
     """
 
     name: str
@@ -99,9 +120,7 @@ class Robot:
     mj_convention: MujocoConvention
     fingerprint: str
     notes: tuple[Diagnostic, ...] = field(default=())
-    own_run: OwnRun | None = None
-    published: Published | None = None
-    published_model: mujoco.MjModel | None = None
+    published: PublishedFile | None = None
 
     def __repr__(self) -> str:
         base = "a free base" if self.floating else "a fixed base"

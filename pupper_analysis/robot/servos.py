@@ -380,14 +380,14 @@ def with_integrator(robot: Robot, integrator: str | None) -> Robot:
     kind = INTEGRATORS[integrator]
     spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
     spec.option.integrator = model.opt.integrator = kind.value
-    published = copy.copy(robot.published_model)
+    published = robot.published
     if published is not None:
-        published.opt.integrator = kind.value
+        loaded = published.loaded
+        loaded = None if loaded is None else with_integrator(loaded, integrator)
+        published = replace(published, integrator=kind.value, loaded=loaded)
     return replace(
         robot,
         description=replace(robot.description, mjcf=spec),
         mj_model=model,
-        own_run=None,
-        published=None,
-        published_model=published,
+        published=published,
     )

@@ -14,14 +14,78 @@ from numpy.typing import NDArray
 from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.fall import FALLEN_TILT, lean_between
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.fall import (
+    FALLEN_TILT,
+    has_collapsed,
+    horizontal_distance,
+    lean_between,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import STATE
 
 Array = NDArray[np.float64]
 
 FALLEN_HEIGHT = 0.5
-"""A base that is lower than this share of the height that it should have has fallen."""
+"""What has lost more than this share of the height of its centre of mass has fallen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Upright:
+    """How a robot is to stand, against which a fall is seen.
+
+    What is watched is the point of its base at which its centre of mass is when it stands so.
+
+    Attributes:
+        robot: The robot.
+        rotation: (3, 3) which its base is to have.
+        place: (3,) where that point is to be (m).
+        lever: (3,) where it is in the base's frame (m).
+        size: Its height above the lowest of the feet's contacts (m).
+    """
+
+    robot: Robot
+    rotation: Array
+    place: Array
+    lever: Array
+    size: float
+
+    @classmethod
+    def of(cls, robot: Robot, qpos: Array, rotation: Array | None = None) -> Upright:
+        """Looks at a robot as it is to stand.
+
+        Args:
+            robot: The robot.
+            qpos: (nq,) its configuration.
+            rotation: (3, 3) which its base is to have; that of ``qpos`` by default.
+        """
+        config = Configuration(robot, qpos)
+        com, turned = config.center_of_mass(), rotation_from_quaternion(qpos[3:7])
+        feet = config.foot_positions()
+        low = min((feet[foot][2] - robot.contact_radius[foot] for foot in feet), default=0.0)
+        lever = turned.T @ (com - qpos[:3])
+        size = float(com[2] - low)
+        return cls(robot, turned if rotation is None else rotation, com, lever, size)
+
+    def lean(self, state: Array) -> float:
+        """Returns how far the base of a state leans (rad)."""
+        return base_lean(self.robot, self.rotation, state)
+
+    def _place(self, state: Array) -> Array:
+        base = state[1 + self.robot.mj_convention.qpos_index[:7]]
+        placed: Array = base[:3] + rotation_from_quaternion(base[3:]) @ self.lever
+        return placed
+
+    def has_fallen(self, state: Array) -> bool:
+        """Tells whether a robot has fallen over in a state."""
+        lost = self.place[2] - self._place(state)[2]
+        return self.lean(state) > FALLEN_TILT or bool(lost > (1 - FALLEN_HEIGHT) * self.size)
+
+    def has_collapsed(self, state: Array) -> bool:
+        """Tells whether a robot no longer stands in a state, in any way."""
+        place = self._place(state)
+        away = horizontal_distance(self.place, place)
+        return has_collapsed(self.lean(state), float(self.place[2] - place[2]), away, self.size)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,17 +182,6 @@ def tell_divergence(integrator: str, timestep: float) -> Diagnostic:
     """Says that a rollout broke down."""
     step = Quantity(timestep, "s")
     return diagnose("simulation-diverged", integrator=integrator, timestep=step)
-
-
-def has_fallen(leaning: float, height: float, upright: float) -> bool:
-    """Tells whether a robot has fallen over, by its lean (rad) and its base's height (m).
-
-    Args:
-        leaning: How far it leans; see ``base_lean``.
-        height: Its base's.
-        upright: What that should be.
-    """
-    return leaning > FALLEN_TILT or height < FALLEN_HEIGHT * upright
 
 
 def tell_fall(leaning: float, height: float) -> Diagnostic:

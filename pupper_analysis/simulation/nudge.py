@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.results import Result
+from pupper_analysis.robot.fall import NUDGE, nudge_velocity
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.rollout import simulate
 
 Array = NDArray[np.float64]
-
-NUDGE = 1e-3
-"""Greatest speed in a nudge, of each coordinate (m/s, rad/s). Equilibria that shake to pieces at
-the next touch have basins of 1e-7, and survive 1e-9; those that stand forget 1e-2."""
 
 LEFT = 1e-2
 """A joint that is further from where it was before the nudge has left it (rad, m)."""
@@ -78,9 +75,7 @@ def simulate_nudge(model: mujoco.MjModel, state: Array, ctrl: Array, duration: f
         (n, size) the states after each step.
     """
     start, first = state.copy(), 1 + model.nq
-    # Seeded: the same robot is nudged alike. No mode is orthogonal to what is random.
-    nudge = np.random.default_rng(0).uniform(-1.0, 1.0, model.nv)
-    start[first : first + model.nv] += NUDGE * nudge / np.abs(nudge).max(initial=0.5)
+    start[first : first + model.nv] += nudge_velocity(model)
     steps = max(3, round(duration / model.opt.timestep))
     return simulate(model, start, np.tile(ctrl, (steps, 1)))
 

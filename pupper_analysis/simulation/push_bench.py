@@ -93,6 +93,7 @@ class Bench:
         self.robot, self.stand, self.drive = held.robot, held.stand, held.drive
         self.start, self.ctrl = held.start, held.ctrl
         model = self.drive.model
+        self.upright = monitor.Upright.of(self.robot, self.stand.qpos, self.stand.task.rotation())
         self.timestep = float(model.opt.timestep)
         self.steps = round(self.duration / self.timestep)
         self.pulse_steps = max(1, round(PULSE / self.timestep))
@@ -192,11 +193,9 @@ class Bench:
     def _unsettled(self, states: Array) -> list[Diagnostic]:
         """Says how it does not stand at the end of some states, of half a second or more."""
         failures = []
-        upright = float(self.stand.qpos[2])
-        leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), states[-1])
-        height = float(monitor.base_heights(self.robot, states[-1]))
-        if monitor.has_fallen(leaning, height, upright):
-            failures.append(monitor.tell_fall(leaning, height))
+        if self.upright.has_fallen(states[-1]):
+            height = float(monitor.base_heights(self.robot, states[-1]))
+            failures.append(monitor.tell_fall(self.upright.lean(states[-1]), height))
         speed = self._last_speed(states)
         if speed > REST_SPEED and speed > REST_SPEED + self.creep:
             failures.append(diagnose("not-at-rest", speed=Quantity(speed, "m/s")))
@@ -209,7 +208,7 @@ class Bench:
 
     def _last_speed(self, states: Array) -> float:
         """Returns the greatest speed of the base at the end (m/s)."""
-        last, lever = states[-self._resting :], float(self.stand.qpos[2])
+        last, lever = states[-self._resting :], self.upright.size
         return monitor.base_speed(self.robot, self.drive.model, last, lever)
 
     def _rests(self, states: Array) -> bool:
@@ -219,9 +218,7 @@ class Bench:
         if np.abs(rates).max(initial=0.0) > _REST_SPEED:
             return False
         end = states[-1]
-        height = float(monitor.base_heights(self.robot, end))
-        leaning = monitor.base_lean(self.robot, self.stand.task.rotation(), end)
-        if monitor.has_fallen(leaning, height, float(self.stand.qpos[2])):
+        if self.upright.has_fallen(end):
             return False
         return evaluate_stability(self.drive, end, self.ctrl, 0.0).lasts()
 

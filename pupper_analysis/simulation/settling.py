@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.robot.fall import has_collapsed, horizontal_distance
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
@@ -119,7 +118,8 @@ def comes_to_rest(
         StaticsInfeasibleError: If no contact forces balance the stand.
     """
     held = begin_stand(robot, stand, feedforward=feedforward, kp=kp, kd=kd)
-    last = _settled(held)
+    upright = monitor.Upright.of(held.robot, held.stand.qpos, held.stand.task.rotation())
+    last = _settled(held, upright)
     if last is None:
         return False
     model, state = held.drive.model, last.states[-1]
@@ -132,7 +132,7 @@ def comes_to_rest(
     if monitor.has_diverged(later, float(model.opt.timestep)):
         return False
     nudge = measure_response(model, state, later, last.states)
-    return not find_instability(judged, nudge) and not _falls(held, later[-1])
+    return not find_instability(judged, nudge) and not _falls(upright, later[-1])
 
 
 def _time_to_forget(stability: Stability) -> float:
@@ -142,7 +142,7 @@ def _time_to_forget(stability: Stability) -> float:
     return min(max(_FORGOTTEN * constant, _BRIEF), NUDGED * LASTING)
 
 
-def _settled(held: Standing) -> _Span | None:
+def _settled(held: Standing, upright: monitor.Upright) -> _Span | None:
     """Simulates a stand until it is at rest; returns its last second, None if it comes to none."""
     model, state = held.drive.model, held.start
     timestep = float(model.opt.timestep)
@@ -154,7 +154,7 @@ def _settled(held: Standing) -> _Span | None:
         if monitor.has_diverged(states, timestep):
             return None
         spans.append(_looked_at(held, data, states))
-        if spans[-1].slip > _LOST * STAYED or _falls(held, state, _LOST * UPRIGHT):
+        if spans[-1].slip > _LOST * STAYED or _falls(upright, state, _LOST * UPRIGHT):
             return None
         if len(spans) == spans.maxlen:
             second = _Span.of(spans)
@@ -175,14 +175,6 @@ def _looked_at(held: Standing, data: mujoco.MjData, states: Array) -> _Span:
     return _Span(states, targets - np.mean(seen, axis=0))
 
 
-def _falls(held: Standing, state: Array, most: float = UPRIGHT) -> bool:
-    turned = monitor.turned_by(held.robot, held.stand.task.rotation(), state)
-    return turned > most or _collapses(held, state)
-
-
-def _collapses(held: Standing, state: Array) -> bool:
-    robot, stand = held.robot, held.stand
-    leaning = monitor.base_lean(robot, stand.task.rotation(), state)
-    place = state[1 + robot.mj_convention.qpos_index[:3]]
-    away = horizontal_distance(stand.qpos[:3], place)
-    return has_collapsed(leaning, float(stand.qpos[2]), float(place[2]), away)
+def _falls(upright: monitor.Upright, state: Array, most: float = UPRIGHT) -> bool:
+    turned = monitor.turned_by(upright.robot, upright.rotation, state)
+    return turned > most or upright.has_collapsed(state)

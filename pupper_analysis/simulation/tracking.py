@@ -222,7 +222,7 @@ def _watch(
         base = watcher.data.qpos[robot.mj_convention.qpos_index[:7]]
         turn = rotation.T @ rotation_from_quaternion(base[3:])
         tilt = max(tilt, float(np.linalg.norm(pin.log3(turn))))
-        if monitor.has_fallen(monitor.base_lean(robot, rotation, states[index]), base[2], goal[2]):
+        if monitor.Upright.of(robot, goal, rotation).has_fallen(states[index]):
             seen.append(diagnose("fell-over", tilt=None, height=None, time=None))
         centres, targets = watcher.foot_centres(), Configuration(robot, goal).foot_positions()
         idle = sight.idle(robot.feet)

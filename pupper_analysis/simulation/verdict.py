@@ -12,7 +12,7 @@ from typing import Protocol
 
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import OwnRun, Published, ServosUsed
+from pupper_analysis.robot.as_published import OwnRun, Published, ServoSource, ServosUsed
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
@@ -43,6 +43,15 @@ HOLDING = (
     VerdictCode.HOLDS_WITH_FEEDFORWARD,
 )
 """The verdicts that let pass; exit status 0."""
+
+
+class Asked(StrEnum):
+    """What a verdict answers."""
+
+    STANDS = "whether it holds"
+    CARRIES = "whether it carries its payload"
+    TRACKED = "whether it follows its path"
+    LASTS = "whether it bears pushes"
 
 
 class Ending(StrEnum):
@@ -82,16 +91,41 @@ class Simulated(Protocol):
         """Largest deviation of a foot's force / its prediction; None where no foot carries."""
 
     @property
-    def stability(self) -> Stability:
-        """Of where it settled."""
+    def stability(self) -> Stability | None:
+        """Of where it settled; None where that was not asked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a simulation was seen to do that predicts no torques: of a payload, of a path.
+
+    Attributes:
+        passed: Whether it did what was asked.
+        failures: If not, why.
+        duration: What was simulated (s).
+        collapses: Whether it fell.
+        torque_error: Largest deviation / largest predicted torque; not a number where none is
+            predicted.
+        force_error: Of a foot's force, likewise; None where no foot carries.
+        stability: Of where it settled; None where that was not asked.
+    """
+
+    passed: bool
+    failures: tuple[Diagnostic, ...]
+    duration: float
+    collapses: bool = False
+    torque_error: float = math.nan
+    force_error: float | None = None
+    stability: Stability | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict(Result):
-    """Whether a stance holds, and what that rests on.
+    """Whether a stance holds, or does what is asked of it, and what that rests on.
 
     Attributes:
         code: The verdict: of all that applies, the worst.
+        asked: What it answers.
         passed: Whether it holds; the exit status of commands.
         seconds: The simulated time (s).
         with_feedforward: How it ends with gravity feed-forward, ctrl = q* + tau / kp.
@@ -103,7 +137,8 @@ class Verdict(Result):
         failures_alone: Why it fails without, if it does.
         overloaded: Motors above their limits.
         servos: The servos that it rests on.
-        own: What the MJCF does from its own keyframe; None where it has no servos or no keyframe.
+        own: What the file does by itself, from its keyframe as a reset leaves it; None of robots
+            that have no file.
         published: How the MJCF as it was published differs; None where it was not looked at.
         doubling_time: In which what deviates doubles (s), with feed-forward; infinite if nothing
             grows.
@@ -112,6 +147,7 @@ class Verdict(Result):
     """
 
     code: VerdictCode
+    asked: Asked
     passed: bool
     seconds: float
     with_feedforward: Ending
@@ -133,25 +169,28 @@ def judge_stance(
     alone: Simulated | None,
     servos: ServosUsed,
     *,
+    asked: Asked = Asked.STANDS,
     overloaded: tuple[str, ...] = (),
     own: OwnRun | None = None,
     published: Published | None = None,
     converted: str = "",
 ) -> Verdict:
-    """Weighs what was simulated of a stance, or of a posture.
+    """Weighs what was simulated of a stance, of a posture, or of what is asked of them.
 
     Args:
         fed: The simulation with feed-forward.
         alone: The simulation without; None if there is none.
         servos: Those that were simulated.
+        asked: What the simulation is of.
         overloaded: Motors above their limits.
-        own: What the MJCF does from its own keyframe.
+        own: What the file does by itself, from its keyframe.
         published: How the MJCF as it was published differs from what was simulated.
         converted: Which of the robot's models was made of the other one, if one was.
     """
     code = _code(fed, alone, servos, overloaded, own, published)
     return Verdict(
         code=code,
+        asked=asked,
         passed=code in HOLDING,
         seconds=fed.duration,
         with_feedforward=describe_ending(fed),
@@ -164,7 +203,7 @@ def judge_stance(
         servos=servos,
         own=own,
         published=published,
-        doubling_time=fed.stability.doubling_time or math.inf,
+        doubling_time=(fed.stability and fed.stability.doubling_time) or math.inf,
         converted=converted,
     )
 
@@ -186,6 +225,7 @@ def predict_verdict(
     doubling = (stability.doubling_time if stability is not None and leaves else None) or math.inf
     return Verdict(
         code=VerdictCode.OVERLOADED if overloaded else code,
+        asked=Asked.STANDS,
         passed=False,
         seconds=0.0,
         with_feedforward=Ending.UNTRIED,
@@ -226,7 +266,8 @@ def _code(
     """Returns the worst that applies."""
     if not fed.passed:
         return VerdictCode.FAILS
-    if (own is not None and own.collapses) or servos.replaced:
+    given = servos.source is ServoSource.GIVEN  # then the file's own are not what holds it
+    if (own is not None and own.fails and not given) or servos.replaced:
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
     off = published.worst if published is not None and differs else None

@@ -11,7 +11,6 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.results import Tabular
-from pupper_analysis.robot.fall import has_collapsed, horizontal_distance
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
@@ -319,24 +318,21 @@ def _measured(
 
 def _collapses(robot: Robot, stand: Stand, states: Array, timestep: float) -> bool:
     """Tells whether a robot no longer stands at the end, in any way."""
-    leaning = monitor.base_lean(robot, stand.task.rotation(), states[-1])
-    place = states[-1, 1 + robot.mj_convention.qpos_index[:3]]
-    away = horizontal_distance(stand.qpos[:3], place)
-    fallen = has_collapsed(leaning, float(stand.qpos[2]), float(place[2]), away)
-    return fallen or monitor.has_diverged(states, timestep)
+    upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
+    return upright.has_collapsed(states[-1]) or monitor.has_diverged(states, timestep)
 
 
 def _failures(
     robot: Robot, stand: Stand, states: Array, watch: Watch, found: StandVerification
 ) -> list[Diagnostic]:
     """Says why the robot does not stand still on its feet, if it does not."""
-    leaning = monitor.base_lean(robot, stand.task.rotation(), states[-1])
+    upright = monitor.Upright.of(robot, stand.qpos, stand.task.rotation())
     failures = list(watch.failures)
     if monitor.has_diverged(states, found.timestep):
         failures.insert(0, monitor.tell_divergence(found.integrator, found.timestep))
-    height = float(monitor.base_heights(robot, states[-1]))
-    if monitor.has_fallen(leaning, height, float(stand.qpos[2])):
-        failures.insert(0, monitor.tell_fall(leaning, height))
+    if upright.has_fallen(states[-1]):
+        height = float(monitor.base_heights(robot, states[-1]))
+        failures.insert(0, monitor.tell_fall(upright.lean(states[-1]), height))
     if not found.height_deviation < STABLE_DEVIATION:
         deviation = Quantity(found.height_deviation, "m")
         failures.append(diagnose("height-deviates", deviation=deviation))

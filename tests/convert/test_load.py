@@ -16,6 +16,7 @@ from pupper_analysis.convert import meshes
 from pupper_analysis.convert.load import read_pair
 from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.xml import parse_text
+from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.pupper.variants import model_folder
 
 URDF, MJCF = model_folder("urdf") / "pupper_v3.urdf", model_folder("mjcf") / "pupper_v3.xml"
@@ -29,7 +30,7 @@ FEET = {
 
 @pytest.fixture(scope="module")
 def both() -> pa.Robot:
-    return pa.load_robot(URDF, MJCF, feet=FEET, self_check=False)
+    return pa.load_robot(URDF, MJCF, feet=FEET)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def of_urdf() -> pa.Robot:
 
 @pytest.fixture(scope="module")
 def of_mjcf() -> pa.Robot:
-    return pa.load_robot(MJCF, feet=FEET, self_check=False)
+    return pa.load_robot(MJCF, feet=FEET)
 
 
 def bent(robot: pa.Robot) -> np.ndarray:
@@ -107,7 +108,7 @@ def test_it_is_said_that_there_was_one_file(
         )
     # An MJCF that was made was not published: there is nothing to be checked of it.
     assert of_urdf.published is None
-    assert of_urdf.own_run is None
+    assert own_run(of_urdf) is None
 
 
 def test_a_verdict_says_so(of_mjcf: pa.Robot, both: pa.Robot) -> None:
@@ -130,7 +131,7 @@ def test_of_two_files_one_can_be_taken(tmp_path: Path) -> None:
     own, other = pa.load_robot(urdf, mjcf).total_mass, pa.load_robot(heavier).total_mass
     assert other != pytest.approx(own)
     for take, mass in (("urdf", other), ("mjcf", own)):
-        robot = pa.load_robot(heavier, mjcf, take=take, self_check=False)
+        robot = pa.load_robot(heavier, mjcf, take=take)
         assert robot.total_mass == pytest.approx(mass)
         assert robot.mj_model.body_subtreemass[0] == pytest.approx(mass)
         assert robot.description.converted == {"urdf": "mjcf", "mjcf": "urdf"}[take]
@@ -217,7 +218,7 @@ RODS = """<mujoco><worldbody><body name="trunk" pos="0 0 1"><freejoint/>
 def test_a_ball_joint_is_fixed_as_beside_a_urdf_that_has_none(tmp_path: Path) -> None:
     file = tmp_path / "rods.xml"
     file.write_text(RODS)
-    robot = pa.load_robot(file, feet=[], self_check=False)
+    robot = pa.load_robot(file, feet=[])
     assert robot.joint_names == ("hip",)
     assert "ball-joints-fixed" in {note.code for note in robot.notes}
     # At rest: 1 kg 0.3 m below the hip, and the rod's 0.5 kg, 0.1 m beside that.

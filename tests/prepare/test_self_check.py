@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive
-from pupper_analysis.prepare.bare import Bare
-from pupper_analysis.prepare.self_check import own_run
-from pupper_analysis.report.verdict import in_words, of_the_file
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.report.verdict import in_words
+from pupper_analysis.robot.as_published import OwnCommands
+from pupper_analysis.robot.robot import PublishedFile
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from tests.support import legged
 from tests.support.slips import FALLS, SLIPS, by_itself, standing
@@ -38,18 +40,22 @@ def test_what_stands_by_itself_holds(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     assert by_itself(pair.mjcf) < 0.02
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.own_run is not None
-    assert robot.own_run.own_ctrl
-    assert not robot.own_run.collapses
-    assert robot.published is not None
-    assert not robot.published.differs
-    assert [run.feedforward for run in robot.published.runs] == [True, False]
-    for run in robot.published.runs:  # predicted to nine digits of the height, feet creep and all
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    own, published = verdict.own, verdict.published
+    assert own is not None
+    assert own.commands is OwnCommands.STATED
+    assert not own.falls
+    assert own.worst is not None
+    assert own.worst.drive is Drive.SERVO
+    assert abs(own.worst.off) < 0.03
+    assert published is not None
+    assert not published.differs
+    assert [run.feedforward for run in published.runs] == [True, False]
+    for run in published.runs:  # predicted to nine digits of the height, feet creep and all
         assert abs(run.height_error) < 1e-8
         assert run.torque_error < 1e-4
-    assert not of_the_file(robot)
-    verdict = study_stance(robot, pa.StandTask()).verdict
     assert verdict.code is VerdictCode.HOLDS
+    assert "the file by itself, reset to its keyframe home: its centre of mass" in in_words(verdict)
     assert not verdict.servos.made
 
 
@@ -58,11 +64,11 @@ def test_a_drop_from_the_air_is_no_height_that_is_lost(tmp_path: Path) -> None:
     pair = standing(tmp_path)
     text = pair.mjcf.read_text().replace('qpos="0 0 0.35 ', 'qpos="0 0 0.5 ')
     pair.mjcf.write_text(text.replace("<position ", '<position forcerange="-40 40" '))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.own_run is not None
-    assert not robot.own_run.collapses
-    assert robot.own_run.end_height == pytest.approx(0.35, abs=0.01)
-    assert robot.own_run.height == pytest.approx(0.35, abs=0.02)  # where its feet touch
+    own = own_run(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    assert own is not None
+    assert not own.collapses
+    assert own.end_height == pytest.approx(0.35, abs=0.01)
+    assert own.height == pytest.approx(0.35, abs=0.02)  # where its feet touch
     assert "keyframe-falls" not in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
@@ -73,8 +79,7 @@ def test_what_leaves_its_place_collapses(tmp_path: Path) -> None:
     text = pair.mjcf.read_text().replace("<option ", '<option gravity="0.6 0 -9.81" ')
     text = text.replace('type="plane"', 'priority="1" friction="0.01" type="plane"')
     pair.mjcf.write_text(text)
-    bare = Bare.of(mujoco.MjModel.from_xml_path(str(pair.mjcf)), robot)
-    run = own_run(bare, robot, ["home"])
+    run = own_run(replace(robot, published=PublishedFile(read_mjcf(pair.mjcf))))
     assert run is not None
     assert run.end_height == pytest.approx(run.height, rel=0.1)
     assert run.away == pytest.approx(0.5 * (0.6 - 0.01 * 9.81) * run.duration**2, rel=0.05)
@@ -90,11 +95,11 @@ def test_what_lands_on_its_knees_has_fallen(tmp_path: Path) -> None:
     text = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 0 -2.5"] * 4))
     knee = '<geom type="sphere" size="0.03" pos="0 0 -0.2"/>'
     pair.mjcf.write_text(re.sub(r'(<body name="\w+_thigh"[^>]*>)', rf"\1{knee}", text))
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.own_run is not None
-    assert robot.own_run.end_height == pytest.approx(0.23, abs=0.01)
-    assert robot.own_run.collapses
-    assert not robot.own_run.gone
+    own = own_run(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    assert own is not None
+    assert own.end_height == pytest.approx(0.23, abs=0.01)
+    assert own.collapses
+    assert not own.gone
     assert "keyframe-falls" in {found.rule for found in pa.audit_model(pair.mjcf).findings}
 
 
@@ -105,8 +110,9 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
     text = pair.mjcf.read_text().replace('kp="150" kv="5"', "").replace("<position", f"<{servo}")
     pair.mjcf.write_text(text)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.own_run is not None
-    assert robot.own_run.collapses
+    own = own_run(robot)
+    assert own is not None
+    assert own.collapses
     assert {made.instead_of for made in robot.description.made_servos} == {Drive.OTHER}
 
 
@@ -179,15 +185,15 @@ def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str)
     pair = standing(tmp_path)
     pair.mjcf.write_text(pair.mjcf.read_text().replace(old, new))
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.published is not None
-    assert robot.published.differs
-    (found,) = robot.published.causes
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    assert verdict.published is not None
+    assert verdict.published.differs
+    (found,) = verdict.published.causes
     assert (found.code, found.elements[0]) == (cause, element)
     assert found.line is not None
     assert line in pair.mjcf.read_text().splitlines()[found.line - 1]
     assert found.remaining is not None
     assert found.remaining < 0.01
-    verdict = study_stance(robot, pa.StandTask()).verdict
     assert verdict.code is not VerdictCode.HOLDS
     assert element in in_words(verdict)
 
@@ -196,10 +202,10 @@ def test_files_of_two_robots_are_told_from_a_file_that_differs(tmp_path: Path) -
     pair = standing(tmp_path)
     heavier = pair.mjcf.read_text().replace('mass="4"', 'mass="5"')
     pair.mjcf.write_text(heavier)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.published is not None
-    assert robot.published.differs
-    assert [cause.code for cause in robot.published.causes] == ["pair"]
+    published = verdict_of(pair).published
+    assert published is not None
+    assert published.differs
+    assert [cause.code for cause in published.causes] == ["pair"]
 
 
 def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
@@ -237,12 +243,16 @@ def test_no_slip_that_makes_it_fall_is_said_to_hold(tmp_path: Path, name: str) -
 def test_a_keyframes_angles_are_no_torques(tmp_path: Path) -> None:
     """Servos that have lost their gains are motors, which the keyframe tells 0.6 and -1.2 N m."""
     pair = legged.quadruped(tmp_path, floor=True)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.own_run is None  # nothing is said of what its motors shall do
+    own = own_run(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf))
+    assert own is not None
+    assert own.collapses  # as motors do that nobody commands
+    assert not own.fails
     angles = " ".join(["0 0.6 -1.2"] * 4)
     text = pair.mjcf.read_text().replace('name="home"', f'name="home" ctrl="{angles}"')
     pair.mjcf.write_text(text)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
-    assert robot.own_run is not None
-    assert robot.own_run.collapses
+    own = own_run(robot)
+    assert own is not None
+    assert own.collapses
+    assert own.fails
     assert study_stance(robot, pa.StandTask()).verdict.code is VerdictCode.OWN_DRIVES_FAIL

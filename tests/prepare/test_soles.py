@@ -246,7 +246,7 @@ def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
 def test_a_sole_sinks_as_a_plane_whose_forces_have_the_resultant(tmp_path: Path) -> None:
     """By unequal loads of the soles it tilts, and a corner lifts: 8e-4 off, and "not >= 0 m"."""
     pair = biped(tmp_path)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     tilted = holds(robot, pa.StandTask(com=(0.06, 0.04)), within=1e-6)
     assert min(tilted.depths.values()) > 1e-4
     lifted = holds(robot, pa.StandTask(com=(0.08, 0.06)), within=1e-6)

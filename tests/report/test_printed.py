@@ -22,7 +22,7 @@ from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.plots import LinePlot
 from pupper_analysis.report.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.simulation.verdict import judge_stance
+from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.optimize.best import Objective
 from pupper_analysis.stance.path.path_limits import PathLimit
 from pupper_analysis.stance.path.segment_time import BindingLimit
@@ -157,12 +157,13 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
     own = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (made,))
     one = loaded()
     one.servos = own
-    said = "on servos that were added to 1 joints (kp 320 N m/rad, kd 16 N m s/rad)"
+    said = "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 320 N m/rad"
     assert said in " ".join(printed(payload_document(one)))
     push = pushed("one", 0.0, 0.00311)
-    push.verdict = judge_stance(run(0.0, passed=True), None, own)
+    push.verdict = judge_stance(run(0.0, passed=True), None, own, asked=Asked.LASTS)
+    tracked = judge_stance(Outcome(True, (), 3.0), None, own, asked=Asked.TRACKED)
     assert said in " ".join(printed(push_document(push)))
-    assert said in " ".join(printed(path_document(there(servos=own))))
+    assert said in " ".join(printed(path_document(there(verdict=tracked))))
 
 
 def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:

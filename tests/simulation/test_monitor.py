@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 
+from pupper_analysis.arrays import rotation_from_quaternion
 from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
@@ -63,11 +65,25 @@ def test_a_robot_on_its_back_touches_with_its_base_and_has_fallen() -> None:
 
 
 @pytest.mark.parametrize(
-    ("leaning", "height", "fallen"),
-    [(0.0, 0.15, False), (0.49, 0.15, False), (0.51, 0.15, True), (0.0, 0.074, True)],
+    ("leaning", "lost", "fallen"),
+    [(0.0, 0.0, False), (0.49, 0.0, False), (0.51, 0.0, True), (0.0, 0.51, True), (0, 0.4, False)],
 )
-def test_fallen_is_leaning_too_far_or_too_low(leaning: float, height: float, fallen: bool) -> None:
-    assert monitor.has_fallen(leaning, height, 0.15) is fallen
+@pytest.mark.parametrize("under", [0.0, 0.3])
+def test_fallen_is_leaning_too_far_or_too_low(
+    leaning: float, lost: float, fallen: bool, under: float
+) -> None:
+    """As high above the ground as its base's frame may be, or as deep below."""
+    robot, stand = load(NAME), stand_of(NAME)
+    there = stand.qpos.copy()
+    upright = monitor.Upright.of(robot, there)
+    assert upright.size == pytest.approx(stand.qpos[2], rel=0.3)
+    there[2] -= lost * upright.size
+    there[3:7] = quaternion(np.array([leaning, 0.0, 0.0]))
+    turned = rotation_from_quaternion(there[3:7])
+    there[:3] += upright.lever - turned @ upright.lever  # about its centre of mass
+    lowered = replace(upright, place=upright.place - [0, 0, under])
+    there[2] -= under
+    assert lowered.has_fallen(state_at(robot, robot.mj_model, there)) is fallen
 
 
 def test_yaw_is_no_lean_and_a_turn_is() -> None:
@@ -122,7 +138,7 @@ def test_a_rollout_that_breaks_down_is_known() -> None:
 def test_what_has_fallen_sunk_or_left_its_place_has_collapsed(
     leaning: float, end: float, away: float, collapsed: bool
 ) -> None:
-    assert has_collapsed(leaning, 0.2, end, away) is collapsed
+    assert has_collapsed(leaning, 0.2 - end, away, 0.2) is collapsed
 
 
 def test_a_bases_speed_is_linear_and_angular_apart() -> None:

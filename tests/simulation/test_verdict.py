@@ -12,6 +12,7 @@ from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.report.verdict import in_words
 from pupper_analysis.robot.as_published import (
     Cause,
+    JointOff,
     OwnRun,
     Published,
     PublishedRun,
@@ -28,7 +29,7 @@ def run(loss: float = 0.001, *, passed: bool = True) -> Any:
         passed=passed,
         failures=() if passed else ("it sank",),
         duration=12.0,
-        collapses=has_collapsed(0.0, 0.2, 0.2 - loss, 0.0),
+        collapses=has_collapsed(0.0, loss, 0.0, 0.2),
         torque_error=1e-8,
         force_error=2e-8,
         stability=Stub(doubling_time=None),
@@ -50,7 +51,8 @@ def published(torque: float, *, collapses: bool = False) -> Published:
 
 def own(*, collapses: bool) -> OwnRun:
     end = 0.04 if collapses else 0.28
-    return OwnRun("home", True, 2.0, 0.285, end, 0.0, 0.0, False, collapses)
+    knee = JointOff("knee", 0.03, Drive.SERVO)
+    return OwnRun(5.0, 0.285, end, 0.02, 0.0, False, keyframe="home", worst=knee)
 
 
 CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
@@ -67,7 +69,7 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"servos": made(Drive.MOTOR)},
         VerdictCode.HOLDS_ON_ADDED_SERVOS,
         True,
-        "on servos that were added to 1 joints (kp 40 N m/rad, kd 2 N m s/rad)",
+        "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 40 N m/rad",
     ),
     "given": (
         {"servos": ServosUsed(ServoSource.GIVEN, (30.0, 50.0), (2.0, 2.0))},
@@ -85,8 +87,9 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         {"own": own(collapses=True)},
         VerdictCode.OWN_DRIVES_FAIL,
         False,
-        "COLLAPSES as published from its own keyframe home, with its own ctrl: 0.285 m high, after "
-        "2 s 0.040 m; HOLDS in MuJoCo",
+        "the file by itself, reset to its keyframe home: it COLLAPSES, its centre of mass is "
+        "0.285 m high, after 5 s 0.040 m, tilted by 0.02 rad; worst joint knee, 0.03 rad off "
+        "(position servo); HOLDS in MuJoCo",
     ),
     "nearly as published": (
         {"published": published(0.016)},

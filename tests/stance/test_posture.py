@@ -18,7 +18,7 @@ from tests.support.variants import load
 def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
     """Three legs and a tail, whose weight changes what the feet carry."""
     pair = written(drawn(57), tmp_path)
-    robot = pa.load_robot(pair.urdf, pair.mjcf, self_check=False)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
     tail = next(name for name in robot.joint_names if "wag" in name)
     index = robot.joint_names.index(tail)
     forces = {}

@@ -114,7 +114,7 @@ def standing(name: str, folder: Path) -> Pair:
     given = folder / "given"
     given.mkdir(parents=True, exist_ok=True)
     pair = BASES[name](given)
-    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf, self_check=False)
+    robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
     root = etree.parse(str(pair.mjcf), etree.XMLParser(remove_comments=True)).getroot()
     _include(root, pair.mjcf.parent)
     _without_meshes(root)

@@ -26,7 +26,7 @@ from pupper_analysis.report.documents.pushed_stance import compare_pushes, push_
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.simulation.verdict import judge_stance
+from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.optimize.best import Objective
 from pupper_analysis.stance.payload.servo_limit import Failure
 from pupper_analysis.stance.payload.sharing import Sharing
@@ -250,7 +250,7 @@ def pushed(name: str, shift: float, depth: float) -> Any:
     stand = Stub(
         task=StandTask(height=0.1, yaw=math.radians(shift)), depths={"FR": depth / 2, "RL": depth}
     )
-    verdict = judge_stance(run(0.0, passed=True), None, SERVOS)
+    verdict = judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.LASTS)
     return Stub(name=name, passed=True, stand=stand, recovery=pushes(shift), verdict=verdict)
 
 
@@ -345,7 +345,7 @@ def there(**changes: Any) -> Any:
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
     least = {"binding": None, "reserve": None, "lower_bound": None}
-    least |= {"servos": SERVOS, "converted": ""}
+    least["verdict"] = judge_stance(Outcome(True, (), 3.0), None, SERVOS, asked=Asked.TRACKED)
     return Stub(**fields, **{**least, **changes})
 
 

@@ -10,9 +10,9 @@ from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.standing import made_up, robot_notes
+from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_of_files
+from pupper_analysis.report.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
@@ -25,14 +25,19 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
     """Returns the path to a stance, which its view steps through; see ``build``."""
     path, tracking = there.path, there.tracking
     motion = doc.Motion(text("the-path"), path.time, path.qpos)
+    verdict = verdict_lines(there.verdict)
     return doc.Document(
         text("path-to-a-stance"),
         doc.Name(there.name),
         (view_block(robot, there.stand, None, [motion]), *path_blocks(path, tracking)),
         passed=there.passed,
-        verdict=verdict_of_files("tracked" if there.passed else "FAILED", there.converted),
-        failures=tuple(map(doc.tell, tracking.failures)),
-        told=(task_text(there.stand.task), *_least_time(there), *made_up(there.servos)),
+        verdict=verdict_word(there.verdict),
+        failures=() if there.passed else verdict,
+        told=(
+            task_text(there.stand.task),
+            *_least_time(there),
+            *(verdict if there.passed else ()),
+        ),
         notes=robot_notes(robot),
     )
 

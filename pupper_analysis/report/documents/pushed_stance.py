@@ -13,9 +13,9 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import view_block
 from pupper_analysis.report.documents.registry import build_document, compare_results
-from pupper_analysis.report.documents.standing import ground_text, made_up, robot_notes
+from pupper_analysis.report.documents.standing import ground_text, robot_notes
 from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines, verdict_of_files
+from pupper_analysis.report.verdict import verdict_lines, verdict_word
 from pupper_analysis.report.words import text
 from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
@@ -34,12 +34,12 @@ def push_document(pushed: PushedStance, robot: Robot | None = None) -> doc.Docum
             push_plot({pushed.name: pushed.recovery}, pushed.name),
         ),
         passed=pushed.passed,
-        verdict=verdict_of_files("lasts" if pushed.passed else "FAILS", pushed.verdict.converted),
+        verdict=verdict_word(pushed.verdict),
         failures=tuple(_against(pushed)),
         told=(
             *_weakest(pushed),
             task_text(pushed.stand.task),
-            *(made_up(pushed.verdict.servos) if pushed.passed else ()),
+            *(verdict_lines(pushed.verdict) if pushed.passed else ()),
             ground_text(pushed.stand.depths.values()),
         ),
         notes=robot_notes(robot),

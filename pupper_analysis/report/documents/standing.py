@@ -9,7 +9,7 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report.document import Text, Words, tell
 from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.sources import files_text
-from pupper_analysis.report.verdict import clause_text, of_the_file, on_servos
+from pupper_analysis.report.verdict import clause_text, on_servos
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
@@ -18,13 +18,13 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:
-    """Returns a robot's files, what was assumed of it, and what its MJCF does by itself."""
+    """Returns a robot's files, and what was assumed of it."""
     return () if robot is None else (files_text(robot), *assumption_texts(robot))
 
 
 def assumption_texts(robot: Robot) -> tuple[Words, ...]:
-    """Returns what was assumed when a robot was loaded, and what its MJCF does by itself."""
-    return (*map(clause_text, of_the_file(robot)), *map(tell, merge_diagnostics(robot.notes)))
+    """Returns what was assumed when a robot was loaded."""
+    return tuple(map(tell, merge_diagnostics(robot.notes)))
 
 
 def ground_text(depths: Iterable[float]) -> Text:

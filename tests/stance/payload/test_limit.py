@@ -150,7 +150,7 @@ def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
 @pytest.mark.longest
 def test_a_payload_on_a_tail_is_borne_until_its_motor_or_a_foot_gives_way(tmp_path: Path) -> None:
     pair = written(drawn(57), tmp_path)
-    strong = pa.load_robot(pair.urdf, pair.mjcf, self_check=False)
+    strong = pa.load_robot(pair.urdf, pair.mjcf)
     tail = next(name for name in strong.joint_names if "wag" in name)
     place = find_tool(strong, "tail").moved((0.02, 0.05, 0.0))
     efforts = np.where(np.array(strong.joint_names) == tail, 8.0, strong.effort_limits)

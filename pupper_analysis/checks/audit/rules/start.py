@@ -16,7 +16,7 @@ from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.contact import ground_geom
-from pupper_analysis.robot.fall import base_motion
+from pupper_analysis.robot.fall import own_motion
 from pupper_analysis.robot_model.mjcf import joint_name
 from pupper_analysis.robot_model.model import Array, MjcfModel, RobotModel
 
@@ -153,8 +153,8 @@ def keyframe_ctrl(robot: MjcfModel) -> Iterator[Found]:
 def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
     """Simulates the first keyframe (``home``, if there is one) with its own actuators and ctrl.
 
-    For 2 s, and 6 if the base still moves then. Where the keyframe states no ctrl, position servos
-    are told to hold its joints, if half of them have one; motors would need a controller.
+    For 5 s, nudged. Where the keyframe states no ctrl, position servos are told to hold its joints,
+    if half of them have one; motors would need a controller.
     """
     model = robot.mj_model
     if model is None or robot.refusal is not None or not model.nkey or not robot.base:
@@ -169,11 +169,12 @@ def keyframe_falls(robot: MjcfModel) -> Iterator[Found]:
     before = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, before, key)
     ground = ground_geom(model)
-    if ground is None or (not model.key_ctrl[key].any() and not _held(robot, before)):
+    stated = bool(model.key_ctrl[key].any()) or len(robot.file.spec.keys[key].ctrl) > 0
+    if ground is None or not (stated or _held(robot, before)):
         return
     mujoco.mj_kinematics(model, before)
     floor = float(before.geom_xpos[ground][2])
-    motion, _ = base_motion(model, before, base, floor, partial(_run, model))
+    motion, _ = own_motion(model, before, base, floor, partial(_run, model))
     if motion.diverged:
         told = diagnose("keyframe-diverges")
     elif motion.collapses:

@@ -1,0 +1,88 @@
+"""The verdict of a stand, or of what is asked of it: gathers what it rests on."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.prepare.self_check import as_published_in
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
+from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.simulation.verdict import (
+    Asked,
+    Simulated,
+    Verdict,
+    beyond_limits,
+    judge_stance,
+)
+from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
+from pupper_analysis.stance.stand import Stand, stand_statics
+from pupper_analysis.statics.equilibrium import GravityCompensation
+
+
+def judge(
+    robot: Robot,
+    stand: Stand,
+    fed: Simulated,
+    alone: Simulated | None = None,
+    *,
+    statics: GravityCompensation | None = None,
+    asked: Asked = Asked.STANDS,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> Verdict:
+    """Weighs what was simulated of a stand, and what the robot's file does by itself.
+
+    Args:
+        robot: The robot.
+        stand: The stand, on rigid ground.
+        fed: The simulation with feed-forward; of a payload or a path an ``Outcome``.
+        alone: The simulation without; None if there is none.
+        statics: What its motors hold; None if their limits are no part of what is asked.
+        asked: What the simulation is of.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+
+    Raises:
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
+    """
+    servos = servos_used(robot, kp, kd)
+    return judge_stance(
+        fed,
+        alone,
+        servos,
+        asked=asked,
+        overloaded=() if statics is None else beyond_limits(statics),
+        own=own_run(robot),
+        published=as_published_in(robot, stand, servos),
+        converted=robot.description.converted,
+    )
+
+
+def judge_stand(
+    robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, kd: ArrayLike | None = None
+) -> Verdict:
+    """Simulates a stand, and returns its verdict: that of ``study_stance``.
+
+    What is worked out of a stand (``steady_state``, ``payload_limit``) is of the robot as it was
+    made ready; this tells whether its file bears that out.
+
+    Args:
+        robot: The robot.
+        stand: The stand.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+
+    Raises:
+        StaticsInfeasibleError: If it slides or tips.
+        ConfigurationError: If an argument makes no sense for the robot.
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
+    """
+    held = solve_stand_as_simulated(robot, stand)
+    fed, alone = (
+        verify_stand(robot, held, kp=kp, kd=kd, feedforward=ahead, duration=LASTING)
+        for ahead in (True, False)
+    )
+    return judge(robot, stand, fed, alone, statics=stand_statics(robot, held), kp=kp, kd=kd)

@@ -1,0 +1,209 @@
+"""What a robot's file does by itself, before anything that was changed on loading is believed.
+
+From its own keyframe, exactly as MuJoCo's reset leaves it, for some seconds, nudged. Made when a
+verdict is first asked for.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import asdict, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.transmission import Drive, drives_of, law_of
+from pupper_analysis.prepare.bare import (
+    Bare,
+    Hold,
+    hold_of,
+    place_published,
+    published_model,
+    self_controlled,
+    simulate_published,
+)
+from pupper_analysis.prepare.start import stands_at
+from pupper_analysis.robot.as_published import (
+    GIVES_WAY,
+    JointOff,
+    OwnCommands,
+    OwnRun,
+)
+from pupper_analysis.robot.fall import own_motion
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+ALIKE = 0.1
+"""Of a keyframe's angles: a ctrl that is off by less, leads for the weight, is of angles. Torques
+of as many joints are not by chance."""
+
+
+def as_loaded(robot: Robot) -> Robot:
+    """Returns the robot as its files have it, of one that may have been changed since."""
+    published = robot.published
+    return robot if published is None or published.loaded is None else published.loaded
+
+
+def own_run(robot: Robot) -> OwnRun | None:
+    """Returns what a robot's file does by itself, from its keyframe; made once.
+
+    Returns:
+        What it does; None of a robot without a file, without feet, or whose file has its base held.
+    """
+    return as_loaded(robot).once(_own_run)
+
+
+def raw_model(robot: Robot) -> mujoco.MjModel | None:
+    """Returns the file's model, with what every robot needs to stand; see ``published_model``."""
+    if robot.published is None:
+        return None
+    if robot.published.file is None:
+        return robot.mj_model
+    model = published_model(robot.published.file, robot)
+    if model is not None and robot.published.integrator is not None:
+        model = copy.copy(model)
+        model.opt.integrator = robot.published.integrator
+    return model
+
+
+def _own_run(robot: Robot) -> OwnRun | None:
+    if not robot.floating or not robot.feet or robot.published is None:
+        return None
+    model = robot.once(raw_model)
+    if model is None:
+        return None
+    bare = Bare.of(model, robot)
+    if not bare.floating:
+        return None
+    name = _keyframe(model, robot, robot.published.keyframe)
+    return _from_stand(bare, robot) if name is None else _from_keyframe(bare, robot, name)
+
+
+def _keyframe(model: mujoco.MjModel, robot: Robot, wanted: str | None) -> int | None:
+    """Returns the keyframe to begin in: the wanted one, or one in which it stands, or ``home``."""
+    names = [model.key(key).name or f"keyframe {key + 1}" for key in range(model.nkey)]
+    if wanted is not None:
+        return names.index(wanted) if wanted in names else None
+    joints = [model.joint(name).id for name in robot.joint_names]
+    places = model.jnt_qposadr[joints]
+    ranks = {}
+    for key, name in enumerate(names):
+        values = dict(zip(robot.joint_names, model.key_qpos[key, places].tolist(), strict=True))
+        ranks[key] = (not stands_at(robot, values), name != "home")
+    return min(ranks, key=ranks.__getitem__, default=None)
+
+
+@silence_mujoco()
+def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
+    """Simulates a file from a keyframe as a reset leaves it, and held at its angles."""
+    model, data = bare.model, mujoco.MjData(bare.model)
+    mujoco.mj_resetDataKeyframe(model, data, key)
+    name = model.key(key).name or f"keyframe {key + 1}"
+    assert robot.published is not None
+    stated = bool(model.key_ctrl[key].any()) or _states_ctrl(robot, key)
+    holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
+    limp = 2 * holding < len(bare.drives)
+    nothing = np.zeros(0)
+    outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
+    left = Hold(data.ctrl.copy(), data.act.copy(), outside, {})
+    run = _own(bare, robot, data, left)
+    run = replace(
+        run,
+        keyframe=name,
+        commands=OwnCommands.STATED if stated else OwnCommands.ABSENT,
+        limp=limp and not _commands_angles(model, key),
+    )
+    if stated or limp or self_controlled(bare, robot):
+        return run
+    pose = data.qpos[_places(bare, robot)].copy()
+    held = _own(bare, robot, data, hold_of(bare, robot, data, None, pose))
+    held = replace(held, keyframe=name, commands=OwnCommands.ANGLES)
+    return replace(run, held=held)
+
+
+def _states_ctrl(robot: Robot, key: int) -> bool:
+    """Tells whether the XML of a keyframe states its ctrl: zeros are stated as well as absent."""
+    assert robot.published is not None
+    file = robot.published.file
+    keys = (robot.description.mjcf if file is None else file.spec).keys
+    return key < len(keys) and len(keys[key].ctrl) > 0
+
+
+@silence_mujoco()
+def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
+    """Simulates a file that has no keyframe from the nominal stand, held at its angles."""
+    data = place_published(bare, robot, robot.home)
+    if data is None or bare.ground is None or self_controlled(bare, robot):
+        return None
+    pose = data.qpos[_places(bare, robot)].copy()
+    run = _own(bare, robot, data, hold_of(bare, robot, data, None, pose))
+    assert robot.published is not None
+    return replace(run, imported=robot.published.imported, commands=OwnCommands.ANGLES)
+
+
+def _places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
+    """Returns where the robot's joints are in the file's qpos."""
+    joints = [bare.model.joint(joint).id for joint in robot.joint_names]
+    return np.asarray(bare.model.jnt_qposadr[joints])
+
+
+def _own(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
+    """Simulates a file from some data on, told something; neither knows of a keyframe."""
+    start = copy.copy(data)
+    start.ctrl[:], start.act[:] = hold.ctrl, hold.act
+    places = _places(bare, robot)
+    motion, end = own_motion(
+        bare.model,
+        start,
+        bare.base,
+        bare.ground or 0.0,
+        lambda run, time: simulate_published(bare, run, hold, time),
+    )
+    off = end.qpos[places] - start.qpos[places]
+    joints = [
+        JointOff(
+            name,
+            float(off[index]),
+            bare.drives[index],
+            _told(bare, name, hold.ctrl, float(start.qpos[places[index]])),
+            added=bare.model.jnt_dofadr[bare.model.joint(name).id] in hold.outside[0],
+        )
+        for index, name in enumerate(robot.joint_names)
+    ]
+    whole = not motion.diverged
+    loose = [one for one in joints if one.drive is not Drive.SERVO and abs(one.off) > GIVES_WAY]
+    few = 2 * sum(one.drive is Drive.SERVO for one in joints) > len(joints)
+    return OwnRun(
+        **asdict(motion),
+        worst=max(joints, key=_far, default=None) if whole else None,
+        unheld=max(loose, key=_far, default=None) if whole and few else None,
+    )
+
+
+def _far(joint: JointOff) -> float:
+    return abs(joint.off)
+
+
+def _told(bare: Bare, joint: str, ctrl: Array, angle: float) -> float | None:
+    """Returns where a joint's servo is told to be less its angle; None where it has no one servo.
+
+    By its law at rest: its gain's part of ctrl balances its stiffness's.
+    """
+    motors = drives_of(bare.model, bare.model.joint(joint).id)
+    laws = [law_of(bare.model, motor) for motor in motors]
+    if len(motors) != 1 or laws[0].at_joint[0] <= 0:
+        return None
+    told = laws[0].gain * float(ctrl[bare.model.actuator_ctrladr[motors[0]]])
+    return told / (laws[0].stiffness * laws[0].gear) - angle
+
+
+def _commands_angles(model: mujoco.MjModel, key: int) -> bool:
+    """Tells whether a keyframe's ctrl are its joints' angles: of servos, whatever it has."""
+    hinged = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT.value
+    places = model.jnt_qposadr[model.actuator_trnid[hinged, 0]]
+    angles = model.key_qpos[key, places] * model.actuator_gear[hinged, 0]
+    off = float(np.linalg.norm(model.key_ctrl[key, hinged] - angles))
+    return bool(off < ALIKE * float(np.linalg.norm(angles)))
