@@ -139,7 +139,7 @@ def _forces(robot: pa.Robot, watch: Watch) -> Callable[[], None]:
         transposed = carrying.jacobian(config)
         problem = carrying.balance(transposed, load)
         watch.stop("Jacobians of the contacts, gravity")
-        problem.minimum_tangential(carrying.friction, np.ones(len(carrying.feet)))
+        problem.minimum_tangential(carrying.friction, carrying.metric)
         watch.stop("forces: a least-squares problem of 6 by 12")
         pa.gravity_compensation(config)
         watch.stop("gravity_compensation, all of it")

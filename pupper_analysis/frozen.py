@@ -29,12 +29,15 @@ class FrozenDict(dict[_K, _V]):
 def freeze(value: Any) -> Any:
     """Returns an array or a dictionary that cannot be written to, with the same content.
 
-    Of an array it is a view: whoever made it may go on with its own.
+    Of an array that can be it is a view: whoever made it may go on with its own.
     """
-    if type(value) is dict:
+    kind = type(value)
+    if kind is float or kind is str:
+        return value
+    if kind is dict:
         return FrozenDict({name: freeze(one) for name, one in value.items()})
     numpy = sys.modules.get("numpy")  # without it there are no arrays, and it is slow to import
-    if numpy is not None and type(value) is numpy.ndarray:
+    if numpy is not None and kind is numpy.ndarray and value.flags.writeable:
         view = value.view()
         view.flags.writeable = False
         return view

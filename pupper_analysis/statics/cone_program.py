@@ -30,9 +30,6 @@ _PEAK_SLACK = 1e-7
 """How much above the least peak the second search may be: ten times the first one's rounding."""
 
 
-_ROUNDING = 1e-16
-"""Residual that one more solution, for it alone, would not make less, relative to the weight."""
-
 _INDEPENDENT = 1e-8
 """Reciprocal condition from which on rows count as independent. Four feet in a square have 1e-2;
 below it singular values decide, slowly."""
@@ -79,16 +76,16 @@ class Balance:
     normals: Array
 
     def minimum_tangential(
-        self, friction: Array | None, grip: Array, bounds: ForceBounds | None = None
+        self, friction: Array | None, metric: TangentialMetric, bounds: ForceBounds | None = None
     ) -> Array | None:
         """Returns the least tangential f (3 n,), or None if there is none.
 
         Args:
             friction: (n,) coefficients.
-            grip: (n,) the feet's viscosities, relative to each other.
+            metric: By what "least" is measured.
             bounds: What else bounds the forces, if anything, where there is friction.
         """
-        forces = self._least_tangential(friction, grip)
+        forces = self._least_tangential(friction, metric)
         if bounds is None or friction is None or forces is None:
             return forces
         matrix, right = bounds.rows(self)
@@ -96,7 +93,7 @@ class Balance:
             return forces
         particular, free = self._by_singular_values
         within = (matrix @ free, right - matrix @ particular)
-        cost = _Metric(self.normals, grip) @ free, -(_Metric(self.normals, grip) @ particular)
+        cost = metric @ free, -(metric @ particular)
         found = self._solve_cones(particular, free, *cost, friction, within)
         if found is None:
             return None
@@ -104,19 +101,13 @@ class Balance:
         room = BALANCE_TOLERANCE * np.maximum(np.abs(matrix) @ np.abs(forces), np.abs(right))
         return forces if (matrix @ forces <= right + room).all() else None
 
-    def _least_tangential(self, friction: Array | None, grip: Array) -> Array | None:
-        metric = _Metric(self.normals, grip)
+    def _least_tangential(self, friction: Array | None, metric: TangentialMetric) -> Array | None:
         forces = metric.shortest(self.base, self.weight)
         if forces is not None:
-            left = self.weight - self.base @ forces
-            if _largest(left) > _ROUNDING * _largest(self.weight):
-                again = metric.shortest(self.base, left)
-                if again is not None:
-                    forces += again
             held = friction is None or self._violation(forces, friction) <= 0
             if held and self._balances(forces):
                 return forces
-        return self.solve(friction, metric, np.zeros(3 * len(grip)))
+        return self.solve(friction, metric, np.zeros(self.base.shape[1]))
 
     def min_max_torque(self, friction: Array | None, limits: Array) -> Array | None:
         """Returns the f (3 n,) of least peak |tau| / limit, or None if there is none.
@@ -131,7 +122,12 @@ class Balance:
         return self.solve(friction, cost, target, peak=True)
 
     def solve(
-        self, friction: Array | None, cost: Array | _Metric, target: Array, *, peak: bool = False
+        self,
+        friction: Array | None,
+        cost: Array | TangentialMetric,
+        target: Array,
+        *,
+        peak: bool = False,
     ) -> Array | None:
         """Returns the f (3 n,) with the least |cost f - target|, or None if there is none.
 
@@ -174,13 +170,31 @@ class Balance:
             return 0.0, particular
         return max(0.0, float(found[-1])), particular + wide @ found
 
-    def _without_cones(self, cost: Array | _Metric, target: Array) -> Array | None:
+    def _without_cones(self, cost: Array | TangentialMetric, target: Array) -> Array | None:
         """Returns the f (3 n,) that balances with the least |cost f - target|; see ``solve``."""
+        if isinstance(cost, np.ndarray):
+            forces = self._by_one_decomposition(cost, target)
+            if forces is not None and self._balances(forces):
+                return forces
         particular, free = self._by_singular_values
         if not self._balances(particular):
             return None
         best = np.linalg.lstsq(cost @ free, target - cost @ particular)[0]
         return particular + free @ best  # f = particular + free z
+
+    def _by_one_decomposition(self, cost: Array, target: Array) -> Array | None:
+        """Does so where but one f has the least, by rows that are independent; None elsewhere.
+
+        A third of the time of singular values, which then decide.
+        """
+        count, size = self.base.shape
+        if not count < size <= count + len(cost):
+            return None
+        free, triangle, _, forces, _ = lapack.dgglse(cost, self.base, target, self.weight)
+        left = size - count
+        conditions = lapack.dtrcon(triangle[:, left:])[0], lapack.dtrcon(free[:left, :left])[0]
+        found: Array | None = forces if min(conditions) > _INDEPENDENT else None
+        return found
 
     @cached_property
     def _by_singular_values(self) -> tuple[Array, Array]:
@@ -314,7 +328,7 @@ def minimum_tangential_forces(
     count, _, size = bases.shape
     if size < 6:
         return np.zeros((count, size)), np.zeros(count, dtype=bool)
-    inverse = _Metric(normals, np.ones(len(normals))).inverse()
+    inverse = TangentialMetric(normals).inverse()
     turn, triangle = np.linalg.qr((bases @ inverse).transpose(0, 2, 1))
     apart = (np.diagonal(triangle, axis1=1, axis2=2) != 0).all(axis=1)
     triangle[~apart] = np.eye(6)
@@ -334,16 +348,18 @@ def minimum_tangential_forces(
     return forces, found
 
 
-class _Metric:
+class TangentialMetric:
     """The (3 n, 3 n) matrix whose product with f shall be short: tangential forces weigh more.
 
     Args:
         normals: (n, 3).
-        grip: (n,) the feet's viscosities, relative to each other.
+        grip: (n,) the feet's viscosities, relative to each other; by default they are alike.
     """
 
-    def __init__(self, normals: Array, grip: Array) -> None:
-        self._normals, self._weights = normals, (_TANGENTIAL / np.sqrt(grip))[:, None]
+    def __init__(self, normals: Array, grip: Array | None = None) -> None:
+        alike = np.ones(len(normals))
+        self._normals = normals
+        self._weights = (_TANGENTIAL / np.sqrt(alike if grip is None else grip))[:, None]
         self._diagonal: Array | None = None  # where the ground is level, the matrix has no more
         if (normals == _UP).all():
             scale = np.ones((len(normals), 3))

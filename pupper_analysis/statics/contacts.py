@@ -17,7 +17,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.contact import contact_offset
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,11 @@ class Contacts:
     def level(self) -> bool:
         """Whether the ground is level under all feet."""
         return bool(np.abs(self.normals - UP).max(initial=0.0) < BALANCE_TOLERANCE)
+
+    @functools.cached_property
+    def metric(self) -> TangentialMetric:
+        """What forces are least by where all feet are as viscous."""
+        return TangentialMetric(self.normals)
 
     @functools.cached_property
     def directions(self) -> dict[str, Array]:

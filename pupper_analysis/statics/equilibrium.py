@@ -13,11 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, Infeasibility
+from pupper_analysis.frozen import FrozenDict
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, ForceBounds
+from pupper_analysis.statics.cone_program import (
+    BALANCE_TOLERANCE,
+    Balance,
+    ForceBounds,
+    TangentialMetric,
+)
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.foot_load import FootLoad, add_up_foot_load, sliding_share
 from pupper_analysis.statics.infeasibility import explain_bounds, explain_infeasibility
@@ -269,7 +275,7 @@ def _lasting(
     bounds: ForceBounds | None,
 ) -> Array | None:
     """Finds the minimum-tangential forces (3 n,): those that last; see ``_creeping``."""
-    forces = problem.minimum_tangential(friction, np.ones(len(carrying.feet)), bounds)
+    forces = problem.minimum_tangential(friction, carrying.metric, bounds)
     if forces is None or friction is None or not robot.contacts:
         return forces
     return _creeping(robot, problem, forces, carrying, bounds)
@@ -291,7 +297,8 @@ def _creeping(
         )
         if not grip.all():
             return forces  # without friction there is no creep
-        found = problem.minimum_tangential(friction, grip / grip.mean(), bounds)
+        metric = TangentialMetric(carrying.normals, grip / grip.mean())
+        found = problem.minimum_tangential(friction, metric, bounds)
         if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
             return found
         forces = found
@@ -320,13 +327,17 @@ def _result(
     if robot.closure is not None:
         utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
-    per_foot = dict(zip(carrying.feet, forces, strict=True))
-    points = dict(zip(carrying.feet, carrying.points(config), strict=True))
+    places = carrying.points(config)
+    forces.flags.writeable = places.flags.writeable = False  # their rows are shared
+    per_foot = FrozenDict(zip(carrying.feet, forces, strict=True))
+    points = FrozenDict(zip(carrying.feet, places, strict=True))
     normals, friction = carrying.directions, carrying.coefficients
-    sliding = {
-        foot: sliding_share(force, normals[foot], friction[foot], tiny)
-        for foot, force in per_foot.items()
-    }
+    contacts = forces.tolist(), carrying.normals.tolist(), carrying.friction.tolist()
+    shares = [
+        sliding_share(force, normal, grip, tiny)
+        for force, normal, grip in zip(*contacts, strict=True)
+    ]
+    sliding = FrozenDict(zip(carrying.feet, shares, strict=True))
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,

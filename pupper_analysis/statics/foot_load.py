@@ -29,9 +29,11 @@ class FootLoad(Result):
     friction_utilisation: float
 
 
-def sliding_share(force: Array, normal: Array, friction: float, tiny: float) -> float:
+def sliding_share(
+    force: Sequence[float], normal: Sequence[float], friction: float, tiny: float
+) -> float:
     """Returns tangential force / (friction x normal force), 0 where the former is ``tiny`` (N)."""
-    (x, y, z), (a, b, c) = force.tolist(), normal.tolist()
+    (x, y, z), (a, b, c) = force, normal
     pressing = x * a + y * b + z * c
     tangential = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
     return 0.0 if tangential < tiny else tangential / (friction * pressing)
@@ -46,12 +48,16 @@ def add_up_foot_load(
     sliding: Mapping[str, float],
     tiny: float,
 ) -> FootLoad:
-    """Adds up what the ground does to a foot's contact points; see ``sliding_share``."""
+    """Adds up what the ground does to a foot's contact points; see ``sliding_share``.
+
+    That of the only one is its own: force and point cannot be written to.
+    """
     if len(own) == 1:
-        return FootLoad(forces[own[0]].copy(), points[own[0]].copy(), sliding[own[0]])
+        return FootLoad(forces[own[0]], points[own[0]], sliding[own[0]])
     total: Array = np.sum([forces[point] for point in own], axis=0)
     pressing = np.array([max(0.0, float(forces[point] @ normals[point])) for point in own])
     places = np.array([points[point] for point in own])
     weights = pressing / pressing.sum() if pressing.any() else np.full(len(own), 1 / len(own))
     least = min(friction[point] for point in own)
-    return FootLoad(total, weights @ places, sliding_share(total, normals[own[0]], least, tiny))
+    share = sliding_share(total.tolist(), normals[own[0]].tolist(), least, tiny)
+    return FootLoad(total, weights @ places, share)

@@ -28,7 +28,7 @@ def explain_bounds(robot: Robot, problem: Balance, carrying: Contacts, bounds: F
     Raises:
         StaticsInfeasibleError: Then.
     """
-    even, feet = np.ones(len(carrying.feet)), carrying.feet
+    even, feet = carrying.metric, carrying.feet
     free = problem.minimum_tangential(carrying.friction, even)
     if free is None:
         return
@@ -66,7 +66,7 @@ def explain_infeasibility(
     feet, friction = carrying.feet, float(carrying.friction.min())
     points = dict(zip(feet, carrying.points(config), strict=True))
     margin = com_margin(point, points)
-    even = np.ones(len(feet))
+    even = carrying.metric
     if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
         low, high = 0.0, _NO_SLIDING
         while high - low > 1e-6 * high:

@@ -219,11 +219,11 @@ def _results(
     if robot.closure is not None:
         utilisation[:, robot.closure.following] = 0.0
     tiny = BALANCE_TOLERANCE * np.linalg.norm(states.loads[:, :3], axis=1)
-    contacts = list(zip(carrying.normals, carrying.friction.tolist(), strict=True))
+    contacts = list(zip(carrying.normals.tolist(), carrying.friction.tolist(), strict=True))
     sliding = [
         [
             sliding_share(force, normal, friction, least)
-            for force, (normal, friction) in zip(state, contacts, strict=True)
+            for force, (normal, friction) in zip(state.tolist(), contacts, strict=True)
         ]
         for state, least in zip(per_foot, tiny.tolist(), strict=True)
     ]
