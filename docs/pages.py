@@ -137,9 +137,8 @@ def result_fields(words: Mapping[str, Any], language: str) -> str:
 
 def command_page() -> str:
     """Returns the page of all commands, each with its help and its options."""
-    commands = cli.group.commands
     lines = [f"# {WORDS['en']['commands']}", "", WORDS["en"]["commands-about"], ""]
-    parts = (_command(name, command) for name, command in commands.items())
+    parts = (_command(name, cli.find_command(name)) for name in cli.COMMANDS)
     return "\n".join(lines) + "\n" + "\n".join(parts)
 
 

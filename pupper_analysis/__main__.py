@@ -13,7 +13,7 @@ def main(command: str | None = None) -> None:
     activated.
 
     Args:
-        command: One command of ``pupper_analysis.cli`` by its name; by default the first argument
+        command: One command by its name; by default the first argument
             names it.
     """
     try:
@@ -33,7 +33,7 @@ def main(command: str | None = None) -> None:
     if command is None:
         cli.main()
     else:
-        cli.run(getattr(cli, command))
+        cli.run(cli.find_command(command))
 
 
 if __name__ == "__main__":

@@ -12,9 +12,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 
-@click.command(
-    "convert", context_settings=shared.CONTEXT, short_help="Make an MJCF of a URDF, or back."
-)
+@click.command("convert", context_settings=shared.CONTEXT)
 @click.argument("source", type=shared.MODEL_FILE)
 @shared.file_option(
     "-o",

@@ -34,9 +34,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="What a robot really weighs, by measurements."
-)
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @shared.file_option("--stands", help="CSV of stands at rest: commands and positions.")
 @click.option(

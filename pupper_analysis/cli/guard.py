@@ -9,11 +9,7 @@ import click
 from pupper_analysis.cli import models, shared
 
 
-@click.command(
-    "check",
-    context_settings=shared.CONTEXT,
-    short_help="Check all models of a repository, as its CI.",
-)
+@click.command("check", context_settings=shared.CONTEXT)
 @shared.file_option(
     "--config",
     help="Configuration file. By default pupper-analysis.toml in this folder or one above it.",
@@ -109,11 +105,7 @@ def _begin(config: Path | None) -> None:
     click.echo("look at which belong together; then: pupper-analysis check --update-baseline")
 
 
-@click.command(
-    "diff",
-    context_settings=shared.CONTEXT,
-    short_help="What has changed between two versions of a model.",
-)
+@click.command("diff", context_settings=shared.CONTEXT)
 @click.argument("old", type=click.Path())
 @click.argument("new", type=click.Path())
 @click.option(

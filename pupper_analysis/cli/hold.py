@@ -11,9 +11,7 @@ from pupper_analysis.cli.robots import FILES, VARIANT, add_options, robot_argume
 from pupper_analysis.cli.stance_options import AS_IS, LOOK, SERVOS, RobotAndTask
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="What an arm's motors hold, with its base fixed."
-)
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @click.option(
     "--joints",

@@ -21,9 +21,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 
-@click.command(
-    "load", context_settings=shared.CONTEXT, short_help="Load a robot, and tell what was added."
-)
+@click.command("load", context_settings=shared.CONTEXT)
 @robot_argument
 @add_options(FOUND)
 @click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF places it.")

@@ -53,9 +53,7 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     )
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="Find what makes a URDF and an MJCF disagree."
-)
+@click.command(context_settings=shared.CONTEXT)
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
 @map_option
@@ -161,11 +159,7 @@ def crosscheck(
     shared.finish_command(json_path, comparison, passed=comparison.agree)
 
 
-@click.command(
-    "audit",
-    context_settings=shared.CONTEXT,
-    short_help="Find what is wrong in one URDF, MJCF or USD.",
-)
+@click.command("audit", context_settings=shared.CONTEXT)
 @click.argument("file", required=False, type=shared.MODEL_FILE)
 @shared.package_option
 @click.option(

@@ -13,9 +13,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="Move to a stance, in balance all the way."
-)
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @click.option("--seconds", type=float, metavar="S", help="Duration of the path (s); e.g. 4.")
 @click.option(
@@ -80,7 +78,7 @@ def path(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=shared.CONTEXT, short_help="Push robots over: how hard, which way?")
+@click.command(context_settings=shared.CONTEXT)
 @robots_argument
 @click.option(
     "--directions",

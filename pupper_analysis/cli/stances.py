@@ -24,9 +24,7 @@ at_option = click.option(
 )
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="Solve a stance: its cost, and if it holds."
-)
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @click.option(
     "--minimum-stiffness", is_flag=True, help="Also find the lowest kp that carries the robot."
@@ -88,9 +86,7 @@ def stand(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="How far can the base go, with feet planted?"
-)
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @robot_and_task
 @shared.figure_option
@@ -128,9 +124,7 @@ def workspace(
     shared.finish_command(json_path, result, passed=True)
 
 
-@click.command(
-    context_settings=shared.CONTEXT, short_help="How much can a stance carry, and what fails?"
-)
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @at_option
 @robot_and_task
@@ -164,7 +158,7 @@ def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Pat
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=shared.CONTEXT, short_help="Search for the best stance.")
+@click.command(context_settings=shared.CONTEXT)
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
 @robot_argument
 @at_option

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pupper_analysis.study.study import DesignStudy
 
 
-@click.command("study", context_settings=shared.CONTEXT, short_help="Measure thousands of designs.")
+@click.command("study", context_settings=shared.CONTEXT)
 @click.argument("file", type=click.Path(path_type=Path))
 @shared.file_option(
     "-o",

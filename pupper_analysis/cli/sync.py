@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pupper_analysis.sync.models import Sync
 
 
-@click.command("sync", context_settings=shared.CONTEXT, short_help="Make a URDF and an MJCF agree.")
+@click.command("sync", context_settings=shared.CONTEXT)
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.argument("mjcf", type=click.Path(path_type=Path))
 @click.option(

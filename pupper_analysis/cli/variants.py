@@ -30,10 +30,7 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
 
 
-@click.command(
-    context_settings=shared.CONTEXT,
-    short_help="Take robots from their model files to a verified stand.",
-)
+@click.command(context_settings=shared.CONTEXT)
 @robots_argument
 @click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
 @add_options(FILES, VARIANT, options_of("Base"))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 
-@click.command(context_settings=shared.CONTEXT, short_help="Show a robot in MuJoCo's viewer.")
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @add_options(FILES, VARIANT)
 @click.option(
@@ -61,7 +61,7 @@ def view(
     viewer.view_robot(robot, fixed=fixed_base, headless=headless)
 
 
-@click.command(context_settings=shared.CONTEXT, short_help="Drop a robot, and see that it stands.")
+@click.command(context_settings=shared.CONTEXT)
 @robot_argument
 @add_options(FILES, VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window; simulate and print the result.")

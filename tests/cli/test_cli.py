@@ -187,7 +187,7 @@ def test_a_failed_verification_is_exit_status_1(monkeypatch: pytest.MonkeyPatch)
     from pupper_analysis.simulation import verify as simulation
 
     monkeypatch.setattr(simulation, "JOINT_TOLERANCE", 1e-12)
-    result = CliRunner().invoke(cli.analyze, ["original", "--no-figures"])
+    result = CliRunner().invoke(cli.find_command("analyze"), ["original", "--no-figures"])
     assert result.exit_code == 1
     assert "FAILED original: " in result.stdout
     assert "FAILED original: a joint is off by" in result.stdout

@@ -172,13 +172,13 @@ def test_all_commands_have_the_same_options_of_robot_and_stance() -> None:
     names = {*own, *TYPED} - {"stance", "which", "fixed_base"}
     shared = []
     for command in OURS:
-        options = {option.name: option for option in cli.group.commands[command].params}
+        options = {option.name: option for option in cli.find_command(command).params}
         assert names <= set(options), command
         shared.append([options[name].to_info_dict() for name in sorted(names)])
     assert all(info == shared[0] for info in shared)
-    analyze = {option.name: option for option in cli.group.commands["analyze"].params}
+    analyze = {option.name: option for option in cli.find_command("analyze").params}
     common = sorted(names & set(analyze))
-    stand = {option.name: option for option in cli.group.commands["stand"].params}
+    stand = {option.name: option for option in cli.find_command("stand").params}
     base = [one for one in TYPED.values() if one.slider and one.slider.folder == "Base"]
     assert len(common) == 13 + len(base)
     for name in common:
@@ -194,9 +194,9 @@ def examples(command: click.Command) -> list[list[str]]:
     ]
 
 
-@pytest.mark.parametrize("name", sorted(cli.group.commands))
+@pytest.mark.parametrize("name", sorted(cli.COMMANDS))
 def test_examples_of_the_help_are_understood(name: str) -> None:
-    command = cli.group.commands[name]
+    command = cli.find_command(name)
     for arguments in examples(command):
         assert arguments[0] == name
         command.make_context(name, arguments[1:])
@@ -204,8 +204,8 @@ def test_examples_of_the_help_are_understood(name: str) -> None:
 
 @pytest.mark.parametrize("name", OURS)
 def test_the_help_teaches_with_examples(name: str) -> None:
-    assert len(examples(cli.group.commands[name])) >= 3
-    assert "Exit status:" in (cli.group.commands[name].help or "")
+    assert len(examples(cli.find_command(name))) >= 3
+    assert "Exit status:" in (cli.find_command(name).help or "")
 
 
 BAD = {
