@@ -36,14 +36,6 @@ if TYPE_CHECKING:
 AS_IS = click.option(
     "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
 )
-AS_PUBLISHED = (
-    AS_IS,
-    click.option(
-        "--self-check/--no-self-check",
-        default=True,
-        help="Also simulate the MJCF as published, unedited. [default: on]",
-    ),
-)
 LOAD: tuple[Callable[[Command], Command], ...] = tuple(
     option_of(ROBOT_FIELDS[name]) for name in ("payload", "payload_at")
 )
@@ -173,7 +165,7 @@ def robot_and_task(command: Command) -> Command:
         asked = RobotAndTask(which=which, stance=stance, **own)
         command(asked, **values)
 
-    groups = (FILES, AS_PUBLISHED, VARIANT, (stance_option,), LOAD, options_of(), SERVOS, LOOK)
+    groups = (FILES, (AS_IS,), VARIANT, (stance_option,), LOAD, options_of(), SERVOS, LOOK)
     return add_options(*groups)(gathered)
 
 
