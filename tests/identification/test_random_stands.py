@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pupper_analysis.identification.links import bodies_of
@@ -21,21 +22,36 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
     """Against 2000 robots whose masses and coms are drawn from the priors.
 
     The base's com is far forward: where it weighs more, the whole robot's moves by what is between.
+    Their coms are sums of bodies; the first few are made as robots, which have the same com.
     """
     robot = scale_robot(load_variant("original"), {"com_x:base_link": 0.08})
     rng = np.random.default_rng(4)
     known = [parse_prior(one) for one in priors]
     mass = next(one.share for one in known if one.kind == "mass" and one.subject == "*")
-    found = []
-    for _ in range(2000):
-        factors = {}
-        for link, _at in bodies_of(robot):
-            com = [one.width for one in known if one.kind == "com" and one.subject in ("*", link)]
-            factors[f"mass:{link}"] = 1 + (0.0 if np.isnan(mass) else mass) * rng.normal()
-            factors |= {f"com_{axis}:{link}": com[-1] * rng.normal() for axis in "xyz"}
-        drawn = scale_robot(robot, factors)
-        found.append(Configuration(drawn, robot.home).center_of_mass()[:2])
-    aside = np.std(found, axis=0).max()
+    links, numbers = zip(*bodies_of(robot), strict=True)
+    model = robot.structure.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot.structure.convention.unit_q(robot.home))
+    masses = np.array([model.inertias[at].mass for at in numbers])
+    coms = np.array([data.oMi[at].act(model.inertias[at].lever) for at in numbers])
+    axes = np.array([data.oMi[at].rotation for at in numbers])
+    com = [
+        [one.width for one in known if one.kind == "com" and one.subject in ("*", link)][-1]
+        for link in links
+    ]
+    share = 0.0 if np.isnan(mass) else mass
+    factors = 1 + share * rng.normal(size=(2000, len(links)))
+    offsets = np.array(com)[:, None] * rng.normal(size=(2000, len(links), 3))
+    weights = factors * masses
+    places = coms + np.einsum("bij,nbj->nbi", axes, offsets)
+    found = np.einsum("nb,nbi->ni", weights, places) / weights.sum(axis=1)[:, None]
+    for one in range(3):
+        asked = {f"mass:{link}": factors[one, at] for at, link in enumerate(links)}
+        for at, link in enumerate(links):
+            asked |= {f"com_{axis}:{link}": offsets[one, at, i] for i, axis in enumerate("xyz")}
+        drawn = Configuration(scale_robot(robot, asked), robot.home)
+        assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
+    aside = np.std(found, axis=0)[:2].max()
     # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
     assert random_stands._com_width(robot, known) == pytest.approx(aside, rel=0.05)
 
