@@ -18,6 +18,8 @@ FUZZ ?=
 ROOM ?=
 SAMPLE ?= 40
 MUTATE ?=
+# Writes a line with date and commit into docs/data/last-runs.csv.
+RECORDED := $(BIN)/python scripts/record_run.py
 MINOR := $(shell sed -n 's/^requires-python = ">=3\.\([0-9]*\)".*/\1/p' pyproject.toml)
 
 # What else is installed on the machine stays out of the way.
@@ -27,7 +29,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest durations mutate fuzz coverage benchmark benchmark-quick lint types docs docs-links wheel dist clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest browser durations mutate fuzz coverage benchmark benchmark-quick lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -44,10 +46,13 @@ test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m "slow and not longest"
 
 test-longest: $(VENV)/.ready-mutation ## run the longest proofs, with a few mutants: some six minutes
-	$(BIN)/python -m pytest -m longest
+	$(RECORDED) "make test-longest" $(BIN)/python -m pytest -m longest
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed
 	$(LOWEST)/bin/python -m pytest -m "not slow" -W ignore::DeprecationWarning $(LOWEST_TESTS)
+
+browser: $(VENV)/.ready-dev ## see to a browser for the tests of pages: apt or Playwright install chromium
+	.ci/browser
 
 durations: $(VENV)/.ready ## run all but the longest, and write how long each takes: sets what is slow
 	$(BIN)/python -m pytest -m "not longest" --record-durations
@@ -62,7 +67,7 @@ coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave ou
 	$(BIN)/python -m pytest -m "slow or not slow" --cov --cov-report=term-missing:skip-covered
 
 benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peers
-	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --tables docs/data \
+	$(RECORDED) "make benchmark" $(BIN)/python benchmarks/run.py --json build/benchmarks.json --tables docs/data \
 	  --figure docs/images/growth.png $(BENCHMARK)
 
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree

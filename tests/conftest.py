@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import hypothesis
 import pytest
 
 import pupper_analysis as pa
-from tests.support.durations import Recorder, mark
+from tests.support.durations import Limit, Recorder, mark
+from tests.support.ran import Ran, summary_lines
+from tests.support.rooms import trees
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
 from tests.support.variants import NAMES, load, stand_of
 
@@ -27,6 +32,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--record-durations", action="store_true", help="write tests/durations.json anew"
     )
+    parser.addoption(
+        "--ran", type=Path, metavar="FILE", help="add to a file what ran: tests/support/ran.py"
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -37,12 +45,30 @@ def pytest_configure(config: pytest.Config) -> None:
         for name in NAMES:  # what is loaded once is no test's own
             stand_of(name)
         config.pluginmanager.register(Recorder())
+    else:
+        config.pluginmanager.register(Limit())
+    if file := config.getoption("--ran"):
+        config.pluginmanager.register(Ran(file.resolve(), config, everything), "ran")
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Marks what is slow, before any are chosen by their marks."""
     mark(items)
+    if ran := config.pluginmanager.get_plugin("ran"):
+        ran.collected(items)
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Says what was skipped, and how to have it."""
+    for line in summary_lines(terminalreporter.stats.get("skipped", [])):
+        terminalreporter.write_line(line, yellow=True)
+
+
+@pytest.fixture(scope="session")
+def syntax() -> None:
+    """Parses the whole package, which takes seconds: no test's own time."""
+    trees()
 
 
 @pytest.fixture(scope="session", params=NAMES)

@@ -43,6 +43,8 @@ CATALOGUE = sorted(Path(str(files("pupper_analysis.diagnostics"))).joinpath("cat
 CODES = sorted(codes())
 HAN = re.compile("[\u4e00-\u9fff]")
 
+pytestmark = pytest.mark.usefixtures("syntax")
+
 
 def uses(template: str) -> set[str]:
     """The names of the values that a template needs or asks for."""

@@ -30,7 +30,6 @@ from tests.support.repository import ROOT
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
 pytestmark = pytest.mark.slow
 

@@ -1,4 +1,4 @@
-"""The docs name what is there, are short, and what is generated of them is whole."""
+"""The docs name what is there, and what is generated of them is whole."""
 
 from __future__ import annotations
 
@@ -77,24 +77,12 @@ def test_documents_name_sections_that_are_there() -> None:
         assert heading in headings, f"docs/{name}: {heading}"
 
 
-def test_docs_are_short() -> None:
-    """Written by hand: what is generated, and the Chinese, does not count."""
-    pages = [page for page in PAGES if "docs" in page.relative_to(ROOT).parts[:1]]
-    words = {
-        page: sum(any(map(str.isalnum, word)) for word in page.read_text().split())
-        for page in [*pages, ROOT / "README.md"]
-    }
-    assert words[ROOT / "README.md"] < 900
-    assert sum(words.values()) <= 19_500
-
-
 def test_every_command_has_a_guide() -> None:
     guides = ROOT / "docs/how-to"
     texts = [page.read_text() for page in guides.glob("*.md")]
     index = (guides / "index.md").read_text()
     for page in guides.glob("[!i]*.md"):
         assert f"({page.name})" in index, page.name
-        assert 20 <= len(page.read_text().splitlines()) <= 62, page.name
     for name in cli.group.commands:
         assert any(f"\npupper-analysis {name}" in text for text in texts), name
 

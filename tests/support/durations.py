@@ -30,6 +30,10 @@ LONGEST = 3.0
 LEAST = 0.05
 """What takes less is not written down: it changes from run to run."""
 
+UNRECORDED = 3.0
+"""Seconds of processor that a quick case may take of which nothing is recorded: what it loads first
+is paid by it, and a busy machine doubles them."""
+
 _SPENT = pytest.StashKey[float]()
 _FIXTURES = pytest.StashKey[dict[str, float]]()
 
@@ -72,6 +76,27 @@ def mark(items: list[pytest.Item]) -> None:
                 cases[place].add_marker(pytest.mark.longest)
 
 
+class Limit:
+    """Fails what nobody has recorded, and takes long among the quick ones."""
+
+    def __init__(self, most: float = UNRECORDED) -> None:
+        self._recorded, self._most = recorded(), most
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Iterator[Any]:
+        begin = processor()
+        result = yield
+        file, name = function_of(item.nodeid)
+        known = item.get_closest_marker("slow") or name in self._recorded.get(file, {})
+        if not known and (took := processor() - begin) > self._most:
+            pytest.fail(
+                f"{took:.1f} s of processor, and none is recorded, so it counts as quick: make it "
+                f"quicker, or run python -m pytest -n 0 --record-durations {file}::{name}",
+                pytrace=False,
+            )
+        return result
+
+
 class Recorder:
     """Measures in the process that runs the tests, and adds up in the one that reports them."""
 
@@ -109,6 +134,8 @@ class Recorder:
         return report
 
     def pytest_runtest_logreport(self, report: Any) -> None:
+        if "browser" in report.used:  # its time is known when it ends: all would be the last test's
+            return
         function = function_of(report.nodeid)
         self.own[function] += report.processor - sum(report.fixtures.values())
         for name, seconds in report.fixtures.items():
