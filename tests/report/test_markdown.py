@@ -178,7 +178,7 @@ def test_a_comment_has_room_for_it() -> None:
 
 def test_every_command_with_a_result_has_it() -> None:
     for name in cli.group.list_commands(click.Context(cli.group)):
-        options = {option.name: option for option in cli.group.commands[name].params}
+        options = {option.name: option for option in cli.find_command(name).params}
         assert ("style" in options) == ("json_path" in options), name
         if "style" in options:
             assert "markdown" in options["style"].type.choices  # type: ignore[attr-defined]

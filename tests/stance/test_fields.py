@@ -117,7 +117,7 @@ def test_each_field_refuses_what_makes_no_sense(field: Field) -> None:
 
 @pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
 def test_the_example_of_each_option_is_a_value_that_it_takes(field: Field) -> None:
-    context = cli.group.commands["stand"].make_context(
+    context = cli.find_command("stand").make_context(
         "stand", ["v3", f"--{field.option}", field.example.strip("'")]
     )
     task = task_of({name: context.params[name] for name in TYPED})
@@ -126,7 +126,7 @@ def test_the_example_of_each_option_is_a_value_that_it_takes(field: Field) -> No
 
 @pytest.mark.parametrize("field", TYPED.values(), ids=TYPED)
 def test_each_field_is_an_option_of_the_same_value(field: Field) -> None:
-    command = cli.group.commands["stand"]
+    command = cli.find_command("stand")
     context = command.make_context("stand", [f"--{field.option}", said_of(field)])
     typed = {name: context.params[name] for name in TYPED}
     assert near(task_of(typed).values()[field.name], asked(field))
@@ -186,7 +186,7 @@ def test_each_field_is_exported_as_python_and_as_a_command(field: Field) -> None
     made = eval(task.removeprefix("task = "), {"pa": pa, "math": math})
     assert near(made.values()[field.name], asked(field))
     words = shlex.split(export.write_command(source, state))[2:]
-    context = cli.group.commands["stand"].make_context("stand", words)
+    context = cli.find_command("stand").make_context("stand", words)
     typed = task_of({name: context.params[name] for name in TYPED})
     assert near(typed.values()[field.name], asked(field))
 
@@ -217,7 +217,7 @@ def test_each_field_that_is_a_number_is_a_parameter_of_studies(field: Field) -> 
 
 
 def test_options_say_units_and_what_they_are() -> None:
-    command = cli.group.commands["stand"]
+    command = cli.find_command("stand")
     for option in command.params:
         if option.name in TYPED:
             assert isinstance(option, click.Option)
