@@ -29,7 +29,7 @@ unexport PYTHONPATH PYTHONHOME
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup analyze test test-slow test-lowest test-longest browser durations mutate fuzz coverage benchmark benchmark-quick lint types docs docs-links wheel dist clean
+.PHONY: help setup analyze test test-slow test-lowest test-longest browser durations mutate fuzz coverage benchmark benchmark-quick benchmark-ratios lint types docs docs-links wheel dist clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s  %s\n", $$1, $$2}' Makefile
@@ -72,6 +72,9 @@ benchmark: $(VENV)/.ready-benchmark ## measure against the bare engines and peer
 
 benchmark-quick: $(VENV)/.ready-benchmark ## only check that benchmarks and peers agree
 	$(BIN)/python benchmarks/run.py --quick
+
+benchmark-ratios: $(VENV)/.ready ## compare the time of calls, in times of the bare engines', with docs/data
+	$(BIN)/python benchmarks/run.py --ratios
 
 lint: $(VENV)/.ready-dev ## check style, format, who imports whom, and workflows
 	$(BIN)/ruff check

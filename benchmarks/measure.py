@@ -132,7 +132,10 @@ def measured(job: Job, repeats: int, seconds: float) -> Row:
 
 
 def take_turns(
-    jobs: list[Callable[[], object]], repeats: int, seconds: float = 1.0
+    jobs: list[Callable[[], object]],
+    repeats: int,
+    seconds: float = 1.0,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> list[list[float]]:
     """Returns the times of each of some jobs (s), run by turns.
 
@@ -151,9 +154,9 @@ def take_turns(
     ):
         random.shuffle(order)
         for index in order:
-            start = time.perf_counter()
+            start = clock()
             jobs[index]()
-            times[index].append(time.perf_counter() - start)
+            times[index].append(clock() - start)
     return times
 
 
@@ -173,7 +176,7 @@ def setting() -> dict[str, object]:
     return {
         "versions": versions,
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "load": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
         "system": platform.system(),
@@ -181,7 +184,7 @@ def setting() -> dict[str, object]:
     }
 
 
-def _processor() -> str:
+def processor() -> str:
     """Returns the processor's name, where the system tells it."""
     told = Path("/proc/cpuinfo")
     lines = told.read_text().splitlines() if told.exists() else []

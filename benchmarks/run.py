@@ -2,7 +2,9 @@
 
 `make benchmark` prints the tables, writes them into `docs/data` as CSV, and all of it with
 versions and machine into `build/benchmarks.json`; `--compare OLD.json` tells what has changed.
-`--quick` is for a machine whose times mean nothing: it fails if an answer is not exact.
+`--quick` is for a machine whose times mean nothing: it fails if an answer is not exact. `--ratios`
+is for a machine with other work: it fails if a call takes more of the bare engine's time than is
+recorded in `docs/data`.
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ import bare
 import click
 import growth
 import orjson
+import ratios
 import stages
 import whole
-from measure import Row, measured, setting
+from measure import Row, measured, processor, setting
 from rich.console import Console
 from rich.table import Table
 from tables import write_csv
@@ -149,11 +152,40 @@ def write_tables(folder: Path, made: dict[str, list[tuple[str, ...]]]) -> None:
         write_csv(folder / f"benchmarks-{FILES.get(name, name)}.csv", header, rows)
 
 
+DATA = Path(__file__).parents[1] / "docs/data"
+
+
+def check_ratios(variant: str) -> bool:
+    """Shows the ratios beside the recorded ones; tells whether all are kept."""
+    recorded, where = ratios.read_recorded(DATA)
+    here = processor()
+    slower = ratios.SLOWER if where == here else ratios.ELSEWHERE
+    found = ratios.compare(bare.jobs(variant), recorded, slower, ratios.measure_ratio)
+    show(
+        f"Times of the bare engine: recorded on {where}, now on {here}",
+        [
+            ("job", "recorded", "now", "at most"),
+            *((one.job, *(f"{value:.2f}" for value in one[1:])) for one in found),
+        ],
+    )
+    for one in found:
+        if not one.kept:
+            click.echo(
+                f"error: {one.job}: {one.now:.2f} times the bare engine's time; {one.recorded:.2f} "
+                f"is recorded, and {one.most:.2f} is the most",
+                err=True,
+            )
+    return all(one.kept for one in found)
+
+
 @click.command()
 @click.option("--variant", default="v3", show_default=True, help="The robot to measure with.")
 @click.option("--repeats", default=15, show_default=True, help="Least number of calls per line.")
 @click.option(
     "--quick", is_flag=True, help="A few calls of all that is quick: only accuracy counts."
+)
+@click.option(
+    "--ratios", "only_ratios", is_flag=True, help="Only compare ratios with those in docs/data."
 )
 @click.option("--json", "json_path", type=click.Path(path_type=Path), help="Write the results.")
 @click.option("--compare", type=click.Path(path_type=Path, exists=True), help="An older JSON.")
@@ -163,6 +195,7 @@ def main(
     variant: str,
     repeats: int,
     quick: bool,
+    only_ratios: bool,
     json_path: Path | None,
     compare: Path | None,
     folder: Path | None,
@@ -170,6 +203,8 @@ def main(
 ) -> None:
     """Measure the package against the bare engines and its peers."""
     os.environ.setdefault("MUJOCO_GL", "egl")
+    if only_ratios:
+        sys.exit(not check_ratios(variant))
     found: dict[str, Any] = {"variant": variant, "quick": quick, "setting": setting()}
     rows: list[Row] = []
     for job in (*bare.jobs(variant), *whole.jobs(variant)):

@@ -20,6 +20,7 @@ from tests.support.variants import load, stand_of
 sys.path.append(str(ROOT / "benchmarks"))  # where its modules find each other
 
 import measure
+import ratios
 import run as benchmarks
 import whole
 
@@ -149,3 +150,39 @@ def test_the_tutorials_grid_misses_by_what_it_says() -> None:
     place = config.foot_positions()["FL"] - config.joint_position("FL_HFE")
     assert place[0] == pytest.approx(x, abs=1e-12)
     assert place[2] == pytest.approx(z - height, abs=1e-12)
+
+
+def _job(name: str) -> measure.Job:
+    return measure.Job(name, int, lambda: measure.Accuracy(0.0, 1.0, ""), measure.Rival("", int))
+
+
+@pytest.mark.parametrize(
+    ("measured", "kept", "tries"),
+    [([1.9], True, 1), ([2.6, 2.3], True, 2), ([2.6, 2.7, 2.5], False, 3)],
+    ids=["at once", "at the second try", "never"],
+)
+def test_a_ratio_is_kept_if_one_of_three_tries_is_near_the_recorded_one(
+    measured: list[float], kept: bool, tries: int
+) -> None:
+    """Of 2 recorded, 2.4 is the most; what is not recorded is not measured."""
+    left = list(measured)
+    jobs = [_job("stand"), _job("new")]
+    (found,) = ratios.compare(jobs, {"stand": 2.0}, ratios.SLOWER, lambda _: left.pop(0))
+    assert (found.job, found.kept, found.now) == ("stand", kept, min(measured))
+    assert len(measured) - len(left) == tries
+
+
+def test_a_ratio_1_3_times_the_recorded_one_fails_and_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recorded, processor = ratios.read_recorded(ROOT / "docs/data")
+    assert len(recorded) >= 9
+    monkeypatch.setattr(benchmarks, "processor", lambda: processor)
+    monkeypatch.setattr(benchmarks.bare, "jobs", lambda _: list(map(_job, recorded)))
+    slow = "solve_stand"
+    for factor in (1.1, 1.3):
+        times = recorded | {slow: factor * recorded[slow]}
+        monkeypatch.setattr(ratios, "measure_ratio", lambda job, times=times: times[job.name])
+        assert benchmarks.check_ratios("v3") == (factor < ratios.SLOWER)
+        errors = capsys.readouterr().err.splitlines()
+        assert [line.split(":")[1].strip() for line in errors] == [slow] * (factor > 1.2)
