@@ -61,6 +61,7 @@ mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each R
 	$(BIN)/python tests/mutate.py $(ROOM) --sample $(SAMPLE) $(MUTATE)
 
 fuzz: $(VENV)/.ready ## spoil N files and commands; no traceback, hang or lost file may come of it
+	$(BIN)/python tests/damaged.py 500
 	$(BIN)/python tests/fuzz.py $(N) $(FUZZ)
 
 coverage: $(VENV)/.ready-dev ## run the tests, and say which lines they leave out

@@ -91,6 +91,27 @@ class ModelError(PupperAnalysisError):
         )
 
 
+class InputError(PupperAnalysisError):
+    """A file cannot be read: it is not there, no regular file, too large, or no text.
+
+    Who reads a file of some kind raises it as the error of that kind.
+
+    Attributes:
+        path: The file.
+        cause: What is wrong, and what would be valid.
+        line: Where, from 1; None of the file as a whole.
+    """
+
+    def __init__(
+        self, path: str | PathLike[str], cause: Diagnostic, line: int | None = None
+    ) -> None:
+        self.path, self.cause, self.line = str(path), cause, line
+        source = self.path if line is None else f"{self.path}:{line}"
+        super().__init__(
+            diagnose("model-unusable", source=source, problem=cause, sources=self.path)
+        )
+
+
 class UnknownNameError(ModelError):
     """A name is not in the model.
 

@@ -653,8 +653,9 @@ hip0 = "hip0"
 robot = "skeleton"
 measure = ["peak_utilisation", "com_margin"]
 seed = 1
+samples = 4
 [vary]
-height = { grid = [0.14, 0.17, 3] }
+height = { linspace = [0.14, 0.17, 3] }
 pitch = [0.0, 0.05]
 kp = { uniform = [20.0, 40.0] }
 [stand]

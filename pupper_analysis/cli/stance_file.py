@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,8 @@ import click
 
 from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, InputError
+from pupper_analysis.inputs import read_toml
 
 _OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator")
 """Options besides those of the stance: the load, and the servos that hold it."""
@@ -41,9 +41,9 @@ def read_stance_file(path: Path) -> dict[str, Any]:
         ConfigurationError: If it cannot be read, or has what is no option of a stance.
     """
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigurationError(str(path), diagnose("not-readable", problem=str(error))) from error
+        _, given = read_toml(path)
+    except InputError as error:
+        raise ConfigurationError(str(path), error.cause) from error
     known = {field.option: name for name, field in TYPED.items()}
     known |= {name.replace("_", "-"): name for name in _OF_ROBOT}
     options = {}

@@ -11,6 +11,8 @@ from typing import Final
 from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.errors import InputError
+from pupper_analysis.inputs import read_input
 
 READABLE: Final = (".stl", ".obj", ".msh")
 """Endings of the mesh files that MuJoCo reads."""
@@ -60,21 +62,19 @@ def obj_of(path: Path) -> bytes:
     Raises:
         UnreadableError: If it is in no format that is read, or too large, or broken.
     """
-    check_size(path)
     ending = path.suffix.lower()
     if ending not in _CONVERTIBLE:
         formats = (*READABLE, *_CONVERTIBLE)
         raise UnreadableError(diagnose("mesh-format-not-read", formats=formats))
     import trimesh  # comes with yourdfpy, and is slow to import
 
+    data = read_mesh(path)
     try:
         if ending in (".glb", ".gltf"):
-            _check_gltf(path.read_bytes())
+            _check_gltf(data)
         if ending == ".dae":
-            _check_collada(path.read_bytes())
-        scene = trimesh.load_scene(
-            io.BytesIO(path.read_bytes()), file_type=ending[1:], resolver=_Beside(path)
-        )
+            _check_collada(data)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], resolver=_Beside(path))
         count = sum(
             len(scene.geometry[scene.graph[node][1]].vertices)
             for node in scene.graph.nodes_geometry
@@ -90,14 +90,18 @@ def obj_of(path: Path) -> bytes:
         raise UnreadableError(diagnose("mesh-broken")) from error
 
 
-def check_size(path: Path) -> None:
-    """Refuses a file that is larger than any mesh of a robot.
+def read_mesh(path: Path) -> bytes:
+    """Returns the content of a mesh file that is no larger than any mesh of a robot.
 
     Raises:
-        UnreadableError: If so.
+        UnreadableError: If it is, or cannot be read.
     """
-    if path.stat().st_size > MOST_BYTES:
-        raise UnreadableError(diagnose("mesh-too-large", most=MOST_BYTES // 10**6))
+    try:
+        return read_input(path, MOST_BYTES)
+    except InputError as error:
+        if error.cause.code == "file-too-large":
+            raise UnreadableError(diagnose("mesh-too-large", most=MOST_BYTES // 10**6)) from error
+        raise UnreadableError(diagnose("mesh-broken")) from error
 
 
 def check_detail(data: bytes, ending: str, *, touches: bool) -> None:
@@ -183,7 +187,6 @@ class _Beside:
     def get(self, name: str) -> bytes:
         """Returns a file's content."""
         file = (self.folder / name).resolve()
-        if not file.is_relative_to(self.folder) or not file.is_file():
+        if not file.is_relative_to(self.folder):
             raise FileNotFoundError(name)
-        check_size(file)
-        return file.read_bytes()
+        return read_mesh(file)

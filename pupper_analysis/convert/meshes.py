@@ -13,8 +13,8 @@ from pupper_analysis.convert.mesh_files import (
     READABLE,
     UnreadableError,
     check_detail,
-    check_size,
     obj_of,
+    read_mesh,
 )
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.flat import flat_mesh
@@ -191,11 +191,10 @@ class Meshes:
         Raises:
             UnreadableError: If it cannot be, or is too large.
         """
-        check_size(path)
         place, readable = self._place(path), path.suffix.lower() in READABLE
         content = self.made.get(place)
         if content is None:
-            content = path.read_bytes() if readable else obj_of(path)
+            content = read_mesh(path) if readable else obj_of(path)
         check_detail(content, place.suffix.lower(), touches=touches)
         if place != path:
             self.made[place] = content

@@ -73,9 +73,12 @@ def read_baseline(path: Path) -> tuple[BaselineEntry, ...]:
     Raises:
         ModelError: If it cannot be read, or holds what is not valid; it tells the line.
     """
-    if not path.exists():
-        return ()
-    file = read_toml(path)
+    try:
+        file = read_toml(path)
+    except ModelError as error:
+        if error.cause.code == "no-such-file":
+            return ()
+        raise
     version = file.values.get("version")
     if version not in _READ or isinstance(version, bool):
         told = diagnose("baseline-version-unknown", version=repr(version), known=_READ)

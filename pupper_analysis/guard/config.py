@@ -13,6 +13,7 @@ from pupper_analysis.checks.audit import RULES
 from pupper_analysis.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, ModelError
 from pupper_analysis.guard.toml import Key, TomlFile, read_toml
+from pupper_analysis.inputs import is_input
 from pupper_analysis.matching.match import read_mapping
 from pupper_analysis.matching.tolerances import Tolerances
 
@@ -210,7 +211,7 @@ class _Reader:
         if text is None:
             return None
         path = self.folder / text
-        if not path.is_file():
+        if not is_input(path):
             told = diagnose("pair-file-missing", key=kind, file=text)
             raise self.file.error((*key, kind), told)
         return path

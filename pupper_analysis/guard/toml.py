@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis import inputs
+from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.errors import InputError, ModelError
 from pupper_analysis.models.places import one_line, source_name
 
 Key = tuple[str | int, ...]
@@ -76,15 +76,9 @@ def read_toml(path: Path) -> TomlFile:
         ModelError: If it cannot be read; the message tells the line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        return TomlFile(path, text, tomllib.loads(text))
-    except OSError as error:
-        told = diagnose("toml-not-read", problem=error.strerror or str(error))
-        raise ModelError(source_name(path), told) from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        found = re.search(r"at line (\d+)", str(error))
-        where = source_name(path, int(found[1]) if found else None)
-        raise ModelError(where, diagnose("not-toml", problem=one_line(error))) from error
+        return TomlFile(path, *inputs.read_toml(path))
+    except InputError as error:
+        raise ModelError(source_name(path, error.line), error.cause) from error
 
 
 def toml_value(value: object) -> str:

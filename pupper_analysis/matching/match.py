@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +12,8 @@ import mujoco
 from lxml import etree
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.errors import InputError, ModelError, UnknownNameError
+from pupper_analysis.inputs import read_toml
 from pupper_analysis.matching.alignment import with_base
 from pupper_analysis.matching.conventions import (
     Conventions,
@@ -52,6 +52,7 @@ from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import refuse_input
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
@@ -134,9 +135,9 @@ def read_mapping(path: Path) -> dict[str, str]:
         ModelError: If it cannot be read, or holds anything but text.
     """
     try:
-        values = tomllib.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ModelError(path, diagnose("mapping-not-read", message=str(error))) from error
+        _, values = read_toml(path)
+    except InputError as error:
+        raise refuse_input(path, error) from error
     for name, value in values.items():
         if not isinstance(value, str):
             problem = diagnose("mapping-not-a-name", subject=("joint", name), value=repr(value))

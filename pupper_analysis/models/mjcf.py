@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
+from pupper_analysis.inputs import read_input
 from pupper_analysis.models import standard_input
 from pupper_analysis.models.lenient import is_retired, without_retired
 from pupper_analysis.models.places import one_line
-from pupper_analysis.models.xml import MAX_NUMBER
+from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
 
 Array = NDArray[np.float64]
 
@@ -65,13 +66,13 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
             if not (lenient and is_retired(str(error))):
                 raise
     included: dict[str, bytes] = {}
-    text, passed_over = without_retired(standard_input.read_content(path))
+    text, passed_over = without_retired(standard_input.read_content(path, MAX_BYTES))
     waiting = [text]
     while waiting:
         for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
             file = path.parent / name.decode()
             if name.decode() not in included and file.is_file():
-                included[name.decode()], more = without_retired(file.read_bytes())
+                included[name.decode()], more = without_retired(read_input(file, MAX_BYTES))
                 waiting.append(included[name.decode()])
                 passed_over += more
     spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)

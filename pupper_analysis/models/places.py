@@ -9,8 +9,8 @@ from typing import Final, TypeVar
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, Source, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.diagnostics import Diagnostic, Source
+from pupper_analysis.errors import InputError, ModelError
 
 T = TypeVar("T")
 
@@ -93,18 +93,9 @@ def refuse_file(place: Place, problem: Diagnostic) -> ModelError:
     return ModelError(name, replace(problem, sources=sources))
 
 
-def check_regular(path: Path) -> None:
-    """Refuses what is no regular file: who opened a pipe would wait without end.
-
-    Raises:
-        ModelError: If it is a folder, not there, or neither file nor link to one.
-    """
-    if path.is_dir():
-        raise refuse_file(Place(path), diagnose("file-is-folder"))
-    if not path.exists():
-        raise refuse_file(Place(path), diagnose("no-such-file"))
-    if not path.is_file():
-        raise refuse_file(Place(path), diagnose("file-not-regular"))
+def refuse_input(path: Path, error: InputError) -> ModelError:
+    """Returns the error that tells why a model's file did not come in."""
+    return refuse_file(Place(path, error.line), error.cause)
 
 
 def source_name(path: Path, line: int | None = None) -> str:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Final
 
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, InputError
+from pupper_analysis.inputs import read_input
 
 NAME: Final = Path("standard input")
 """What it is called where a file's path would stand."""
@@ -51,10 +52,14 @@ def is_held(path: Path) -> bool:
     return path == NAME and bool(_held)
 
 
-def read_content(path: Path) -> bytes:
+def read_content(path: Path, most: int) -> bytes:
     """Returns the bytes of a file, or of the model from standard input.
 
     Raises:
-        OSError: If the file cannot be read.
+        InputError: If it is no regular file, has more bytes than ``most``, or cannot be read.
     """
-    return _held[0] if is_held(path) else path.read_bytes()
+    if not is_held(path):
+        return read_input(path, most)
+    if len(_held[0]) > most:
+        raise InputError(path, diagnose("file-too-large", most=most / 1e6))
+    return _held[0]

@@ -15,8 +15,9 @@ from typing import Any, Final
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import MissingPackageError
-from pupper_analysis.models.places import Place, check_regular, one_line, refuse_file
+from pupper_analysis.errors import InputError, MissingPackageError
+from pupper_analysis.inputs import read_input
+from pupper_analysis.models.places import Place, one_line, refuse_file, refuse_input
 from pupper_analysis.models.xml import LFS_POINTER
 
 SUFFIXES: Final = (".usd", ".usda", ".usdc", ".usdz")
@@ -140,21 +141,15 @@ def _library() -> Any:
 def _check_file(path: Path) -> None:
     """Refuses what is no file, too large, empty, or a pointer of Git LFS."""
     try:
-        check_regular(path)
-        if path.stat().st_size > MAX_BYTES:
-            raise refuse_file(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
-        with path.open("rb") as file:
-            start = file.read(len(LFS_POINTER))
-            if start == LFS_POINTER:
-                raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
-            if not start.strip():
-                raise refuse_file(Place(path), diagnose("file-is-empty"))
-            if start.startswith(b"#usda"):
-                _check_depth(path, start + file.read())
-    except (OSError, ValueError) as error:
-        raise refuse_file(
-            Place(path), diagnose("file-not-read", message=one_line(error))
-        ) from error
+        data = read_input(path, MAX_BYTES)
+    except InputError as error:
+        raise refuse_input(path, error) from error
+    if data.startswith(LFS_POINTER):
+        raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
+    if not data[: len(LFS_POINTER)].strip():
+        raise refuse_file(Place(path), diagnose("file-is-empty"))
+    if data.startswith(b"#usda"):
+        _check_depth(path, data)
 
 
 def _check_depth(path: Path, text: bytes) -> None:

@@ -11,10 +11,12 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import InputError
+from pupper_analysis.inputs import MOST_TEXT, decode_input
 from pupper_analysis.models import standard_input
-from pupper_analysis.models.places import Place, check_regular, one_line, refusal_at, refuse_file
+from pupper_analysis.models.places import Place, one_line, refusal_at, refuse_file, refuse_input
 
-MAX_BYTES: Final = 20_000_000
+MAX_BYTES: Final = MOST_TEXT
 """Largest file that is read."""
 
 MAX_DEPTH: Final = 250
@@ -94,37 +96,18 @@ def to_text(root: etree._Element) -> str:
 
 
 def _text(path: Path) -> str:
-    data = standard_input.read_content(path) if standard_input.is_held(path) else _bytes(path)
-    if len(data) > MAX_BYTES:
-        raise refuse_file(Place(path), diagnose("file-too-large", most=MAX_BYTES // 10**6))
-    if data.startswith(LFS_POINTER):
-        raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise refuse_file(Place(path), diagnose("encoded-in-utf-16"))
-    if data.startswith(USD):
-        raise refuse_file(Place(path), diagnose("usd-not-here"))
-    if b"\0" in data:
-        line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise refuse_file(Place(path, line), diagnose("file-is-binary"))
-    if not data.strip():
+    try:
+        data = standard_input.read_content(path, MAX_BYTES)
+        if data.startswith(LFS_POINTER):
+            raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
+        if data.startswith(USD):
+            raise refuse_file(Place(path), diagnose("usd-not-here"))
+        text = decode_input(path, data)
+    except InputError as error:
+        raise refuse_input(path, error) from error
+    if not text.strip():
         raise refuse_file(Place(path), diagnose("file-is-empty"))
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        problem = diagnose("not-utf-8", byte=data[error.start])
-        raise refuse_file(Place(path, line), problem) from error
-
-
-def _bytes(path: Path) -> bytes:
-    """Returns what a file has, up to one byte more than is read."""
-    try:
-        check_regular(path)
-        with path.open("rb") as file:
-            return file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        problem = diagnose("file-not-read", message=one_line(error))
-        raise refuse_file(Place(path), problem) from error
+    return text
 
 
 def _refuse_doctype(path: Path, text: str) -> None:

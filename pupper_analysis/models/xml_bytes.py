@@ -10,6 +10,8 @@ from typing import Final
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
+from pupper_analysis.inputs import MOST_TEXT, read_input
+
 _ATTRIBUTE: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 
 _TAG: Final = re.compile(rb"""<[^\s/>]+(?:"[^"]*"|'[^']*'|[^>"'])*>""")
@@ -119,7 +121,7 @@ class XmlDocument:
 
 def read_document(path: Path) -> XmlDocument:
     """Reads a file of XML that is known to be well-formed UTF-8."""
-    data = path.read_bytes()
+    data = read_input(path, MOST_TEXT)
     parser = expat.ParserCreate("utf-8")
     stack: list[Element] = []
     elements: list[Element] = []

@@ -15,8 +15,9 @@ import orjson
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import MissingPackageError, OutputError, StudyError
+from pupper_analysis.errors import InputError, MissingPackageError, OutputError, StudyError
 from pupper_analysis.files import whole_file
+from pupper_analysis.inputs import MOST_TEXT, read_input
 from pupper_analysis.study.design import ENDS, Row
 
 if TYPE_CHECKING:
@@ -116,10 +117,13 @@ class Store:
         """
         path = self.folder / "study.json"
         try:
-            found: dict[str, Any] = orjson.loads(path.read_bytes())
-        except FileNotFoundError as error:
-            raise StudyError(self.folder, diagnose("no-study-here")) from error
-        except (OSError, ValueError) as error:
+            found: dict[str, Any] = orjson.loads(read_input(path, MOST_TEXT))
+        except InputError as error:
+            told = error.cause
+            if told.code == "no-such-file":
+                told = diagnose("no-study-here")
+            raise StudyError(self.folder, told) from error
+        except ValueError as error:
             told = diagnose("study-not-readable", problem=str(error))
             raise StudyError(self.folder, told) from error
         if not isinstance(found, dict) or found.get("format") != FORMAT:

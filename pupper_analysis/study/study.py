@@ -6,7 +6,6 @@ import copy
 import hashlib
 import pickle
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import fields
@@ -20,7 +19,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, InputError
+from pupper_analysis.inputs import is_input, read_toml
 from pupper_analysis.robot.posture import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
@@ -282,10 +282,9 @@ class DesignStudy:
         """
         path = Path(path)
         try:
-            given = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            told = diagnose("not-readable", problem=str(error))
-            raise ConfigurationError(str(path), told) from error
+            _, given = read_toml(path)
+        except InputError as error:
+            raise ConfigurationError(str(path), error.cause) from error
         robot = given.get("robot")
         if isinstance(robot, dict):
             for name in ("urdf", "mjcf"):
@@ -303,7 +302,10 @@ class DesignStudy:
         if metrics and own and not own_metrics:
             # Where no other is left: what every design takes at least, its stand and its statics.
             given["measure"] = [one for one in metrics if one not in own] or ["peak_utilisation"]
-        study = cls.of(given)
+        try:
+            study = cls.of(given)
+        except ConfigurationError as error:
+            raise error.at(str(path)) from error
         study.left_out = () if own_metrics else own
         return study
 
@@ -391,4 +393,4 @@ class DesignStudy:
 def _beside(path: Path, word: str) -> str:
     """Returns files that are beside a study's with their folder; what is none is a name."""
     there = [(path.parent / part, part) for part in word.split("+")]
-    return "+".join(str(file) if file.is_file() else part for file, part in there)
+    return "+".join(str(file) if is_input(file) else part for file, part in there)

@@ -165,7 +165,10 @@ BAD: dict[str, tuple[list[str], str]] = {
         ["robot.urdf", "robot.xml", "--map", "hip0=hip0", "--map", "hip0=hip1"],
         "hip0",
     ),
-    "no map file": (["robot.urdf", "robot.xml", "--map-file", "no.toml"], "no.toml: not a TOML"),
+    "no map file": (
+        ["robot.urdf", "robot.xml", "--map-file", "no.toml"],
+        "no.toml: there is no such file",
+    ),
     "bad map file": (["robot.urdf", "robot.xml", "--map-file", "bad.toml"], "bad.toml: lf = 1"),
     "noise map file": (["robot.urdf", "robot.xml", "--map-file", "noise.toml"], "not a TOML file"),
     "tolerance without =": (["robot.urdf", "robot.xml", "--tolerance", "1"], "tolerance: '1'"),

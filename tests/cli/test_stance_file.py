@@ -94,8 +94,8 @@ def test_the_pages_file_is_the_pages_stance(tmp_path: Path, values: dict[str, An
         ("hight = 3", "it has no option 'hight'"),
         ("height = true", "height: give a number"),
         ("height = '3parsec'", "is no length"),
-        ("height = ", "cannot be read"),
-        (None, "cannot be read"),
+        ("height = ", "not a TOML file"),
+        (None, "there is no such file"),
     ],
 )
 def test_bad_files_are_one_line_and_exit_status_2(

@@ -166,10 +166,10 @@ def test_an_empty_file_says_what_it_lacks(folder: Path) -> None:
 
 
 def test_a_file_that_cannot_be_read(folder: Path) -> None:
-    with pytest.raises(ModelError, match="it cannot be read: No such file"):
+    with pytest.raises(ModelError, match="there is no such file"):
         read_config(folder / "none.toml")
     (folder / "latin.toml").write_bytes(b'name = "\xe4"\n')
-    with pytest.raises(ModelError, match="not a TOML file"):
+    with pytest.raises(ModelError, match=r"latin.toml:1: byte 0xe4 is not UTF-8"):
         read_config(folder / "latin.toml")
 
 

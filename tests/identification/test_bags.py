@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -232,6 +233,11 @@ def _empty(folder: Path) -> Path:
     return path
 
 
+def _pipe(folder: Path) -> Path:
+    os.mkfifo(folder / "pipe.bag")
+    return folder / "pipe.bag"
+
+
 @pytest.mark.parametrize(
     ("make", "code"),
     [
@@ -240,7 +246,8 @@ def _empty(folder: Path) -> Path:
         (_of_nothing, "bag-without-states"),
         (_broken, "no-bag"),
         (_empty, "no-bag"),
-        (lambda folder: folder / "none.mcap", "no-bag"),
+        (lambda folder: folder / "none.mcap", "no-such-file"),
+        (_pipe, "file-not-regular"),
     ],
 )
 def test_bad_bags_get_one_line(tmp_path: Path, make: Callable[[Path], Path], code: str) -> None:

@@ -745,8 +745,8 @@ def test_a_mapping_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('"a" = ', "not a TOML file of names"),
-        ('a = "b"\na = "c"', "not a TOML file of names"),
+        ('"a" = ', "not a TOML file"),
+        ('a = "b"\na = "c"', "not a TOML file"),
         ("a = 1", "a = 1: give the name in the MJCF, in quotes"),
         ('[legs]\na = "b"', "give the name in the MJCF, in quotes"),
     ],
@@ -759,12 +759,17 @@ def test_a_bad_mapping_file(tmp_path: Path, text: str, message: str) -> None:
     assert str(error.value).startswith(str(path))
 
 
-@pytest.mark.parametrize("content", [None, b"a = \xff"])
-def test_a_mapping_file_that_cannot_be_read(tmp_path: Path, content: bytes | None) -> None:
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [(None, "there is no such file"), (b"a = \xff", "toml:1: byte 0xff is not UTF-8")],
+)
+def test_a_mapping_file_that_cannot_be_read(
+    tmp_path: Path, content: bytes | None, told: str
+) -> None:
     path = tmp_path / "names.toml"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(ModelError, match="not a TOML file of names"):
+    with pytest.raises(ModelError, match=told):
         read_mapping(path)
 
 

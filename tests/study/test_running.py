@@ -585,7 +585,7 @@ def test_the_study_command_writes_its_results(
     [
         (LEGS.replace("kp", "kq"), "no such number"),
         (LEGS.replace("servo_sag", "sagging"), "there is no metric 'sagging'"),
-        ("robot =", "cannot be read"),
+        ("robot =", "not a TOML file"),
     ],
 )
 def test_the_command_refuses_before_anything_runs(

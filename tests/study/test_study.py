@@ -317,7 +317,7 @@ def test_a_module_beside_the_file_is_found(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("robot = ", "cannot be read"),
+        ("robot = ", "not a TOML file"),
         (TOML.replace("seed", "sed"), "a study has robot, vary"),
         (TOML.replace('robot = "v3"', ""), "a study must say it"),
         (TOML.replace("height = 0.12", "hight = 0.12"), "a stance has height, roll"),

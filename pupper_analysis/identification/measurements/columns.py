@@ -6,7 +6,6 @@ import csv
 import io
 import math
 import re
-import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -17,14 +16,24 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import MeasurementError
-from pupper_analysis.files import reason_of
+from pupper_analysis.errors import InputError, MeasurementError
+from pupper_analysis.identification.measurements.npz import read_npz
+from pupper_analysis.inputs import decode_input, read_input
+from pupper_analysis.models.places import quote_short
 from pupper_analysis.units import UNITS
 
 Array = NDArray[np.float64]
 
 _MISSING = ("", "nan", "na", "null", "none")
 """Cells that say that nothing was measured."""
+
+MOST_CSV = 100_000_000
+"""Bytes of a CSV file: an hour of twelve joints at 1 kHz is twice that, and belongs in an npz."""
+
+_SEPARATORS = (",", ";", "\t")
+"""The first line has most of the one that a file has."""
+
+_COMMA = re.compile(r"^([-+]?\d*),(?=\d+([eE][-+]?\d+)?$)")
 
 _NAME = re.compile(r"(?P<name>[^\[\]]+?)\s*(?:\[(?P<unit>[^\[\]]*)\])?")
 
@@ -72,9 +81,10 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
     """Reads a file of measurements.
 
     A CSV file has its columns' names in its first line, with units in brackets where they are not
-    SI: ``position.FL_knee [deg]``. A cell that is empty or says ``nan`` is missing. An ``.npz`` has
-    arrays of those names; those of several joints may be one, ``position`` (n, joints), whose names
-    are in ``joints``.
+    SI: ``position.FL_knee [deg]``. It may have semicolons or tabs for commas; with semicolons,
+    numbers may have decimal commas. A cell that is empty or says ``nan`` is missing. An ``.npz``
+    has arrays of those names; those of several joints may be one, ``position`` (n, joints), whose
+    names are in ``joints``.
 
     Args:
         path: The file.
@@ -85,20 +95,23 @@ def read_columns(path: str | Path, known: Sequence[Column]) -> Columns:
             known unit, a cell that is no number.
     """
     check_type("path", path, str | Path)
-    source = str(path)
+    file = Path(path)
     try:
-        data = Path(path).read_bytes()
-    except (OSError, ValueError) as error:
-        raise MeasurementError(source, str(reason_of(error))) from error
-    if Path(path).suffix == ".npz":
-        return _from_arrays(source, data, known)
-    return _from_csv(source, data, known)
+        if file.suffix == ".npz":
+            return _from_arrays(str(path), read_npz(file), known)
+        return _from_csv(str(path), decode_input(file, read_input(file, MOST_CSV)), known)
+    except InputError as error:
+        source = str(path) if error.line is None else f"{path}:{error.line}"
+        raise MeasurementError(source, error.cause) from error
 
 
-def _from_csv(source: str, data: bytes, known: Sequence[Column]) -> Columns:
+def _from_csv(source: str, text: str, known: Sequence[Column]) -> Columns:
+    first = text.lstrip("\r\n").partition("\n")[0]
+    separator = max(_SEPARATORS, key=first.count)
     try:
-        rows = list(csv.reader(io.StringIO(data.decode("utf-8-sig"), newline=""), strict=True))
-    except (UnicodeDecodeError, csv.Error) as error:
+        lines = io.StringIO(text, newline="")
+        rows = list(csv.reader(lines, strict=True, delimiter=separator))
+    except csv.Error as error:
         raise MeasurementError(source, diagnose("no-csv", problem=str(error))) from error
     filled = [(line, row) for line, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
     if len(filled) < 2:
@@ -112,6 +125,8 @@ def _from_csv(source: str, data: bytes, known: Sequence[Column]) -> Columns:
     numbers, words = {}, {}
     for place, (name, column, factor) in enumerate(columns):
         cells = [row[place].strip() for _, row in body]
+        if column.quantity and separator == ";":  # whose decimals have a comma, as a rule
+            cells = [_COMMA.sub(r"\1.", cell) for cell in cells]
         if column.quantity:
             numbers[name] = factor * _numbers(source, header[place], cells, body)
         else:
@@ -130,21 +145,18 @@ def _numbers(
             try:
                 found[row] = math.nan if cell.lower() in _MISSING else float(cell)
             except ValueError:
-                told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell)
+                told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cell[:60])
                 raise MeasurementError(source, told) from None
     if np.isinf(found).any():
         row = int(np.flatnonzero(np.isinf(found))[0])
-        told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row])
+        told = diagnose("cell-no-number", column=name, line=body[row][0], cell=cells[row][:60])
         raise MeasurementError(source, told)
     return found
 
 
-def _from_arrays(source: str, data: bytes, known: Sequence[Column]) -> Columns:
-    try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as file:
-            arrays = {name: np.asarray(file[name]) for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise MeasurementError(source, diagnose("no-npz", problem=str(error))) from error
+def _from_arrays(
+    source: str, arrays: dict[str, NDArray[np.generic]], known: Sequence[Column]
+) -> Columns:
     flat: dict[str, NDArray[np.generic]] = {}
     joints = [str(one) for one in np.atleast_1d(arrays.pop("joints", np.zeros(0)))]
     for name, values in arrays.items():
@@ -191,7 +203,7 @@ def _columns(
         if match is None or column is None:
             patterns = tuple(one.pattern for one in known)
             raise MeasurementError(
-                source, diagnose("measurement-unknown", column=text, known=patterns)
+                source, diagnose("measurement-unknown", column=quote_short(text), known=patterns)
             )
         if name in seen:
             raise MeasurementError(source, diagnose("column-twice", column=name))

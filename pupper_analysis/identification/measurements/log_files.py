@@ -9,10 +9,12 @@ import numpy as np
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.errors import ConfigurationError, InputError, MeasurementError
+from pupper_analysis.files import reason_of
 from pupper_analysis.identification.measurements.bags import is_bag, read_bag
 from pupper_analysis.identification.measurements.columns import Column, read_columns
 from pupper_analysis.identification.measurements.log import Log, make_log
+from pupper_analysis.inputs import check_input
 
 COLUMNS = (
     Column("time", "time"),
@@ -22,6 +24,9 @@ COLUMNS = (
     Column("torque.*", "torque"),
 )
 """What may stand in a log."""
+
+_MOST_BAG = 2_000_000_000
+"""Bytes of a file of a bag: what is larger has cameras' topics, which can be left out."""
 
 
 @check_arguments
@@ -60,6 +65,7 @@ def read_log(
         MissingPackageError: If it is a bag, and rosbags is not installed.
     """
     if is_bag(Path(path)):
+        _check_files(Path(path))
         time, kinds = read_bag(Path(path), topics or {}, joints)
         return make_log(str(path), time, kinds, range(len(time)))
     for name, given in (("topics", topics), ("joints", joints)):
@@ -68,3 +74,18 @@ def read_log(
     table = read_columns(path, COLUMNS)
     kinds = {kind: table.of(kind) for kind in ("position", "command", "velocity", "torque")}
     return make_log(table.source, table.numbers.get("time", np.zeros(0)), kinds, table.lines)
+
+
+def _check_files(bag: Path) -> None:
+    """Refuses a bag with what is no regular file, as its reader would wait for that.
+
+    Raises:
+        MeasurementError: If there is one, or it is too large.
+    """
+    try:
+        for file in bag.iterdir() if bag.is_dir() else (bag,):
+            check_input(file, _MOST_BAG)
+    except InputError as error:
+        raise MeasurementError(error.path, error.cause) from error
+    except OSError as error:
+        raise MeasurementError(str(bag), str(reason_of(error))) from error

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.errors import InputError, ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
-from pupper_analysis.models.standard_input import is_held, read_content
+from pupper_analysis.models.standard_input import read_content
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.models.xml import MAX_BYTES
 from pupper_analysis.report.document import Name, Text
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
@@ -103,8 +104,6 @@ def _element(rows: list[str]) -> str:
 
 def _text(path: Path) -> str:
     try:
-        if not (is_held(path) or path.is_file()):
-            return ""
-        return read_content(path).decode("utf-8", errors="replace")
-    except (OSError, ValueError):
+        return read_content(path, MAX_BYTES).decode("utf-8", errors="replace")
+    except InputError:
         return ""

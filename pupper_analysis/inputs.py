@@ -1,0 +1,121 @@
+"""Input files: the one door by which what a user gives comes in, within limits.
+
+Who reads a file by a library that opens it asks ``check_input`` before; all else comes through
+``read_input``. What is refused is an ``InputError``, which readers raise as their own.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import InputError
+from pupper_analysis.files import reason_of
+
+MOST_TEXT: Final = 20_000_000
+"""Bytes of a text that is read as a whole: a model, settings."""
+
+
+_PART: Final = 1 << 20
+
+
+def check_input(path: Path, most: int) -> None:
+    """Refuses what is no regular file, links followed, or larger than what is read.
+
+    Nothing is opened: who opens a pipe waits without end, and who opens a device may act on it.
+
+    Args:
+        path: The file.
+        most: Bytes.
+
+    Raises:
+        InputError: If so.
+    """
+    try:
+        there = path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError) as error:  # ValueError: a zero byte
+        raise InputError(path, diagnose("no-such-file")) from error
+    except OSError as error:
+        raise InputError(path, diagnose("file-not-read", message=str(reason_of(error)))) from error
+    if stat.S_ISDIR(there.st_mode):
+        raise InputError(path, diagnose("file-is-folder"))
+    if not stat.S_ISREG(there.st_mode):
+        raise InputError(path, diagnose("file-not-regular"))
+    if there.st_size > most:
+        raise InputError(path, diagnose("file-too-large", most=most / 1e6))
+
+
+def is_input(path: Path) -> bool:
+    """Says whether there is a regular file; a name that no file can have is that of none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, say
+        return False
+
+
+def read_input(path: Path, most: int) -> bytes:
+    """Returns the content of a file that a user gave.
+
+    Args:
+        path: The file.
+        most: Bytes that are read at most.
+
+    Raises:
+        InputError: If it is no regular file, larger, or cannot be read.
+    """
+    check_input(path, most)
+    try:
+        # Not blocking: a pipe may have taken its place.
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
+        data = bytearray()
+        with os.fdopen(handle, "rb") as file:
+            # In parts: asked for as much as may come, Python takes that much memory; and the size
+            # that was seen is none of files of the kernel's.
+            while len(data) <= most and (part := file.read(_PART)):
+                data += part
+    except (OSError, ValueError) as error:
+        raise InputError(path, diagnose("file-not-read", message=str(reason_of(error)))) from error
+    if len(data) > most:
+        raise InputError(path, diagnose("file-too-large", most=most / 1e6))
+    return bytes(data)
+
+
+def decode_input(path: Path, data: bytes) -> str:
+    """Returns a file's content as text.
+
+    Raises:
+        InputError: If it is no UTF-8, with or without its mark; the error has the line.
+    """
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(path, diagnose("encoded-in-utf-16"))
+    if b"\0" in data:
+        raise InputError(path, diagnose("file-is-binary"), _line(data, data.index(b"\0")))
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        problem = diagnose("not-utf-8", byte=data[error.start])
+        raise InputError(path, problem, _line(data, error.start)) from error
+
+
+def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
+    """Returns a TOML file's text, and its values.
+
+    Raises:
+        InputError: If it cannot be read, or is no TOML; the error has the line.
+    """
+    text = decode_input(path, read_input(path, MOST_TEXT))
+    try:
+        return text, tomllib.loads(text)
+    except (ValueError, OverflowError, RecursionError) as error:
+        found = re.search(r"at line (\d+)", str(error))
+        problem = diagnose("not-toml", problem=" ".join(str(error).split()))
+        raise InputError(path, problem, int(found[1]) if found else None) from error
+
+
+def _line(data: bytes, at: int) -> int:
+    return data.count(b"\n", 0, at) + 1

@@ -1,0 +1,310 @@
+"""Damaged files of every kind that a reader takes: each is read, or refused in one line.
+
+    python tests/damaged.py 500       # of each kind (make fuzz does)
+
+A reader ends with what it has read or with an error of the package's, within `SECONDS` of
+computing and `MEMORY` bytes more than the process had; anything else is a failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import random
+import resource
+import signal
+import struct
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pupper_analysis.cli.stance_file import read_stance_file
+from pupper_analysis.convert.mesh_files import UnreadableError, check_detail, obj_of, read_mesh
+from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.guard.baseline import read_baseline
+from pupper_analysis.guard.config import read_config
+from pupper_analysis.identification.measurements.log_files import read_log
+from pupper_analysis.identification.measurements.stands import read_stands
+from pupper_analysis.matching.match import read_mapping
+from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.pupper.studies import Study
+from pupper_analysis.study.store import Store
+from tests.support.robots import mjcf_text, quadruped, urdf_text
+
+SECONDS = 20
+MEMORY = 1_500_000_000
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of files.
+
+    Attributes:
+        name: Of a file.
+        sound: Its content.
+        read: What reads it; called with its path.
+    """
+
+    name: str
+    sound: bytes
+    read: Callable[[Path], Any]
+
+
+class Hang(BaseException):
+    """A reader has not ended in time."""
+
+
+def _arrays() -> dict[str, Any]:
+    time = 0.005 * np.arange(150)
+    both = np.column_stack([np.sin(time), np.cos(time)])
+    return {"joints": ["hip", "knee"], "time": time, "position [deg]": both, "command": both}
+
+
+def _npz(save: Callable[..., None]) -> bytes:
+    file = io.BytesIO()
+    save(file, **_arrays())
+    return file.getvalue()
+
+
+def _csv(separator: str) -> bytes:
+    header = separator.join(["time [ms]", "position.hip [deg]", "command.hip"])
+    rows = [separator.join([str(5 * row), f"{0.1 * row}", f"{0.002 * row}"]) for row in range(120)]
+    return "\n".join([header, *rows]).encode()
+
+
+def _bag(ending: str) -> bytes:
+    """The file of a bag with states, and commands."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kinds = {"/state": "sensor_msgs/msg/JointState", "/command": "std_msgs/msg/Float64MultiArray"}
+    stamp = store.types["builtin_interfaces/msg/Time"]
+    plugin = StoragePlugin.MCAP if ending == "mcap" else StoragePlugin.SQLITE3
+    with tempfile.TemporaryDirectory() as folder:
+        with Writer(Path(folder) / "bag", version=9, storage_plugin=plugin) as writer:
+            topics = {
+                name: writer.add_connection(name, kind, typestore=store)
+                for name, kind in kinds.items()
+            }
+            for row in range(120):
+                header = store.types["std_msgs/msg/Header"](stamp(1, 5_000_000 * row), "")
+                values, none = np.array([0.1 * row, 0.2]), np.zeros(0)
+                state = store.types[kinds["/state"]](header, ["hip", "knee"], values, none, none)
+                layout = store.types["std_msgs/msg/MultiArrayLayout"]([], 0)
+                array = store.types[kinds["/command"]](layout, values)
+                for name, message in (("/state", state), ("/command", array)):
+                    raw = store.serialize_cdr(message, kinds[name])
+                    writer.write(topics[name], 10**9 + 5_000_000 * row, raw)
+        return next((Path(folder) / "bag").glob(f"*.{ending}")).read_bytes()
+
+
+def _read_bag(path: Path) -> Any:
+    return read_log(path, joints=["hip", "knee"])
+
+
+def _stl() -> bytes:
+    corners = np.random.default_rng(0).normal(size=(20, 12)).astype("<f4")
+    return bytes(80) + struct.pack("<I", 20) + b"".join(row.tobytes() + b"\0\0" for row in corners)
+
+
+_OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+_PLY = b"""ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+_ONE_MESH = '<mujoco><asset><mesh name="m" file="{name}"/></asset><worldbody><body><joint/>'
+_ONE_MESH += '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
+
+
+def _read_mesh(path: Path) -> Any:
+    """Reads a mesh as a conversion does, and an MJCF that has it."""
+    readable = path.suffix in (".stl", ".obj")
+    try:
+        content = read_mesh(path) if readable else obj_of(path)
+        check_detail(content, path.suffix, touches=True)
+    except UnreadableError:
+        return
+    if readable:
+        mjcf = path.with_name("one.xml")
+        mjcf.write_text(_ONE_MESH.format(name=path.name))
+        read_mjcf(mjcf)
+
+
+def _read_store(path: Path) -> Any:
+    return Store(path.parent).asked()
+
+
+_CONFIG = b"""baseline = "known.toml"
+[[pair]]
+name = "machine"
+urdf = "robot.urdf"
+mjcf = "robot.xml"
+feet = ["foot0"]
+[pair.tolerances]
+mass = 1e-3
+"""
+_STUDY = b"""robot = "v3"
+measure = ["peak_utilisation", "com_margin"]
+samples = 4
+[vary]
+height = { linspace = [0.14, 0.17, 3] }
+kp = { uniform = [20.0, 40.0] }
+"""
+_STANDS = b"stand,command.hip,position.hip [deg],force.FL [g],swing,from\na,0.1,5.2,300,FR,above\n"
+_BASELINE = b"""version = 2
+[[known]]
+pair = "machine"
+code = "mass"
+"""
+
+
+@cache
+def kinds() -> tuple[Kind, ...]:
+    """All kinds of files."""
+    return (
+        Kind("log.csv", _csv(","), read_log),
+        Kind("semicolons.csv", _csv(";"), read_log),
+        Kind("stands.csv", _STANDS, read_stands),
+        Kind("log.npz", _npz(np.savez), read_log),
+        Kind("packed.npz", _npz(np.savez_compressed), read_log),
+        Kind("log.mcap", _bag("mcap"), _read_bag),
+        Kind("log.db3", _bag("db3"), _read_bag),
+        Kind(
+            "stance.toml", b"height = '12cm'\nroll = 0.1\n[swing]\nFL = '2cm'\n", read_stance_file
+        ),
+        Kind("study.toml", _STUDY, lambda path: Study.read(path, own_metrics=False)),
+        Kind("study.json", b'{"format": 1, "study": {"robot": "v3", "seed": 1}}\n', _read_store),
+        Kind("map.toml", b'"hip" = "hip_joint"\n"knee" = "knee_joint"\n', read_mapping),
+        Kind("pupper-analysis.toml", _CONFIG, read_config),
+        Kind("baseline.toml", _BASELINE, read_baseline),
+        Kind("robot.urdf", urdf_text(quadruped()).encode(), read_urdf),
+        Kind("robot.xml", mjcf_text(quadruped()).encode(), read_mjcf),
+        Kind("mesh.stl", _stl(), _read_mesh),
+        Kind("mesh.obj", _OBJ, _read_mesh),
+        Kind("mesh.ply", _PLY, _read_mesh),
+    )
+
+
+def damage(chance: random.Random, data: bytes) -> bytes:
+    """Returns a file with one or several damages: of disks, of editors, and of who means harm."""
+    for _ in range(chance.choice([1, 1, 1, 2, 5])):
+        at, to = sorted(chance.randrange(len(data) + 1) for _ in range(2))
+        some = bytes(chance.randrange(256) for _ in range(chance.choice([1, 4, 8])))
+        big = chance.choice([b"\xff" * 8, b"\x7f" + b"\xff" * 3, b"9" * 400, b"\0" * 8, b"-1"])
+        data = chance.choice(
+            [
+                lambda d, a, _b: d[:a],
+                lambda d, a, b: d[:a] + d[b:],
+                lambda d, a, b: d[:b] + d[a:],
+                lambda d, a, _b, s=some: d[:a] + s + d[a + len(s) :],
+                lambda d, a, _b, s=some: d[:a] + s + d[a + len(s) :],
+                lambda d, a, _b, s=big: d[:a] + s + d[a + len(s) :],
+                lambda d, a, _b, s=big: d[:a] + s + d[a:],
+                lambda d, a, _b: d[:a] + chance.choice(_WORDS) + d[a:],
+                lambda d, *_: d.replace(b",", b";"),
+                lambda d, *_: chance.choice([b"\xef\xbb\xbf", b"\xff\xfe", b"PK\3\4", b""]) + d,
+                lambda d, *_: d.decode("latin-1").encode(chance.choice(["utf-16", "utf-8"])),
+                lambda d, a, _b: d[:a] + d[a : a + 1] * 200_000 + d[a:],
+            ]
+        )(data, at, to)
+    return data
+
+
+_WORDS = (b"nan", b"1e999", b'"', b"[", b"{" * 3000, b"\n", b"\0", b"\xe4", b"::error::x", b"<a>")
+
+
+@contextmanager
+def _limits() -> Iterator[None]:
+    """Lets no reader compute for long, or take much."""
+
+    def hang(_number: int, _frame: FrameType | None) -> None:
+        raise Hang
+
+    before = signal.signal(signal.SIGPROF, hang)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    here = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (here + MEMORY, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def problem_of(kind: Kind, data: bytes, folder: Path) -> str | None:
+    """Returns what is wrong with how a file is read; None if nothing is."""
+    path = folder / kind.name
+    path.write_bytes(data)
+    try:
+        with _limits():
+            kind.read(path)
+    except PupperAnalysisError as error:
+        told = str(error)
+        if "\n" in told:
+            return f"its error is no line: {told[:300]!r}"
+        if kind.name.partition(".")[0] not in told and folder.name not in told:
+            return f"its error names no file: {told[:300]!r}"
+    except Hang:
+        return f"no end within {SECONDS} s"
+    except BaseException as error:
+        return f"{type(error).__name__}: {error}"
+    return None
+
+
+def problems_of(kind: Kind, count: int, seed: int, folder: Path) -> list[str]:
+    """Reads a sound file and damaged ones; returns what is wrong, beginning with its number."""
+    for beside in kinds():  # which some name
+        (folder / beside.name).write_bytes(beside.sound)
+    kind.read(folder / kind.name)
+    found = []
+    for number in range(count):
+        data = damage(random.Random(f"{kind.name} {seed} {number}"), kind.sound)
+        problem = problem_of(kind, data, folder)
+        if problem:
+            found.append(f"{kind.name} {number}: {problem}")
+    return found
+
+
+def main() -> None:
+    """Damages files, and says which were not refused as they should be."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("count", nargs="?", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    failed = 0
+    for kind in kinds():
+        with tempfile.TemporaryDirectory() as folder:
+            found = problems_of(kind, given.count, given.seed, Path(folder))
+        failed += len(found)
+        print(f"{kind.name}: {given.count} damaged files, {len(found)} failed", flush=True)
+        for problem in found:
+            print(f"    {problem[:300]}")
+    sys.exit(bool(failed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Input files: what comes in, and what is refused before it is opened."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import InputError
+from pupper_analysis.inputs import check_input, decode_input, read_input, read_toml
+from tests import damaged
+
+
+def refused(path: Path, most: int = 100) -> str:
+    for read in (check_input, read_input):
+        with pytest.raises(InputError) as error:
+            read(path, most)
+    return error.value.cause.code
+
+
+def test_a_file_comes_in_through_links(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"content")
+    (tmp_path / "link").symlink_to("file")
+    assert read_input(tmp_path / "link", 7) == b"content"
+    assert refused(tmp_path / "link", 6) == "file-too-large"
+
+
+def test_what_would_wait_is_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    assert refused(tmp_path / "pipe") == refused(tmp_path / "link") == "file-not-regular"
+    assert refused(tmp_path) == "file-is-folder"
+    assert refused(Path("/dev/null")) == "file-not-regular"
+    assert refused(tmp_path / "none") == refused(tmp_path / "a\0b") == "no-such-file"
+    assert refused(tmp_path / "loop") == "file-not-read"
+
+
+def test_a_pipe_that_takes_a_files_place_does_not_hold_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    monkeypatch.setattr("pupper_analysis.inputs.check_input", lambda *_: None)
+    assert read_input(tmp_path / "pipe", 10) == b""
+
+
+@pytest.mark.skipif(not Path("/proc/self/environ").is_file(), reason="Linux alone has it")
+def test_a_file_whose_size_is_not_said_is_read_no_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    path = Path("/proc/self/maps")
+    assert path.stat().st_size == 0
+    with pytest.raises(InputError) as error:
+        read_input(path, 10)
+    assert error.value.cause.code == "file-too-large"
+
+
+@pytest.mark.parametrize(
+    ("data", "code", "line"),
+    [
+        (b"a\nb\n\xe4", "not-utf-8", 3),
+        (b"a\n\0", "file-is-binary", 2),
+        ("a".encode("utf-16"), "encoded-in-utf-16", None),
+    ],
+)
+def test_what_is_no_text_is_told_with_its_line(data: bytes, code: str, line: int | None) -> None:
+    with pytest.raises(InputError) as error:
+        decode_input(Path("a.csv"), data)
+    assert (error.value.cause.code, error.value.line) == (code, line)
+    assert decode_input(Path("a.csv"), "\ufeffä".encode()) == "ä"
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("a = 1\nb = ]", 2),
+        ("a = " + "[" * 5000, None),
+        ("a = " + "9" * 5000, None),
+        ("a = 2020-02-31", 1),
+    ],
+)
+def test_toml_that_is_none_is_one_error(tmp_path: Path, text: str, line: int | None) -> None:
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(InputError) as error:
+        read_toml(tmp_path / "a.toml")
+    assert error.value.cause.code == "not-toml"
+    assert error.value.line == line
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("kind", damaged.kinds(), ids=lambda kind: kind.name)
+def test_damaged_files_of_every_kind_are_read_or_refused_in_one_line(
+    kind: damaged.Kind, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert damaged.problems_of(kind, count=8, seed=3, folder=tmp_path) == []
+
+
+def test_a_readers_bug_is_found(tmp_path: Path) -> None:
+    def fails(path: Path) -> None:
+        raise KeyError(path.name)
+
+    def speaks(path: Path) -> None:
+        raise InputError(path.name, diagnose("no-csv", problem="one\ntwo"))
+
+    def hangs(_path: Path) -> None:
+        while True:
+            pass
+
+    for read, told in ((fails, "KeyError"), (speaks, "no line"), (hangs, "no end")):
+        kind = damaged.Kind("a.csv", b"a,b\n", read)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(damaged, "SECONDS", 0.2)
+            assert told in str(damaged.problem_of(kind, b"", tmp_path))
