@@ -14,13 +14,16 @@ from pupper_analysis.models.joint_kinds import JointKind
 Array = NDArray[np.float64]
 
 
+_AT_JOINTS = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
+
+_ONE_COORDINATE = (int(JointKind.HINGE), int(JointKind.SLIDE))
+
+
 def is_at_one_joint(model: mujoco.MjModel, actuator: int) -> bool:
     """Says whether an actuator's armature and damping are those of one hinge or slide."""
-    kinds = (mujoco.mjtTrn.mjTRN_JOINT.value, mujoco.mjtTrn.mjTRN_JOINTINPARENT.value)
-    if model.actuator_trntype[actuator] not in kinds:
+    if model.actuator_trntype[actuator] not in _AT_JOINTS:
         return False
-    kind = model.jnt_type[model.actuator_trnid[actuator, 0]]
-    return bool(kind in (JointKind.HINGE, JointKind.SLIDE))
+    return int(model.jnt_type[model.actuator_trnid[actuator, 0]]) in _ONE_COORDINATE
 
 
 def actuator_gear(model: mujoco.MjModel, actuator: int) -> Array:
