@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -32,6 +34,18 @@ if TYPE_CHECKING:
     from pupper_analysis.identification.stands.plan import StandPlan
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
+
+
+_ALWAYS = {
+    *(one.name for one in fields(RobotOptions)),
+    *("words", "output", "priors", "kp", "everything", "style", "json_path", "report_path"),
+}
+_USES = {
+    "--stands": {*_ALWAYS, "stands", "weight", "encoder"},
+    "--log": {*_ALWAYS, "logs", "topics", "joints", "hold_out", "kd"},
+    "--plan": {*_ALWAYS, "count", "degrees", "both_sides"},
+}
+"""{mode: what it uses}."""
 
 
 @click.command(context_settings=shared.CONTEXT)
@@ -150,6 +164,10 @@ def fit(
     shared.check_outputs(json_path, report_path, *([] if folder else [output]), folders=(folder,))
     if [stands is not None, count is not None, bool(logs)].count(True) != 1:
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
+    mode = "--plan" if count is not None else "--log" if logs else "--stands"
+    refuse_unused(mode, _USES)
+    if degrees and output is None:
+        raise ConfigurationError("--degrees", diagnose("degrees-of-no-plan"))
     mass = None if weight is None else shared.parse_measure("weight", "mass", weight)
     sure = None if encoder is None else shared.parse_measure("encoder", "angle", encoder)
     meant = which.one(words) or "v3"

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import models, shared
+from pupper_analysis.cli.modes import refuse_unused
 
 
 @click.command("check", context_settings=shared.CONTEXT)
@@ -73,6 +74,7 @@ def check_command(
 
     shared.check_outputs(json_path)
     if first:
+        refuse_unused("--init", {"--init": {"first", "config"}})
         _begin(config)
         return
     result = check_repository(config, update_baseline=update_baseline)

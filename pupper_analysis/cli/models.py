@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
@@ -214,6 +215,7 @@ def audit_command(
     from pupper_analysis.report import formats
 
     if list_rules:
+        refuse_unused("--list-rules", {"--list-rules": {"list_rules"}})
         _list_rules()
         return
     if file is None:

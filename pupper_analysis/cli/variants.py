@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -96,6 +98,9 @@ def analyze(
     from pupper_analysis.pupper.variant_files import write_variant
     from pupper_analysis.pupper.variants import VARIANTS, variant_spec
 
+    if list_only:
+        listed = {"list_only", "words", *(one.name for one in fields(which))}
+        refuse_unused("--list", {"--list": listed})
     if everything and quiet:
         raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
     meant = [
