@@ -214,7 +214,6 @@ class Infeasibility(StrEnum):
     ZMP_OUTSIDE = "zero-moment point outside the support polygon"
     FRICTION = "friction too low"
     PULL = "a foot would have to pull"
-    MOTOR = "a motor is too weak"
 
 
 class StaticsInfeasibleError(PupperAnalysisError):

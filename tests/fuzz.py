@@ -539,7 +539,6 @@ COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
     "path": {
         **STANCE,
         "--seconds": ("1", "0", "-1", "nan", "1e9", "1e-9", "inf", "x"),
-        "--fastest": (),
         "--csv": ("out.csv", "-", "."),
         "--npz": ("out.npz", ".", "-"),
     },

@@ -37,11 +37,6 @@ EIGENVALUE = 1e-10
 """Of the least stiffness: with OpenBLAS's kernels of other processors (``OPENBLAS_CORETYPE``:
 Haswell, Sandybridge) it is up to 1.6e-11 of itself off."""
 
-FASTEST = 1e-5
-"""Of how long a fastest path takes (s), whose search ends where a step gains a millionth. With the
-kernels of other processors it is up to 5e-7 s off, but goes there with accelerations that are 6e-4
-of themselves others, and may have its peak elsewhere: the path itself is not recorded."""
-
 BAND = 1e-6
 """Of heights (m) that dry friction allows. Joints that by symmetry do not move the base may hold
 friction either way, which rounding decides: their torques are not recorded, and the base's height
@@ -101,12 +96,6 @@ def gain_sweep(robot: pa.Robot, stand: pa.Stand) -> dict[str, object]:
     found = pa.simulation.sweep_gains(robot, stand, kp=(5, 20), kd=(0.2, 0.5), duration=2.0)
     modes = ("lasts", "doubling_time", "damping_ratio")
     return {name: value for name, value in vars(found).items() if name not in modes}
-
-
-def fastest(robot: pa.Robot, _: pa.Stand) -> dict[str, object]:
-    """What a fastest path takes, and what binds it; not the path."""
-    found = pa.stance.fastest_path(robot, squat(robot))
-    return {name: value for name, value in vars(found).items() if name != "path"}
 
 
 def three_legged(robot: pa.Robot) -> pa.StandTask:
@@ -224,13 +213,6 @@ JOBS = {
     ),
     "workspace": Job(
         lambda robot, _: pa.stance.base_workspace(robot), slow=True, same_engines=True, why=SEARCHED
-    ),
-    "fastest path": Job(
-        fastest,
-        FASTEST,
-        slow=True,
-        same_engines=True,
-        why=SEARCHED,
     ),
     "push": Job(
         lambda robot, stand: pa.push_recovery(robot, stand, directions=3, resolution=0.2),

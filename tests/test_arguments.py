@@ -50,7 +50,6 @@ SLOW = {
     "best_stance",
     "simulate_payload",
     "simulate_push",
-    "fastest_path",
     "sweep_gains",
 }
 

@@ -12,8 +12,6 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking, track_path
 from pupper_analysis.simulation.verdict import Asked, Outcome, Verdict
-from pupper_analysis.stance.path.fastest import fastest_path
-from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
@@ -28,10 +26,6 @@ class PathThere(Result):
         stand: Where it leads.
         path: The path.
         tracking: The simulation of it.
-        binding: What keeps it from being faster, if its least time was asked for.
-        reserve: Share of every limit that the least time leaves unused, likewise.
-        lower_bound: The least time of an acceleration that may jump (s), likewise; see
-            ``FastestPath``.
         verdict: Whether it is followed, and what that rests on.
     """
 
@@ -39,9 +33,6 @@ class PathThere(Result):
     stand: Stand
     path: StancePath
     tracking: PathTracking
-    binding: BindingLimit | None
-    reserve: float | None
-    lower_bound: float | None
     verdict: Verdict
 
     @property
@@ -53,7 +44,7 @@ class PathThere(Result):
 def study_path(
     robot: Robot,
     task: StandTask,
-    seconds: float | None,
+    seconds: float,
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
@@ -63,7 +54,7 @@ def study_path(
     Args:
         robot: The robot.
         task: The stance.
-        seconds: How long it takes (s); the least time if None.
+        seconds: How long it takes (s).
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
@@ -74,14 +65,7 @@ def study_path(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     stand = solve_stand(robot, task)
-    way = way_to(robot, stand)
-    binding, reserve, lower_bound = None, None, None
-    if seconds is None:
-        fastest = fastest_path(robot, way)
-        path, binding, reserve = fastest.path, fastest.binding, fastest.reserve
-        lower_bound = fastest.lower_bound
-    else:
-        path = stance_path(robot, way, seconds)
+    path = stance_path(robot, way_to(robot, stand), seconds)
     tracking = track_path(robot, path, kp=kp, kd=kd)
     ran = Outcome(
         tracking.passed,
@@ -94,9 +78,6 @@ def study_path(
         stand=stand,
         path=path,
         tracking=tracking,
-        binding=binding,
-        reserve=reserve,
-        lower_bound=lower_bound,
         verdict=judge(robot, stand, ran, asked=Asked.TRACKED, kp=kp, kd=kd),
     )
 

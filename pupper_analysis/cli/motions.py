@@ -9,17 +9,16 @@ import click
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument, robots_argument
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
 
 
 @click.command(context_settings=shared.CONTEXT)
 @robot_argument
-@click.option("--seconds", type=float, metavar="S", help="Duration of the path (s); e.g. 4.")
 @click.option(
-    "--fastest",
-    is_flag=True,
-    help="Find the shortest duration within all limits, with bounded jerk.",
+    "--seconds",
+    default=4.0,
+    show_default=True,
+    metavar="S",
+    help="Duration of the path (s); e.g. 2.",
 )
 @shared.file_option(
     "--csv",
@@ -32,8 +31,7 @@ from pupper_analysis.errors import ConfigurationError
 def path(
     asked: RobotAndTask,
     words: tuple[str, ...],
-    seconds: float | None,
-    fastest: bool,
+    seconds: float,
     csv: Path | None,
     npz: Path | None,
     json_path: Path | None,
@@ -42,15 +40,13 @@ def path(
     """Plan a path from the nominal stand to a stance, and simulate it.
 
     The feet start where the stance has them; before one is lifted, the weight is shifted onto the
-    others. Every sample is a stand in dynamic balance. Robot and stance are given as for `stand`.
-    The duration is given by --seconds, or found by --fastest: the shortest that motors and friction
-    allow while each foot keeps a fifth of its load, with jerk bounded so that soft ground can
-    follow. The duration with unbounded jerk is printed beside it, as the lower bound.
+    others. Every sample is a stand in dynamic balance, along a minimum-jerk law. Robot and stance
+    are given as for `stand`.
 
     \b
     Examples:
       pupper-analysis path v3 --swing FL=2cm --com inside --seconds 4 --csv lift.csv
-      pupper-analysis path original --height 14cm --fastest
+      pupper-analysis path original --height 14cm
       pupper-analysis path v3-heavy --pitch 5deg --seconds 3 --npz pitch.npz
 
     \b
@@ -59,8 +55,6 @@ def path(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.analysis.path import study_path
 
-    if fastest != (seconds is None):
-        raise ConfigurationError("--seconds, --fastest", diagnose("seconds-or-fastest"))
     task = asked.task()
     shared.check_outputs(csv, npz, json_path, report_path)
     robot = asked.robot(words)

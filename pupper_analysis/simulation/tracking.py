@@ -100,8 +100,9 @@ def track_path(
 
     The velocity's part makes up for the servos' damping, which knows no wanted velocity: without it
     they lag by kd / kp (20 ms for v3). The legs are longer by what the feet sink into MuJoCo's soft
-    ground under the loads in motion (``find_sunk_motion``), and the torques are the path's, in
-    motion, plus those that make the legs longer.
+    ground under their loads in motion, and the torques are those of the path with legs so long.
+    That feet creep as they roll, and what else shows where a path takes less than a second, is not
+    fed forward.
 
     A path is tracked if joints and torques stay within ``TRACKING_TOLERANCE`` and
     ``TORQUE_TOLERANCE``, no motor is at its limit, stance feet stay on the ground, swing feet

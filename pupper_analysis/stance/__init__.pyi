@@ -1,9 +1,5 @@
 from .optimize.best import BestStance as BestStance
 from .optimize.search import Objective as Objective
-from .path.fastest import FastestPath as FastestPath
-from .path.fastest import fastest_path as fastest_path
-from .path.path_limits import PathLimit as PathLimit
-from .path.segment_time import BindingLimit as BindingLimit
 from .path.stance_path import StancePath as StancePath
 from .path.stance_path import stance_path as stance_path
 from .payload.limit import PayloadLimit as PayloadLimit

@@ -38,34 +38,6 @@ _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
-class ForceBounds:
-    """Bounds on contact forces and motor torques beside friction; infinite where there is none.
-
-    Attributes:
-        least: (n,) normal forces at least (N).
-        most: (n,) normal forces at most (N).
-        torques: (nu,) motor torques at most, absolute (N m).
-    """
-
-    least: Array
-    most: Array
-    torques: Array
-
-    def rows(self, balance: Balance) -> tuple[Array, Array]:
-        """Returns A and b of A f <= b, for the forces f (3 n,) of a balance."""
-        feet = len(self.least)
-        pressing = np.zeros((feet, 3 * feet))
-        for index, normal in enumerate(balance.normals):
-            pressing[index, 3 * index : 3 * index + 3] = normal
-        matrix = np.concatenate([-pressing, pressing, -balance.joints, balance.joints])
-        right = [-self.least, self.most]
-        right += [self.torques - balance.torques, self.torques + balance.torques]
-        bounds = np.concatenate(right)
-        finite = np.isfinite(bounds)
-        return matrix[finite], bounds[finite]
-
-
-@dataclass(frozen=True, eq=False)
 class Balance:
     """weight = base f and torques = joints f + tau, f in friction cones; f is (3 n,)."""
 
@@ -75,33 +47,13 @@ class Balance:
     torques: Array
     normals: Array
 
-    def minimum_tangential(
-        self, friction: Array | None, metric: TangentialMetric, bounds: ForceBounds | None = None
-    ) -> Array | None:
+    def minimum_tangential(self, friction: Array | None, metric: TangentialMetric) -> Array | None:
         """Returns the least tangential f (3 n,), or None if there is none.
 
         Args:
             friction: (n,) coefficients.
             metric: By what "least" is measured.
-            bounds: What else bounds the forces, if anything, where there is friction.
         """
-        forces = self._least_tangential(friction, metric)
-        if bounds is None or friction is None or forces is None:
-            return forces
-        matrix, right = bounds.rows(self)
-        if (matrix @ forces <= right).all():
-            return forces
-        particular, free = self._by_singular_values
-        within = (matrix @ free, right - matrix @ particular)
-        cost = metric @ free, -(metric @ particular)
-        found = self._solve_cones(particular, free, *cost, friction, within)
-        if found is None:
-            return None
-        forces = particular + free @ found
-        room = BALANCE_TOLERANCE * np.maximum(np.abs(matrix) @ np.abs(forces), np.abs(right))
-        return forces if (matrix @ forces <= right + room).all() else None
-
-    def _least_tangential(self, friction: Array | None, metric: TangentialMetric) -> Array | None:
         forces = metric.shortest(self.base, self.weight)
         if forces is not None:
             held = friction is None or self._violation(forces, friction) <= 0

@@ -17,7 +17,6 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.impedance import effective_solref
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.cone_program import ForceBounds
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import Equilibrium, ForceDistribution, balance_load
 
@@ -62,7 +61,6 @@ def inverse_dynamics(
     distribution: ForceDistribution = ForceDistribution.MIN_TANGENTIAL,
     resistance: bool = True,
     held: bool = False,
-    bounds: ForceBounds | None = None,
 ) -> InverseDynamics:
     """Computes motor torques and contact forces of a motion.
 
@@ -84,8 +82,6 @@ def inverse_dynamics(
         resistance: Whether joints and rolling feet resist as the MJCF says; otherwise r, m are 0.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
-        bounds: What else bounds minimum-tangential forces, in the order of ``contacts``: the motors
-            shall bear them, or a foot keep its load.
 
     Raises:
         UnknownNameError: If a foot is unknown.
@@ -123,7 +119,6 @@ def inverse_dynamics(
             distribution=distribution,
             tipping=Infeasibility.ZMP_OUTSIDE,
             held=held,
-            bounds=bounds,
         )
         forces = found.contact_forces
         pressed = {foot: max(0.0, float(forces[foot] @ ground[foot])) for foot in feet}
@@ -251,26 +246,6 @@ def rolling_levers(
         pressed = limits @ asked / (softness * slide**2) / share
         found[foot] = -limits @ pressed / max(1.0, float(np.linalg.norm(pressed)))
     return found
-
-
-def rolling_resistance(
-    config: Configuration, qacc: Array, forces: Mapping[str, Array], normal: Array
-) -> Array:
-    """Returns the generalised force (nv,) with which the ground resists feet that roll.
-
-    Args:
-        config: Where the robot is, and its qvel.
-        qacc: (nv,) generalised acceleration.
-        forces: {foot that carries: (3,) of the ground on it, in world axes (N)}.
-        normal: (3,) direction out of the ground.
-    """
-    robot = config.robot
-    resisting = np.zeros(robot.nv)
-    for foot, lever in rolling_levers(config, qacc, dict.fromkeys(forces, normal)).items():
-        moment = max(0.0, float(forces[foot] @ normal)) * lever
-        moment *= share_left_to_turn(robot, foot, forces[foot], moment, normal)
-        resisting += config.frame_jacobian(robot.contact_frames[foot])[3:].T @ moment
-    return resisting
 
 
 def share_left_to_turn(

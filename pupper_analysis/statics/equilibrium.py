@@ -21,12 +21,11 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import (
     BALANCE_TOLERANCE,
     Balance,
-    ForceBounds,
     TangentialMetric,
 )
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.foot_load import FootLoad, add_up_foot_load, sliding_share
-from pupper_analysis.statics.infeasibility import explain_bounds, explain_infeasibility
+from pupper_analysis.statics.infeasibility import explain_infeasibility
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]
@@ -165,7 +164,6 @@ def balance_load(
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
-    bounds: ForceBounds | None = None,
 ) -> GravityCompensation:
     """Balances any generalised force, as ``gravity_compensation`` balances gravity.
 
@@ -181,7 +179,6 @@ def balance_load(
         tipping: What it is called if ``point`` is outside the polygon.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
             need, feasible or not.
-        bounds: What else bounds minimum-tangential forces, if anything.
 
     Raises:
         UnknownNameError: As ``gravity_compensation``; so are the other two.
@@ -202,9 +199,7 @@ def balance_load(
     elif wanted is ForceDistribution.MIN_TORQUE:
         forces = problem.solve(limits, problem.joints, problem.torques)
     else:
-        forces = _lasting(robot, problem, carrying, limits, bounds)
-    if forces is None and bounds is not None:
-        explain_bounds(robot, problem, carrying, bounds)
+        forces = _lasting(robot, problem, carrying, limits)
     if forces is None:
         raise explain_infeasibility(config, point, problem, carrying, tipping)
     check_loops(config, given - contacts @ forces)
@@ -229,7 +224,7 @@ def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple
     forces, torques = [], []
     for load in map(config.by_motors, loads):
         problem = carrying.balance(transposed, load)
-        found = _lasting(config.robot, problem, carrying, carrying.friction, None)
+        found = _lasting(config.robot, problem, carrying, carrying.friction)
         if found is None:
             com, tipping = config.center_of_mass(), Infeasibility.COM_OUTSIDE
             raise explain_infeasibility(config, com, problem, carrying, tipping)
@@ -272,18 +267,15 @@ def _lasting(
     problem: Balance,
     carrying: Contacts,
     friction: Array | None,
-    bounds: ForceBounds | None,
 ) -> Array | None:
     """Finds the minimum-tangential forces (3 n,): those that last; see ``_creeping``."""
-    forces = problem.minimum_tangential(friction, carrying.metric, bounds)
+    forces = problem.minimum_tangential(friction, carrying.metric)
     if forces is None or friction is None or not robot.contacts:
         return forces
-    return _creeping(robot, problem, forces, carrying, bounds)
+    return _creeping(robot, problem, forces, carrying)
 
 
-def _creeping(
-    robot: Robot, problem: Balance, forces: Array, carrying: Contacts, bounds: ForceBounds | None
-) -> Array | None:
+def _creeping(robot: Robot, problem: Balance, forces: Array, carrying: Contacts) -> Array | None:
     """Finds the minimum-tangential forces (3 n,) for the viscosities that they themselves give."""
     if carrying.level:
         return forces  # nothing creeps
@@ -298,7 +290,7 @@ def _creeping(
         if not grip.all():
             return forces  # without friction there is no creep
         metric = TangentialMetric(carrying.normals, grip / grip.mean())
-        found = problem.minimum_tangential(friction, metric, bounds)
+        found = problem.minimum_tangential(friction, metric)
         if found is None or np.abs(found - forces).max() < BALANCE_TOLERANCE * scale:
             return found
         forces = found

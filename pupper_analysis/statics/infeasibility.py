@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import Infeasibility, StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.cone_program import Balance, ForceBounds
+from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import Contacts
 from pupper_analysis.statics.support_polygon import com_margin
 
@@ -20,39 +18,6 @@ Array = NDArray[np.float64]
 
 _NO_SLIDING = 1e4
 """A friction coefficient that stands for a foot that cannot slide."""
-
-
-def explain_bounds(robot: Robot, problem: Balance, carrying: Contacts, bounds: ForceBounds) -> None:
-    """Raises if forces exist without these bounds: by the motors', or by a foot's load.
-
-    Raises:
-        StaticsInfeasibleError: Then.
-    """
-    even, feet = carrying.metric, carrying.feet
-    free = problem.minimum_tangential(carrying.friction, even)
-    if free is None:
-        return
-    strong = replace(bounds, torques=np.full_like(bounds.torques, math.inf))
-    if problem.minimum_tangential(carrying.friction, even, strong) is not None:
-        torques = np.abs(problem.torques - problem.joints @ free)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            worst = int(np.nanargmax(torques / bounds.torques))
-        name = robot.joint_names[worst]
-        detail = diagnose(
-            "motor-too-weak",
-            subject=("joint", name),
-            torque=Quantity(torques[worst], "N m"),
-            limit=Quantity(bounds.torques[worst], "N m"),
-        )
-        raise StaticsInfeasibleError(Infeasibility.MOTOR, detail, margin=math.nan, feet=())
-    loads = problem.normal_forces(free)
-    wrong = [
-        f
-        for f, *row in zip(feet, loads, bounds.least, bounds.most, strict=True)
-        if not row[1] <= row[0] <= row[2]
-    ]
-    detail = diagnose("feet-would-pull", feet=wrong or feet)
-    raise StaticsInfeasibleError(Infeasibility.PULL, detail, margin=math.nan, feet=wrong or feet)
 
 
 def explain_infeasibility(

@@ -34,10 +34,7 @@ from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
 from pupper_analysis.stance.payload.servo_limit import Failure, PayloadCommand
-from pupper_analysis.statics.cone_program import ForceBounds
-from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.dynamics import rolling_levers
-from pupper_analysis.statics.equilibrium import balance_load
 from pupper_analysis.study.estimate import Estimate
 from tests.support.engines import changed, mujoco_at, with_efforts
 from tests.support.legged import quadruped
@@ -179,19 +176,6 @@ def test_angles_are_unwound_by_whole_turns() -> None:
     found = _unwound(robot, home + away, -wide, wide)
     np.testing.assert_allclose(np.exp(1j * found), np.exp(1j * (home + away)), atol=1e-12)
     assert np.abs(found - home).max() <= math.pi + 1e-12
-
-
-def test_feet_that_cannot_press_as_wanted_are_named() -> None:
-    """One is to bear ten times the weight, and no other is wrong."""
-    robot = load("v3")
-    config = pa.Configuration(robot, stand_of("v3").qpos)
-    carrying = make_contacts(robot, None, None, None, None)
-    least = np.where(np.array(carrying.feet) == "RL", 10 * robot.total_mass * GRAVITY, 0.0)
-    bounds = ForceBounds(least, np.full(4, np.inf), np.full(robot.nu, np.inf))
-    with pytest.raises(pa.StaticsInfeasibleError) as refused:
-        balance_load(config, config.load(), config.center_of_mass(), carrying, bounds=bounds)
-    assert refused.value.reason is pa.errors.Infeasibility.PULL
-    assert list(refused.value.feet) == ["RL"]
 
 
 def test_a_foot_that_spins_is_held_by_its_spinning_friction_alone() -> None:

@@ -24,8 +24,6 @@ from pupper_analysis.report.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
 from pupper_analysis.stance.optimize.best import Objective
-from pupper_analysis.stance.path.path_limits import PathLimit
-from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.payload.sharing import Sharing
 from tests.support import printing
 from tests.support.stubs import (
@@ -127,19 +125,6 @@ def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
     assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked height 0.1044 m" in text
     assert "yaw -3.3 °" in text
     assert "nudged: at 3.46 s the robot tips (FL)" in text
-
-
-def test_the_fastest_path_is_printed_with_its_bound() -> None:
-    least = there(
-        binding=BindingLimit(PathLimit.FRICTION, ("FR",), 2, 0.37, 0.5),
-        reserve=0.21,
-        lower_bound=2.5,
-    )
-    text = " ".join(printed(path_document(least)))
-    assert (
-        "shortest duration 3 s, with 21% of every limit in reserve: bound by friction (FR) after "
-        "37% of segment 2; 2.5 s with unbounded jerk The path" in text
-    )
 
 
 def test_the_height_along_a_path_is_drawn_in_millimetres() -> None:

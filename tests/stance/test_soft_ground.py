@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.simulation.verify import FORCE_TOLERANCE
-from pupper_analysis.stance.path.sinking import depths_of
 from pupper_analysis.stance.soft_ground import _plane, solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import stand_statics
 from tests.support.variants import NAMES, load
@@ -97,30 +95,6 @@ def test_at_full_stretch_the_sunk_feet_are_out_of_reach() -> None:
     pa.solve_stand(robot, task)
     with pytest.raises(pa.StanceUnreachableError):
         solve_stand_on_soft_ground(robot, task)
-
-
-@pytest.mark.parametrize("name", ["original", "v3"])
-def test_depth_follows_the_force_as_in_mujoco(name: str) -> None:
-    """Of a mass on the ground's law: R (f - m d2r/dt2) = k d r + b dr/dt + d2r/dt2, by a spline."""
-    law, time = GroundLaw.of(load(name), "FL"), np.linspace(0, 0.4, 401)
-    force = 8.0 * (1 - 0.8 * np.sin(2 * np.pi * time / 0.4) ** 2)
-    mass = 0.5 / law.normal  # so that it counts
-    depths, accelerations = depths_of(law, time, force, np.full(len(time), mass))
-    assert depths[0] == pytest.approx(law.depth(force[0]))
-    spline = make_interp_spline(time, depths, k=5)
-    for moment, pressed in list(zip(time, force, strict=True))[10:-10:20]:
-        depth, rate, acceleration = (float(spline(moment, order)) for order in range(3))
-        d = law.impedance(depth)
-        softness = (1 - d) / d * law.normal
-        found = law.stiffness * d * depth + law.damping * rate + acceleration
-        assert found / softness + mass * acceleration == pytest.approx(pressed, rel=5e-3)
-        near = float(np.interp(moment, time, accelerations))
-        assert near == pytest.approx(acceleration, abs=0.02 * np.abs(accelerations).max())
-    quasi_static = np.array([law.depth(f) for f in force])
-    late = np.abs(depths - quasi_static).max() / np.ptp(quasi_static)
-    assert late > 0.05  # it lags
-    slow, _ = depths_of(law, 100 * time, force, np.zeros(len(time)))
-    np.testing.assert_allclose(slow, quasi_static, rtol=2e-2)
 
 
 def test_a_sole_with_corners_that_lift_bears_its_load() -> None:

@@ -10,7 +10,6 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.statics.cone_program import ForceBounds
 from pupper_analysis.statics.dynamics import (
     inverse_dynamics,
     joint_resistance,
@@ -231,19 +230,3 @@ def test_accelerations_are_derivatives_of_velocities() -> None:
     np.testing.assert_allclose(
         now.com_acceleration(qacc), (rates[1] - rates[0]) / (2 * step), atol=1e-8
     )
-
-
-def test_the_motor_that_is_too_weak_is_named_with_its_torque_and_limit() -> None:
-    """Of motors that cannot be relieved, in all legs; not one whose limit is only greater."""
-    config = pa.Configuration(load("v3"), stand_of("v3").qpos)
-    torques = np.abs(pa.gravity_compensation(config).joint_torques)
-    strongest = int(np.argmax(torques))
-    limits = np.full(config.robot.nu, 10.0)
-    limits[strongest % 3 :: 3] = torques[strongest] / 20
-    bounds = ForceBounds(np.zeros(4), np.full(4, np.inf), limits)
-    with pytest.raises(pa.StaticsInfeasibleError) as refused:
-        pa.statics.inverse_dynamics(config, np.zeros(config.robot.nv), bounds=bounds)
-    told = refused.value.diagnostic.values["detail"]
-    assert told.subject.name in config.robot.joint_names[strongest % 3 :: 3]
-    assert told.values["limit"].value == limits[strongest]
-    assert told.values["torque"].value == pytest.approx(torques[strongest])

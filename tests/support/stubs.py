@@ -344,9 +344,8 @@ def there(**changes: Any) -> Any:
         failures=(),
     )
     fields = {"name": "stub", "passed": True, "stand": STAND, "path": path, "tracking": tracking}
-    least = {"binding": None, "reserve": None, "lower_bound": None}
-    least["verdict"] = judge_stance(Outcome(True, (), 3.0), None, SERVOS, asked=Asked.TRACKED)
-    return Stub(**fields, **{**least, **changes})
+    verdict = judge_stance(Outcome(True, (), 3.0), None, SERVOS, asked=Asked.TRACKED)
+    return Stub(**fields, **{"verdict": verdict, **changes})
 
 
 def best() -> Any:

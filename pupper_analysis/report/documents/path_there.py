@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from pupper_analysis.analysis.path import PathThere
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
@@ -13,10 +11,9 @@ from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.standing import robot_notes
 from pupper_analysis.report.documents.tasks import task_text
 from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.tracking import PathTracking
-from pupper_analysis.stance.path.segment_time import BindingLimit
 from pupper_analysis.stance.path.stance_path import StancePath
 
 
@@ -33,11 +30,7 @@ def path_document(there: PathThere, robot: Robot | None = None) -> doc.Document:
         passed=there.passed,
         verdict=verdict_word(there.verdict),
         failures=() if there.passed else verdict,
-        told=(
-            task_text(there.stand.task),
-            *_least_time(there),
-            *(verdict if there.passed else ()),
-        ),
+        told=(task_text(there.stand.task), *(verdict if there.passed else ())),
         notes=robot_notes(robot),
     )
 
@@ -58,26 +51,6 @@ def tracking_document(name: str, path: StancePath, tracking: PathTracking) -> do
         verdict=text("tracked") if tracking.passed else text("FAILED"),
         failures=tuple(map(doc.tell, tracking.failures)),
     )
-
-
-def _least_time(there: PathThere) -> Iterable[doc.Words]:
-    if there.binding is None:
-        return
-    yield text(
-        "least-time-time",
-        time=f"{there.path.time[-1]:.3g}",
-        reserve=f"{there.reserve:.0%}",
-        binding=_binding(there.binding),
-        bound=f"{there.lower_bound:.3g}",
-    )
-
-
-def _binding(binding: BindingLimit) -> doc.Words:
-    """Names a limit, whose it is, and when it binds."""
-    limit: doc.Words = word(binding.limit.value)
-    if binding.names:
-        limit = text("limit-of", limit=limit, names=join_words(map(doc.Name, binding.names)))
-    return text("binds-after", limit=limit, progress=binding.progress, segment=binding.segment)
 
 
 def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ...]:

@@ -13,7 +13,7 @@ from pupper_analysis.errors import StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.geometry import PathPlace, minimum_jerk
-from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, ForceBounds
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
 from pupper_analysis.statics.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.statics.support_polygon import com_margin
 
@@ -60,22 +60,18 @@ def path_effort(
     rate: float,
     acceleration: float,
     *,
-    friction: Mapping[str, float] | None = None,
-    bounds: ForceBounds | None = None,
     beyond: bool = False,
 ) -> Effort:
     """Returns what a sample of a path takes, with minimum tangential forces.
 
     Towards a segment of the path on which fewer feet carry, the load passes to those: a mean of two
-    sets of forces that balance the robot does so too. Where ``bounds`` are given, they say how.
+    sets of forces that balance the robot does so too.
 
     Args:
         robot: The robot.
         place: The sample.
         rate: Of the segment's share (1/s).
         acceleration: Of it (1/s^2).
-        friction: {foot: coefficient}; by default those of MuJoCo's contacts.
-        bounds: On forces and torques, in the order of the sample's feet, if any.
         beyond: Where no contact forces do, return those of feet that are held to the ground.
 
     Raises:
@@ -85,15 +81,7 @@ def path_effort(
     config, stand = Configuration(robot, place.qpos, qvel), place.stand
 
     def balance(feet: Sequence[str], *, held: bool = False) -> InverseDynamics:
-        return inverse_dynamics(
-            config,
-            qacc,
-            feet,
-            friction=friction,
-            normals=stand.normals,
-            held=held,
-            bounds=None if held else bounds,
-        )
+        return inverse_dynamics(config, qacc, feet, normals=stand.normals, held=held)
 
     infeasible = None
     try:
@@ -103,7 +91,7 @@ def path_effort(
             raise
         infeasible, whole = error, balance(stand.stance_feet, held=True)
     parts = [(1.0, whole)]
-    for feet, near, full in _fading(place) if infeasible is None and bounds is None else ():
+    for feet, near, full in _fading(place) if infeasible is None else ():
         # Fewer feet can carry only where the zero-moment point is between them; so their share
         # grows with its distance from the edge, and with the way.
         inside = max(0.0, balance(feet, held=True).zmp_margin or 0.0)
@@ -134,20 +122,6 @@ def path_effort(
         com_margin=com_margin(config.center_of_mass(), points),
         infeasible=infeasible,
     )
-
-
-def load_to_pass(robot: Robot, place: PathPlace, foot: str) -> float:
-    """Returns what a foot may carry at most (N), so that its load is gone where it lifts.
-
-    The weight times the share of the way that is left: where the com comes over the other feet at
-    the end of a segment, what the lifting foot has to carry at rest is less than that all along,
-    and so is that of one that has landed. Infinite for the other feet.
-    """
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    segment = place.segment
-    left = [1.0 - place.share] if foot not in segment.after else []
-    left += [place.share] if foot not in segment.before else []
-    return weight * min(left) if left else math.inf
 
 
 def _fading(place: PathPlace) -> list[tuple[tuple[str, ...], float, float]]:

@@ -1,4 +1,4 @@
-"""Where a path goes, whatever the time: configurations, and their derivatives along the way."""
+"""Where a path goes: configurations, and their derivatives along the way."""
 
 from __future__ import annotations
 
@@ -66,23 +66,25 @@ class PathPlace:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """A path through stances without its time.
+    """Where a path through stances goes.
 
     Attributes:
         stances: The stances, solved.
         segments: From each to the next.
         places: Samples, evenly spaced in each segment's ``progress``; each stance is one.
         per_segment: Samples from a stance to the next.
+        seconds: Time for all (s).
     """
 
     stances: tuple[Stand, ...]
     segments: list[Segment]
     places: list[PathPlace]
     per_segment: int
+    seconds: float
 
-    def where(self, index: int, moment: float | None = None) -> Diagnostic:
-        """Says where a sample is, and when (s), if that is given."""
-        return _where(index, self.per_segment, moment)
+    def where(self, index: int) -> Diagnostic:
+        """Says where a sample is, and when."""
+        return _where(index, self.per_segment, self.seconds / len(self.segments))
 
 
 def minimum_jerk(progress: float) -> tuple[float, float, float]:
@@ -103,9 +105,9 @@ def path_geometry(
     robot: Robot,
     stances: Sequence[StandTask],
     per_segment: int,
+    seconds: float,
     *,
     rolling: bool = True,
-    seconds: float | None = None,
 ) -> Geometry:
     """Solves a path's samples on the whole body; ``stance_path`` tells what a path is.
 
@@ -113,15 +115,15 @@ def path_geometry(
         robot: A robot with a floating base.
         stances: The tasks.
         per_segment: Samples from a stance to the next, at least 2.
+        seconds: Time for all (s), so that errors say when.
         rolling: Whether the feet roll; otherwise their centres stay.
-        seconds: Time for all (s), if errors shall say when.
 
     Raises:
         ConfigurationError: If the stances cannot follow each other, or a joint jumps.
         NoEquilibriumError: If feet roll away.
         UnknownNameError: If a task names a foot that the robot does not have.
-        StanceUnreachableError: If a sample is out of reach; says where.
-        StaticsInfeasibleError: If the com leaves the feet; says where.
+        StanceUnreachableError: If a sample is out of reach; says when.
+        StaticsInfeasibleError: If the com leaves the feet; says when.
     """
     segments, solved = segments_of(robot, stances)
     places: list[PathPlace] = []
@@ -134,8 +136,7 @@ def path_geometry(
         feet = segment.stance_feet
         if index == per_segment * (number + 1):  # in a stance only what carries on both sides
             feet = tuple(foot for foot in feet if foot in segment.after)
-        moment = None if seconds is None else seconds * index / (per_segment * len(segments))
-        where = _where(index, per_segment, moment)
+        where = _where(index, per_segment, seconds / len(segments))
         try:
             stand = roll.solve(segment, feet, share, ik_seed, rolling=rolling)
         except (StanceUnreachableError, StaticsInfeasibleError, NoEquilibriumError) as error:
@@ -154,16 +155,13 @@ def path_geometry(
         ik_seed = stand.joint_positions(robot)
         tangent, curvature = _derivatives(robot, segment, share, stand.qpos, rolling=rolling)
         places.append(PathPlace(segment, number, progress, share, stand, tangent, curvature))
-    return Geometry(solved, segments, places, per_segment)
+    return Geometry(solved, segments, places, per_segment, seconds)
 
 
-def _where(index: int, per_segment: int, moment: float | None) -> Diagnostic:
+def _where(index: int, per_segment: int, duration: float) -> Diagnostic:
     number = max(0, (index - 1) // per_segment)
-    one, two = number + 1, number + 2
-    if moment is None:
-        share = minimum_jerk(index / per_segment - number)[0]
-        return diagnose("on-the-way", share=share, one=one, two=two)
-    return diagnose("at-the-time", time=moment, one=one, two=two)
+    moment = duration * index / per_segment
+    return diagnose("at-the-time", time=moment, one=number + 1, two=number + 2)
 
 
 class _Roll:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -20,16 +20,9 @@ from pupper_analysis.files import whole_file
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import path_effort
-from pupper_analysis.stance.path.geometry import (
-    Geometry,
-    PathPlace,
-    clearance,
-    minimum_jerk,
-    path_geometry,
-)
+from pupper_analysis.stance.path.geometry import clearance, minimum_jerk, path_geometry
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.statics.cone_program import ForceBounds
 
 Array = NDArray[np.float64]
 
@@ -212,71 +205,17 @@ def stance_path(
     """
     robot.check_tree("a path")
     per_segment = _samples(seconds, rate, stances)
-    geometry = path_geometry(robot, stances, per_segment, rolling=rolling, seconds=float(seconds))
-    return timed_path(robot, geometry, even_times(geometry, float(seconds)), beyond=beyond)
-
-
-@dataclass(frozen=True, eq=False)
-class Timing:
-    """When a path is at its samples, and how fast.
-
-    Attributes:
-        time: (n,) s.
-        rates: (n,) of each segment's share (1/s).
-        accelerations: (n,) of it (1/s^2).
-    """
-
-    time: Array
-    rates: Array
-    accelerations: Array
-
-    def slower(self, factor: float) -> Timing:
-        """Returns the same with all times multiplied by a factor."""
-        return Timing(factor * self.time, self.rates / factor, self.accelerations / factor**2)
-
-
-def even_times(geometry: Geometry, seconds: float) -> Timing:
-    """Returns the minimum-jerk law in every segment, each of the same time; (s) in all."""
-    per_segment = seconds / len(geometry.segments)
-    laws = np.array([minimum_jerk(place.progress) for place in geometry.places])
-    time = np.linspace(0.0, seconds, len(laws))
-    return Timing(time, laws[:, 1] / per_segment, laws[:, 2] / per_segment**2)
-
-
-def timed_path(
-    robot: Robot,
-    geometry: Geometry,
-    timing: Timing,
-    *,
-    friction: Mapping[str, float] | None = None,
-    bounds_of: Callable[[PathPlace], ForceBounds] | None = None,
-    beyond: bool = False,
-) -> StancePath:
-    """Returns the path of a geometry at a speed; see ``stance_path``.
-
-    Args:
-        robot: The robot.
-        geometry: Where the path goes.
-        timing: When.
-        friction: {foot: coefficient}; by default those of MuJoCo's contacts.
-        bounds_of: What else bounds contact forces and torques at a sample, if anything.
-        beyond: As in ``stance_path``.
-
-    Raises:
-        StaticsInfeasibleError: If a sample cannot be held at this speed; says when.
-    """
+    geometry = path_geometry(robot, stances, per_segment, float(seconds), rolling=rolling)
+    duration = float(seconds) / len(geometry.segments)
     efforts = []
     for index, place in enumerate(geometry.places):
-        bounds = None if bounds_of is None else bounds_of(place)
-        motion = float(timing.rates[index]), float(timing.accelerations[index])
+        _, rate, acceleration = minimum_jerk(place.progress)
+        motion = rate / duration, acceleration / duration**2
         try:
-            effort = path_effort(
-                robot, place, *motion, friction=friction, bounds=bounds, beyond=beyond
-            )
+            efforts.append(path_effort(robot, place, *motion, beyond=beyond))
         except StaticsInfeasibleError as error:
-            raise error.at(geometry.where(index, float(timing.time[index]))) from None
-        efforts.append(effort)
-    time = timing.time
+            raise error.at(geometry.where(index)) from None
+    time = np.linspace(0.0, float(seconds), len(efforts))
     torques = np.array([effort.torques for effort in efforts])
     qvel = np.array([effort.qvel for effort in efforts])
     used = shares_of(torques, robot.effort_limits)
