@@ -9,7 +9,7 @@ import pytest
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import InputError
-from pupper_analysis.inputs import check_input, decode_input, read_input, read_toml
+from pupper_analysis.inputs import check_input, decode_input, is_input, read_input, read_toml
 from tests import damaged
 
 
@@ -111,3 +111,10 @@ def test_a_readers_bug_is_found(tmp_path: Path) -> None:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(damaged, "SECONDS", 0.2)
             assert told in str(damaged.problem_of(kind, b"", tmp_path))
+
+
+def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    assert is_input(tmp_path / "file")
+    assert not is_input(tmp_path / ("x" * 5000))
+    assert not is_input(tmp_path)

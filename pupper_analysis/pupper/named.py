@@ -8,6 +8,7 @@ from typing import Final
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, VariantError
+from pupper_analysis.inputs import is_input
 from pupper_analysis.models.published import SCHEME
 from pupper_analysis.models.standard_input import NAME as STANDARD_INPUT
 from pupper_analysis.pupper.variants import VARIANTS
@@ -26,7 +27,7 @@ def split_word(word: str) -> str | tuple[str, ...]:
     """
     if word in VARIANTS:
         return word
-    files = (word,) if Path(word).is_file() else tuple(word.split(_BOTH))
+    files = (word,) if is_input(Path(word)) else tuple(word.split(_BOTH))
     if all(map(_is_file, files)):
         return files
     raise VariantError("name", word, diagnose("known-robots", variants=VARIANTS))
@@ -61,5 +62,5 @@ def _is_file(word: str) -> bool:
         or path == STANDARD_INPUT
         or path.suffix.lower() in _ENDINGS
         or len(path.parts) > 1
-        or path.is_file()
+        or is_input(path)
     )
