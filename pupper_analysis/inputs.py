@@ -16,6 +16,7 @@ from typing import Any, Final
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import InputError
 from pupper_analysis.files import reason_of
+from pupper_analysis.runs import note_input
 
 MOST_TEXT: Final = 20_000_000
 """Bytes of a text that is read as a whole: a model, settings."""
@@ -24,7 +25,7 @@ MOST_TEXT: Final = 20_000_000
 _PART: Final = 1 << 20
 
 
-def check_input(path: Path, most: int) -> None:
+def check_input(path: Path, most: int, *, own: bool = False) -> None:
     """Refuses what is no regular file, links followed, or larger than what is read.
 
     Nothing is opened: who opens a pipe waits without end, and who opens a device may act on it.
@@ -32,9 +33,12 @@ def check_input(path: Path, most: int) -> None:
     Args:
         path: The file.
         most: Bytes.
+        own: Whether it is one that the run goes on with, and writes again: all else that is read is
+            never written by the same run.
 
     Raises:
         InputError: If so.
+        OutputError: If it is one that the run is to write.
     """
     try:
         there = path.stat()
@@ -48,6 +52,8 @@ def check_input(path: Path, most: int) -> None:
         raise InputError(path, diagnose("file-not-regular"))
     if there.st_size > most:
         raise InputError(path, diagnose("file-too-large", most=most / 1e6))
+    if not own:
+        note_input(path)
 
 
 def is_input(path: Path) -> bool:
@@ -58,17 +64,19 @@ def is_input(path: Path) -> bool:
         return False
 
 
-def read_input(path: Path, most: int) -> bytes:
+def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
     """Returns the content of a file that a user gave.
 
     Args:
         path: The file.
         most: Bytes that are read at most.
+        own: As in ``check_input``.
 
     Raises:
         InputError: If it is no regular file, larger, or cannot be read.
+        OutputError: If it is one that the run is to write.
     """
-    check_input(path, most)
+    check_input(path, most, own=own)
     try:
         # Not blocking: a pipe may have taken its place.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))

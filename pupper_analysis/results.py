@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.frozen import freeze
+from pupper_analysis.kinds import GENERATOR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -41,6 +42,18 @@ def to_json(result: object) -> str:
             raise error.__cause__ from None
         told = diagnose("no-json", problem=str(error))
         raise ConfigurationError("result", told) from error
+
+
+def marked_json(content: object) -> str:
+    """Returns a result, or a mapping of results, as a JSON file that tells what has made it.
+
+    Raises:
+        ConfigurationError: As ``to_json``.
+    """
+    from pupper_analysis import __version__
+
+    told = content if isinstance(content, Mapping) else _fallback(content)
+    return f"{to_json({'generator': f'{GENERATOR} {__version__}', **told})}\n"
 
 
 def _fallback(value: Any) -> Any:

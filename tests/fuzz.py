@@ -31,6 +31,7 @@ import time
 import tomllib
 import unicodedata
 import warnings
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,10 +50,25 @@ SECONDS = 20
 STATUSES = (0, 1, 2)
 """Verified, not verified, bad input; 3, a bug, is what is looked for."""
 
-BEFORE = b'{"written": "before"}\n'
-"""What stands in every output file before the command runs."""
 
-OUTPUTS = ("out.json", "out.csv", "out.npz", "out.png", "out.html", "new.xml", "new.urdf")
+def _arrays() -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as file:
+        for name in ("joint_names.npy", "zmp_margin.npy"):
+            file.writestr(name, b"before")
+    return content.getvalue()
+
+
+BEFORE = {
+    "out.json": b'{\n  "generator": "pupper-analysis 0",\n  "written": "before"\n}\n',
+    "out.csv": b"time (s),q a (rad),tau a (N m)\n",
+    "out.npz": _arrays(),
+    "out.png": b"\x89PNG\r\n\x1a\n tEXtSoftware\0pupper-analysis 0",
+    "out.html": b'<meta name="generator" content="pupper_analysis 0">\n',
+    "new.xml": b"<mujoco/>\n",
+    "new.urdf": b"<robot/>\n",
+}
+"""What stands in every output file before the command runs: a result of its kind, or a model."""
 
 STDIN = "stdin"
 """The file that a command is given as standard input."""
@@ -105,9 +121,9 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
     for name, content in case.files.items():
         (folder / name).write_bytes(content)
     before = dict(case.files)
-    for name in OUTPUTS:
-        (folder / name).write_bytes(BEFORE)
-        before[name] = BEFORE
+    before |= BEFORE
+    for name, content in BEFORE.items():
+        (folder / name).write_bytes(content)
     status, said, taken = _run(case.arguments, folder)
     command = case.arguments[0] if case.arguments else ""
     if status is None:
@@ -196,7 +212,7 @@ def _written(folder: Path, before: Mapping[str, bytes], *, may_write: bool) -> I
         now = path.read_bytes()
         if now == content:
             continue
-        if name in OUTPUTS:
+        if name in BEFORE:
             ends = {
                 "out.json": (b"}\n", b"]\n", b"}", b"]"),
                 "out.csv": (b"\n",),
@@ -557,7 +573,7 @@ COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
 
 _MODELS = {
     "--format": ("github", "junit", "text", "x", "sarif"),
-    "--json": ("out.json", "-", ".", "robot.xml/x"),
+    "--json": ("out.json", "-", ".", "robot.xml/x", "robot.xml", "./robot.urdf"),
     "--tolerance": ("mass=1", "mass=nan", "mass=-1", "x=1", "mass", "=", "mass=1e308"),
     "--map": ("hip0=hip1", "x=y", "=", "hip0=hip0", "hip0=knee0"),
     "--map-file": ("robot.xml", "none.toml", "."),
@@ -584,8 +600,8 @@ _MODELS = {
 }
 _COMMON = ("--json", "--tolerance", "--map", "--map-file", "--foot", "--package")
 OF_MODELS = {
-    "audit": ("--format", "--json", "--package", "--report"),
-    "crosscheck": (*_COMMON, "--format", "--strict", "--all", "--report"),
+    "audit": ("--format", "--json", "--package", "--report", "--force"),
+    "crosscheck": (*_COMMON, "--format", "--strict", "--all", "--report", "--force"),
     "sync": (*_COMMON, "--take", "--dry-run", "--backup", "--force", "--fine"),
 }
 
@@ -628,8 +644,8 @@ OF_FILES = {
         "--damping-ratio",
         "--package",
     ),
-    "check": ("--json", "--format", "--all", "--config", "--update-baseline"),
-    "diff": ("--json", "--map", "--package", "--tolerance"),
+    "check": ("--json", "--format", "--all", "--config", "--update-baseline", "--force"),
+    "diff": ("--json", "--map", "--package", "--tolerance", "--force"),
     "study": ("--json", "--workers"),
 }
 

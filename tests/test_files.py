@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,12 +21,15 @@ import pupper_analysis as pa
 from pupper_analysis import files
 from pupper_analysis.errors import OutputError, VariantError
 from pupper_analysis.files import whole_file
+from pupper_analysis.kinds import EDITED, MODEL, OWN, RESULTS, Kind
+from pupper_analysis.results import marked_json
+from pupper_analysis.runs import note_input, running
 from tests.support.commands import answer, run_command
 from tests.support.repository import ROOT
 
 
-def write(path: Path, text: str = "all of it") -> None:
-    with whole_file(path) as file:
+def write(path: Path, kind: Kind = OWN, text: str = "all of it") -> None:
+    with whole_file(path, kind) as file:
         file.write(text.encode())
 
 
@@ -35,7 +39,7 @@ def mode(path: Path) -> int:
 
 def test_a_file_that_succeeds_is_there(tmp_path: Path) -> None:
     path = tmp_path / "new" / "file.txt"
-    with whole_file(path) as file:
+    with whole_file(path, OWN) as file:
         file.write(b"all of it")
         assert not path.exists()
     assert path.read_text() == "all of it"
@@ -47,7 +51,7 @@ def test_a_file_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     path.write_text("old")
 
     def fail() -> None:
-        with whole_file(path) as file:
+        with whole_file(path, OWN) as file:
             file.write(b"half of")
             raise KeyError("stop")
 
@@ -78,7 +82,7 @@ def test_a_full_disk_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(OutputError, match="file"), whole_file(tmp_path / "file" / "x.txt"):
+    with pytest.raises(OutputError, match="file"), whole_file(tmp_path / "file" / "x.txt", OWN):
         pass
 
 
@@ -87,7 +91,7 @@ def test_links_are_followed(tmp_path: Path) -> None:
     real, link = tmp_path / "there" / "real", tmp_path / "link"
     link.symlink_to(real)
     for text in ("made through the link", "replaced through it"):
-        write(link, text)
+        write(link, text=text)
         assert link.is_symlink()
         assert real.read_text() == text
         assert not real.is_symlink()
@@ -99,7 +103,7 @@ def test_a_hard_link_keeps_the_old_file(tmp_path: Path) -> None:
     given, other = tmp_path / "given", tmp_path / "other"
     given.write_text("old")
     other.hardlink_to(given)
-    write(given, "new")
+    write(given, text="new")
     assert (given.read_text(), other.read_text()) == ("new", "old")
 
 
@@ -108,7 +112,7 @@ def test_links_in_a_circle_are_refused(tmp_path: Path) -> None:
     (tmp_path / "b").symlink_to(tmp_path / "a")
     for refuse in (files.check_writable, write):
         with pytest.raises(OutputError, match="symbolic links"):
-            refuse(tmp_path / "a")
+            refuse(tmp_path / "a", OWN)
     assert (tmp_path / "a").is_symlink()
 
 
@@ -118,7 +122,7 @@ def test_a_pipe_is_written_to_and_stays_one(tmp_path: Path) -> None:
     read: list[str] = []
     reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
     reader.start()
-    files.check_writable(pipe)
+    files.check_writable(pipe, OWN)
     write(pipe)
     reader.join(10)
     assert read == ["all of it"]
@@ -134,17 +138,23 @@ def test_only_a_regular_file_is_replaced(kind: int) -> None:
     assert files.is_replaceable(regular)  # type: ignore[arg-type]
 
 
-def test_the_file_of_standard_output_is_not_replaced(tmp_path: Path) -> None:
+@pytest.mark.parametrize("stream", ["stdout", "stderr"])
+def test_the_file_that_a_stream_goes_to_is_not_replaced(stream: str, tmp_path: Path) -> None:
     code = (
-        "from pathlib import Path; from pupper_analysis.files import whole_file\n"
-        "print('before')\n"
-        "with whole_file(Path('out')) as file: file.write(b'result\\n')\n"
-        "print('after')"
+        "import sys; from pathlib import Path\n"
+        "from pupper_analysis.files import whole_file; from pupper_analysis.kinds import OWN\n"
+        f"print('before', file=sys.{stream})\n"
+        "with whole_file(Path('out'), OWN) as file: file.write(b'result\\n')\n"
+        f"print('after', file=sys.{stream})"
     )
     with (tmp_path / "out").open("w") as out:
         environment = {**os.environ, "PYTHONPATH": str(ROOT)}
         subprocess.run(
-            [sys.executable, "-c", code], stdout=out, cwd=tmp_path, env=environment, check=True
+            [sys.executable, "-c", code],
+            **{stream: out},  # type: ignore[call-overload]
+            cwd=tmp_path,
+            env=environment,
+            check=True,
         )
     assert (tmp_path / "out").read_text() == "before\nresult\nafter\n"
 
@@ -184,7 +194,7 @@ def test_what_cannot_be_written_is_found_before_the_work(
     (tmp_path / "folder").mkdir()
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match=problem):
-        files.check_writable(tmp_path / name)
+        files.check_writable(tmp_path / name, OWN)
 
 
 @pytest.mark.parametrize("denied", [os.W_OK, os.X_OK])
@@ -194,11 +204,11 @@ def test_folders_without_leave_are_found_before_the_work(
     # By a stand-in: who runs the tests may be root, who may do everything.
     monkeypatch.setattr(os, "access", lambda path, how: not how & denied)
     with pytest.raises(OutputError, match="no file may be made"):
-        files.check_writable(tmp_path / "new")
+        files.check_writable(tmp_path / "new", OWN)
     if denied == os.W_OK:
         (tmp_path / "file").touch()
         with pytest.raises(OutputError, match="may not be written"):
-            files.check_writable(tmp_path / "file")
+            files.check_writable(tmp_path / "file", OWN)
         with pytest.raises(OutputError, match="may not be written"):
             write(tmp_path / "file")
 
@@ -210,9 +220,10 @@ def test_a_folder_that_cannot_be_searched_is_an_output_error(
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr(Path, "stat", deny)
-    for check in (files.check_writable, files.check_folder):
-        with pytest.raises(OutputError, match="Permission denied"):
-            check(tmp_path / "folder" / "new")
+    with pytest.raises(OutputError, match="Permission denied"):
+        files.check_writable(tmp_path / "folder" / "new", OWN)
+    with pytest.raises(OutputError, match="Permission denied"):
+        files.check_folder(tmp_path / "folder" / "new")
 
 
 @pytest.mark.slow
@@ -242,11 +253,11 @@ def test_a_variants_name_is_that_of_a_file(name: str) -> None:
 def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
     """SIGTERM while the temporary file is there: the command line takes it away."""
     code = (
-        "import os, time; from pupper_analysis import cli, files\n"
+        "import os, time; from pupper_analysis import cli, files, kinds\n"
         "import click\n"
         "@click.command()\n"
         "def slow():\n"
-        "    with files.whole_file(files.Path('out')) as file: file.write(b'x')\n"
+        "    with files.whole_file(files.Path('out'), kinds.OWN) as file: file.write(b'x')\n"
         "real = os.fdopen\n"
         "def held(*a):\n"
         "    print('writing', flush=True); time.sleep(60); return real(*a)\n"
@@ -271,3 +282,104 @@ def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
     assert process.returncode == 143
     assert err.strip().splitlines() == ["terminated"]
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("link", [None, os.symlink, os.link])
+def test_what_a_run_reads_is_not_written(link: Callable[..., None] | None, tmp_path: Path) -> None:
+    read, other = tmp_path / "robot.xml", tmp_path / "out.json"
+    read.write_text("<mujoco/>")
+    if link is None:
+        other = read
+    else:
+        link(read, other)
+    with running() as run:
+        note_input(read)
+        run.force = True
+        for refuse in (files.check_writable, write):
+            with pytest.raises(OutputError, match="which this run reads"):
+                refuse(other, RESULTS)
+        with whole_file(tmp_path / "new", OWN) as file:
+            file.write(b"made here")
+        note_input(tmp_path / "new")  # to prove it
+        write(tmp_path / "new", text="again")
+        write(read, EDITED, "edited")
+        with pytest.raises(OutputError, match="which this run reads"):
+            write(read, RESULTS)
+    assert read.read_text() == "edited"
+    write(read)  # no run, no inputs
+
+
+def test_what_is_to_be_written_is_not_read(tmp_path: Path) -> None:
+    """Before any work, though what a model includes is known only when it is read."""
+    mesh, out = tmp_path / "foot.stl", tmp_path / "out.json"
+    mesh.write_text("solid")
+    out.symlink_to(mesh)
+    with running() as run:
+        run.force = True
+        files.check_writable(out, RESULTS)
+        with pytest.raises(OutputError, match=r"out\.json.*foot\.stl"):
+            note_input(mesh)
+
+
+def test_numbers_of_files_that_are_gone_are_given_to_others(tmp_path: Path) -> None:
+    """A temporary file has the number of an output that was replaced: it may be read."""
+    out = tmp_path / "out"
+    out.write_text("old")
+    with running() as run:
+        files.check_writable(out, OWN)
+        known = next(iter(run.outputs))
+        write(out)
+        assert known not in run.outputs
+
+
+def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
+    path = tmp_path / "out.json"
+    ours = marked_json({"a": 1})
+    for before, replaced in ((ours, True), ("", True), ('{"a": 1}\n', False), ("<mujoco/>", False)):
+        path.write_text(before)
+        for attempt in (files.check_writable, write):
+            if replaced:
+                attempt(path, RESULTS)
+            else:
+                with pytest.raises(OutputError, match="no JSON result of this package"):
+                    attempt(path, RESULTS)
+                assert path.read_text() == before
+    write(path, MODEL, "<mujoco/>")  # the same content: nothing is lost
+    with pytest.raises(OutputError, match="it exists"):
+        write(path, MODEL, "<mujoco />")
+    with whole_file(path, MODEL, force=True) as file:
+        file.write(b"<robot/>")
+    assert path.read_text() == "<robot/>"
+
+
+def test_what_killed_runs_left_is_cleared_by_the_next(tmp_path: Path) -> None:
+    """SIGKILL while the temporary file is there; that of a process that runs is left."""
+    code = (
+        "import os, time; from pupper_analysis import files, kinds\n"
+        "real = os.fdopen\n"
+        "def held(*a):\n"
+        "    print('writing', flush=True); time.sleep(60); return real(*a)\n"
+        "os.fdopen = held\n"
+        "with files.whole_file(files.Path('out'), kinds.OWN) as file: file.write(b'x')\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", code], stdout=subprocess.PIPE, cwd=tmp_path, env=environment
+        )
+        for _ in range(2)
+    ]
+    for process in processes:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"writing\n"
+    dead, alive = processes
+    dead.kill()
+    dead.communicate(timeout=20)
+    assert len(list(tmp_path.iterdir())) == 2
+    (tmp_path / ".mine-pupper.tmp").touch()
+    write(tmp_path / "new")
+    left = {path.name for path in tmp_path.iterdir()} - {"new", ".mine-pupper.tmp"}
+    assert len(left) == 1
+    assert f"-{alive.pid:x}-" in left.pop()
+    alive.kill()
+    alive.communicate(timeout=20)

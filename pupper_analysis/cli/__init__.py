@@ -16,6 +16,7 @@ from pupper_analysis.cli.process import Ended, ending_signals, go_on, patient_ou
 from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, INTERNAL, VERIFIED
 from pupper_analysis.errors import PupperAnalysisError
 from pupper_analysis.models import standard_input
+from pupper_analysis.runs import running
 
 __all__ = ["BAD_INPUT", "find_command", "group", "main", "run"]
 
@@ -59,7 +60,8 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int:
     """Runs a command; says what went wrong, and returns the exit status."""
     try:
-        return command.main(args=arguments, standalone_mode=False) or VERIFIED
+        with running():  # from here, as options read files, too
+            return command.main(args=arguments, standalone_mode=False) or VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)
     except click.UsageError as error:

@@ -7,20 +7,21 @@ from pathlib import Path
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
 
 
-@click.command("convert", context_settings=shared.CONTEXT)
+@shared.command("convert")
 @click.argument("source", type=shared.MODEL_FILE)
-@shared.file_option(
+@shared.output_option(
     "-o",
     "--output",
     required=True,
+    holds=kinds.MODEL,
     help="The file to write: .xml (from a URDF) or .urdf (from an MJCF).",
 )
-@click.option("--force", is_flag=True, help="Overwrite the output file if it exists.")
 @click.option(
     "--foot",
     "feet",
@@ -67,7 +68,6 @@ from pupper_analysis.errors import ConfigurationError, OutputError
 def convert_command(
     source: Path,
     output: Path,
-    force: bool,
     feet: tuple[str, ...],
     fixed_base: bool | None,
     merge_fixed: bool,
@@ -105,7 +105,6 @@ def convert_command(
     if str(output) == "-":
         raise OutputError(output, diagnose("converted-needs-a-name"))
     folders = shared.package_folders(packages)
-    shared.check_outputs(output, json_path)
     named = dict(shared.parse_assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}
     rotors = {}
@@ -126,7 +125,6 @@ def convert_command(
             repair_inertia=repair_inertia,
             copy_meshes=copy_meshes,
             packages=folders,
-            force=force,
         )
     shared.show_results([("", result)], style, everything=everything)
     for path in result.written:

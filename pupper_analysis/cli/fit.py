@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
@@ -38,7 +39,17 @@ if TYPE_CHECKING:
 
 _ALWAYS = {
     *(one.name for one in fields(RobotOptions)),
-    *("words", "output", "priors", "kp", "everything", "style", "json_path", "report_path"),
+    *(
+        "words",
+        "output",
+        "priors",
+        "kp",
+        "everything",
+        "style",
+        "json_path",
+        "report_path",
+        "force",
+    ),
 }
 _USES = {
     "--stands": {*_ALWAYS, "stands", "weight", "encoder"},
@@ -48,7 +59,7 @@ _USES = {
 """{mode: what it uses}."""
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @shared.file_option("--stands", help="CSV of stands at rest: commands and positions.")
 @click.option(
@@ -90,9 +101,10 @@ _USES = {
 @click.option(
     "--both-sides", is_flag=True, help="Plan to come to each stand from above and from below."
 )
-@shared.file_option(
+@shared.output_option(
     "-o",
     "--output",
+    holds=lambda given: kinds.FIT_FOLDER if given["count"] is None else kinds.PLAN,
     help="Where to write the plan, as CSV; or the folder that gets the corrected URDF and MJCF, "
     "fit.json, offsets.csv and ranges.yaml.",
 )
@@ -161,7 +173,6 @@ def fit(
     from pupper_analysis.identification.result import Fit
 
     folder = output if count is None else None
-    shared.check_outputs(json_path, report_path, *([] if folder else [output]), folders=(folder,))
     if [stands is not None, count is not None, bool(logs)].count(True) != 1:
         raise ConfigurationError("--stands", diagnose("fit-of-nothing"))
     mode = "--plan" if count is not None else "--log" if logs else "--stands"

@@ -10,7 +10,7 @@ from pupper_analysis.cli import models, shared
 from pupper_analysis.cli.modes import refuse_unused
 
 
-@click.command("check", context_settings=shared.CONTEXT)
+@shared.command("check")
 @shared.file_option(
     "--config",
     help="Configuration file. By default pupper-analysis.toml in this folder or one above it.",
@@ -72,7 +72,6 @@ def check_command(
     from pupper_analysis.report import formats
     from pupper_analysis.report import guard as report
 
-    shared.check_outputs(json_path)
     if first:
         refuse_unused("--init", {"--init": {"first", "config"}})
         _begin(config)
@@ -107,7 +106,7 @@ def _begin(config: Path | None) -> None:
     click.echo("look at which belong together; then: pupper-analysis check --update-baseline")
 
 
-@click.command("diff", context_settings=shared.CONTEXT)
+@shared.command("diff")
 @click.argument("old", type=click.Path())
 @click.argument("new", type=click.Path())
 @click.option(
@@ -153,7 +152,6 @@ def diff_command(
 
     names = dict(shared.parse_assignment("map", text) for text in pairs)
     tolerances = models.with_changes(Tolerances.strict(), changes)
-    shared.check_outputs(json_path)
     result = diff_models(
         old, new, names=names, packages=shared.package_folders(packages), tolerances=tolerances
     )

@@ -11,7 +11,7 @@ from pupper_analysis.cli.robots import FILES, VARIANT, add_options, robot_argume
 from pupper_analysis.cli.stance_options import AS_IS, LOOK, SERVOS, RobotAndTask
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @click.option(
     "--joints",
@@ -68,7 +68,6 @@ def hold(
     from pupper_analysis.analysis.hold import hold_posture
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
-    shared.check_outputs(figure, json_path, report_path)
     asked = RobotAndTask.of_held(**robot_options)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)

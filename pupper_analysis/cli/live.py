@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pupper_analysis.live.source import LiveSource
 
 
-@click.command("live", context_settings=shared.CONTEXT)
+@shared.command("live")
 @robot_argument
 @add_options(FILES, VARIANT)
 @click.option(

@@ -21,7 +21,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 
 
-@click.command("load", context_settings=shared.CONTEXT)
+@shared.command("load")
 @robot_argument
 @add_options(FOUND)
 @click.option("--fixed-base", is_flag=True, help="Fix the base where the MJCF places it.")
@@ -66,7 +66,6 @@ def load(
     from pupper_analysis.report.document import Report
     from pupper_analysis.report.documents.preparation import preparation_document
 
-    shared.check_outputs(json_path)
     meant = which.one(words)
     if not isinstance(meant, RobotFiles):
         raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))

@@ -54,7 +54,7 @@ def with_changes(tolerances: Tolerances, changes: tuple[str, ...]) -> Tolerances
     )
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @click.argument("urdf", type=shared.MODEL_FILE)
 @click.argument("mjcf", type=shared.MODEL_FILE)
 @map_option
@@ -138,7 +138,6 @@ def crosscheck(
     folders = shared.package_folders(packages)
     tolerances = Tolerances.strict() if strict else Tolerances()
     tolerances = with_changes(tolerances, changes)
-    shared.check_outputs(json_path, report_path)
     comparison = compare_models(
         urdf,
         mjcf,
@@ -160,7 +159,7 @@ def crosscheck(
     shared.finish_command(json_path, comparison, passed=comparison.agree)
 
 
-@click.command("audit", context_settings=shared.CONTEXT)
+@shared.command("audit")
 @click.argument("file", required=False, type=shared.MODEL_FILE)
 @shared.package_option
 @click.option(
@@ -221,7 +220,6 @@ def audit_command(
     if file is None:
         raise ConfigurationError("FILE", diagnose("nothing-to-audit"))
     folders = shared.package_folders(packages)
-    shared.check_outputs(json_path, report_path)
     result = audit_model(file, packages=folders, disabled=disabled)
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument, robots_argument
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @click.option(
     "--seconds",
@@ -20,11 +21,16 @@ from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
     metavar="S",
     help="Duration of the path (s); e.g. 2.",
 )
-@shared.file_option(
+@shared.output_option(
     "--csv",
+    holds=kinds.PATH_TABLE,
     help="Write the commands of the path as CSV to this file, or to standard output (-).",
 )
-@shared.file_option("--npz", help="Write the arrays of the path to this NumPy file (.npz).")
+@shared.output_option(
+    "--npz",
+    holds=kinds.PATH_ARRAYS,
+    help="Write the arrays of the path to this NumPy file (.npz).",
+)
 @robot_and_task
 @shared.json_option
 @shared.report_option
@@ -56,7 +62,6 @@ def path(
     from pupper_analysis.analysis.path import study_path
 
     task = asked.task()
-    shared.check_outputs(csv, npz, json_path, report_path)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("solving the path, and simulating it"):
@@ -72,7 +77,7 @@ def path(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robots_argument
 @click.option(
     "--directions",
@@ -123,7 +128,6 @@ def push(
     from pupper_analysis.pupper.variants import VARIANTS
 
     task = asked.task()
-    shared.check_outputs(figure, json_path, report_path)
     robots = asked.robots(words, default=tuple(VARIANTS))
     kp, kd = asked.gains(robots[0])
     with shared.show_progress(

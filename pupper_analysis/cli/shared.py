@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
+from pupper_analysis.kinds import Folder, Kind
+from pupper_analysis.runs import note_input, running
 from pupper_analysis.units import UNITS
 
 if TYPE_CHECKING:
@@ -37,21 +41,142 @@ package_option = click.option(
 )
 
 
+class OutputPath(click.Path):
+    """Where a result goes.
+
+    Args:
+        holds: Which kind of result, or what a folder gets: from what is given to the command, if
+            that decides; None: nothing is written then.
+    """
+
+    def __init__(
+        self, holds: Kind | Folder | Callable[[Mapping[str, Any]], Kind | Folder | None]
+    ) -> None:
+        folder = isinstance(holds, Folder)
+        super().__init__(path_type=Path, file_okay=not folder)
+        self._holds = holds
+
+    def held(self, given: Mapping[str, Any]) -> Kind | Folder | None:
+        """Returns what is written there."""
+        return self._holds(given) if callable(self._holds) else self._holds
+
+
+class Command(click.Command):
+    """A command that finds out before it begins that its results must not be, or cannot be written.
+
+    It has ``--force`` if it has results to write.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._has_force = any(option.name == "force" for option in self.params)
+        if self.outputs and not self._has_force:
+            self.params.append(click.Option(["--force"], is_flag=True, help=FORCE))
+
+    @property
+    def outputs(self) -> list[click.Parameter]:
+        """The options that say where a result goes."""
+        return [option for option in self.params if isinstance(option.type, OutputPath)]
+
+    def invoke(self, context: click.Context) -> Any:
+        """Runs it, if its results can be written."""
+        run = context.with_resource(running())
+        given = context.params.get if self._has_force else context.params.pop
+        run.force = bool(given("force", False))
+        for name in _named_files(self, context):
+            note_input(name)
+        _check_outputs(self, context)
+        return super().invoke(context)
+
+
+FORCE: Final = (
+    "Replace files that are no results of this command; never one that it reads, nor measurements."
+)
+"""What ``--force`` does for all commands that write results."""
+
+
+def command(name: str | None = None, **options: Any) -> Callable[[Callable[..., Any]], Command]:
+    """Returns what makes a command of a function."""
+    return click.command(name, cls=Command, context_settings=CONTEXT, **options)
+
+
+def _named_files(command: click.Command, context: click.Context) -> Iterator[Path]:
+    """Yields the files that a command line names to be read."""
+    for parameter in command.params:
+        reads = isinstance(parameter, click.Argument) or isinstance(parameter.type, click.Path)
+        if not reads or isinstance(parameter.type, OutputPath):
+            continue
+        given = context.params.get(parameter.name or "")
+        for value in given if isinstance(given, tuple) else (given,):
+            text = "" if value is None else str(value)
+            # Also a.urdf+a.xml, and REVISION:PATH.
+            for word in {text, *text.split("+"), text.rpartition(":")[2]} - {""}:
+                yield Path(word)
+            if isinstance(parameter.type, click.Path) and text:  # a bag of several files
+                with suppress(OSError, ValueError):
+                    yield from Path(text).iterdir()
+
+
+def _check_outputs(command: Command, context: click.Context) -> None:
+    """Finds out that results could not be written, or must not be.
+
+    Where one of them goes to standard output (``-``), all else that is printed from here on goes
+    to standard error.
+    """
+    from pupper_analysis import files
+
+    taken: set[Path] = set()
+    for option in command.outputs:
+        path: Path | None = context.params.get(option.name or "")
+        holds = None if path is None else option.type.held(context.params)  # type: ignore[attr-defined]
+        if path is None or holds is None:
+            continue
+        if isinstance(holds, Folder):
+            files.check_folder(path)
+            wanted = {path / name: kind for name, kind in holds.files.items()}
+        else:
+            wanted = {path: holds}
+        for file, kind in wanted.items():
+            files.check_writable(file, kind)
+            place = file if file == files.STANDARD_OUTPUT else files.target_of(file)[0]
+            if place in taken:
+                raise OutputError(file, diagnose("two-results-to-one-file"))
+            taken.add(place)
+    if files.STANDARD_OUTPUT in taken:
+        context.with_resource(files.results_on_standard_output())
+
+
 def file_option(*names: str, help: str, required: bool = False) -> Callable[[F], F]:
-    """Returns an option whose value is the path of a file or folder."""
+    """Returns an option whose value is the path of a file that is read."""
     path = click.Path(path_type=Path)
     return click.option(*names, type=path, required=required, help=help)
 
 
-json_option = file_option(
-    "--json", "json_path", help="Write all results as JSON to this file, or to standard output (-)."
+def output_option(
+    *names: str,
+    holds: Kind | Folder | Callable[[Mapping[str, Any]], Kind | Folder | None],
+    help: str,
+    **more: Any,
+) -> Callable[[F], F]:
+    """Returns an option that says where a result goes; see ``OutputPath``."""
+    return click.option(*names, type=OutputPath(holds), help=help, **more)
+
+
+json_option = output_option(
+    "--json",
+    "json_path",
+    holds=kinds.RESULTS,
+    help="Write all results as JSON to this file, or to standard output (-).",
 )
-report_option = file_option(
+report_option = output_option(
     "--report",
     "report_path",
+    holds=kinds.PAGE,
     help="Write an HTML report with tables, plots and a 3-D view to this file.",
 )
-figure_option = file_option("--figure", help="Draw the result to this PNG file.")
+figure_option = output_option(
+    "--figure", holds=kinds.PICTURE, help="Draw the result to this PNG file."
+)
 format_option = click.option(
     "--format",
     "style",
@@ -100,27 +225,6 @@ class ModelFile(click.Path):
 
 
 MODEL_FILE = ModelFile()
-
-
-def check_outputs(*files: Path | None, folders: tuple[Path | None, ...] = ()) -> None:
-    """Finds out before the work begins that its results cannot be written.
-
-    Where one of them goes to standard output (``-``), all else that is printed from here on goes
-    to standard error.
-    """
-    from pupper_analysis import files as outputs
-
-    for folder in folders:
-        if folder is not None:
-            outputs.check_folder(folder)
-    given = [file for file in files if file is not None]
-    for file in given:
-        outputs.check_writable(file)
-    twice = next((file for file in given if given.count(file) > 1), None)
-    if twice is not None:
-        raise OutputError(twice, diagnose("two-results-to-one-file"))
-    if outputs.STANDARD_OUTPUT in given:
-        click.get_current_context().with_resource(outputs.results_on_standard_output())
 
 
 class QuantityType(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
@@ -259,12 +363,12 @@ def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
     from pupper_analysis.cli.process import go_on
     from pupper_analysis.files import whole_file
-    from pupper_analysis.results import to_json
+    from pupper_analysis.results import marked_json
 
     go_on()
     if path is not None:
-        with whole_file(path) as file:
-            file.write(f"{to_json(content)}\n".encode())
+        with whole_file(path, kinds.RESULTS) as file:
+            file.write(marked_json(content).encode())
         confirm_written(path)
 
 

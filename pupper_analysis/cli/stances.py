@@ -24,7 +24,7 @@ at_option = click.option(
 )
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @click.option(
     "--minimum-stiffness", is_flag=True, help="Also find the lowest kp that carries the robot."
@@ -75,7 +75,6 @@ def stand(
     from pupper_analysis.analysis.stance import study_stance
 
     task = asked.task()
-    shared.check_outputs(figure, json_path, report_path)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("solving the stance, and simulating it"):
@@ -86,7 +85,7 @@ def stand(
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @robot_and_task
 @shared.figure_option
@@ -111,7 +110,6 @@ def workspace(
     from pupper_analysis.stance.workspace import base_workspace
 
     task = asked.task()
-    shared.check_outputs(figure, json_path)
     robot = asked.robot(words)
     with shared.show_progress("searching how far the base can go"):
         result = base_workspace(robot, task)
@@ -124,7 +122,7 @@ def workspace(
     shared.finish_command(json_path, result, passed=True)
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @at_option
 @robot_and_task
@@ -149,7 +147,6 @@ def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Pat
     from pupper_analysis.analysis.payload import study_payload
 
     task, place = asked.task(), shared.parse_place("at", at)
-    shared.check_outputs(json_path)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
@@ -158,7 +155,7 @@ def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Pat
     shared.finish_command(json_path, result, passed=result.passed)
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
 @robot_argument
 @at_option
@@ -194,7 +191,6 @@ def best(
     from pupper_analysis.stance.optimize.search import Objective
 
     task, place = asked.task(), shared.parse_place("at", at)
-    shared.check_outputs(figure, json_path)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the best stance, and simulating it"):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.cli import shared
 
 if TYPE_CHECKING:
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
     from pupper_analysis.study.study import DesignStudy
 
 
-@click.command("study", context_settings=shared.CONTEXT)
+@shared.command("study")
 @click.argument("file", type=click.Path(path_type=Path))
-@shared.file_option(
+@shared.output_option(
     "-o",
     "--output",
     "folder",
     required=True,
+    holds=kinds.STUDY_FOLDER,
     help="Folder of the results; a run that was interrupted is resumed.",
 )
 @click.option(
@@ -97,14 +99,11 @@ def study_command(
     \b
     Exit status: 0 all designs were measured, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.files import check_folder
     from pupper_analysis.pupper.studies import Study
     from pupper_analysis.report import study as report
     from pupper_analysis.study.estimate import estimate_study
     from pupper_analysis.study.outcome import check_objectives, study_outcome
 
-    shared.check_outputs(json_path, report_path)
-    check_folder(folder)
     study = Study.read(file, own_metrics=not dry_run)
     check_objectives(study, minimise, maximise)
     if dry_run:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pupper_analysis.sync.models import Sync
 
 
-@click.command("sync", context_settings=shared.CONTEXT)
+@shared.command("sync")
 @click.argument("urdf", type=click.Path(path_type=Path))
 @click.argument("mjcf", type=click.Path(path_type=Path))
 @click.option(
@@ -38,7 +38,11 @@ if TYPE_CHECKING:
     help="Write the values that can be written, even if some of the chosen ones cannot.",
 )
 @click.option("--backup", is_flag=True, help="Keep the old files as NAME.bak.")
-@click.option("--force", is_flag=True, help="Write even to files with uncommitted changes.")
+@click.option(
+    "--force",
+    is_flag=True,
+    help=f"Write even to files with uncommitted changes. {shared.FORCE}",
+)
 @models.map_option
 @models.map_file_option
 @shared.package_option
@@ -90,7 +94,6 @@ def sync_command(
 
     names, folders = models.mapped_names(pairs, map_file), shared.package_folders(packages)
     tolerances = models.with_changes(FINE if fine else Tolerances(), changes)
-    shared.check_outputs(json_path)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:
         return sync_models(

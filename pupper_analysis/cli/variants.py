@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
@@ -32,14 +33,14 @@ if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robots_argument
 @click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
 @add_options(FILES, VARIANT, options_of("Base"))
-@click.option(
+@shared.output_option(
     "-o",
     "--output",
-    type=click.Path(path_type=Path, file_okay=False),
+    holds=lambda given: None if given["no_figures"] or given["list_only"] else kinds.FIGURES,
     default=Path("output"),
     show_default=True,
     help="Write the figures into this folder; it is created if needed.",
@@ -50,10 +51,10 @@ if TYPE_CHECKING:
 @shared.look_option
 @shared.verbose_option
 @click.option("-q", "--quiet", is_flag=True, help="Print only the overall verdict.")
-@click.option(
+@shared.output_option(
     "--write",
     "write_folder",
-    type=click.Path(path_type=Path, file_okay=False),
+    holds=kinds.EMPTY,
     help="Write the variants' URDFs, MJCFs and meshes into this folder.",
 )
 @with_robot
@@ -113,9 +114,6 @@ def analyze(
         return
     if write_folder is not None and len(specs) < len(meant):
         raise ConfigurationError("--write", diagnose("written-are-variants"))
-    shared.check_outputs(
-        json_path, report_path, folders=(None if no_figures else output, write_folder)
-    )
     task = task_of(stance)
     shown = style == "text" and not quiet
     analyses, robots = _analyze_all(meant, task, everything=everything, shown=shown)

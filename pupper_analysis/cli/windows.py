@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
     FILES,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @add_options(FILES, VARIANT)
 @click.option(
@@ -61,7 +62,7 @@ def view(
     viewer.view_robot(robot, fixed=fixed_base, headless=headless)
 
 
-@click.command(context_settings=shared.CONTEXT)
+@shared.command()
 @robot_argument
 @add_options(FILES, VARIANT)
 @click.option("--headless", is_flag=True, help="Open no window; simulate and print the result.")
@@ -69,8 +70,9 @@ def view(
 @click.option(
     "--demo", type=click.Choice(["squat", "sway", "lift"]), help="Run a motion instead of a drop."
 )
-@shared.file_option(
+@shared.output_option(
     "--csv",
+    holds=kinds.PATH_TABLE,
     help="Write the path of the demo as CSV to this file, or to standard output (-).",
 )
 @with_robot
@@ -111,7 +113,6 @@ def drop(
             raise ConfigurationError("--seconds", diagnose("demo-has-its-duration"))
         from pupper_analysis.pupper import demo as demos
 
-        shared.check_outputs(csv)
         good = demos.demo(demo, robot, headless=headless, csv=csv)
     if not good:
         click.get_current_context().exit(shared.FAILED)

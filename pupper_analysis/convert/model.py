@@ -9,27 +9,29 @@ from pathlib import Path
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.convert.conversion import Conversion, ConversionDraft, keyframe_run
+from pupper_analysis.convert.conversion import Conversion, keyframe_run
 from pupper_analysis.convert.from_urdf import check_joints
 from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.files import check_writable
+from pupper_analysis.files import Writing, check_writable, write_together
+from pupper_analysis.kinds import MODEL
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.runs import note_input, running
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.sync.models import FINE
-from pupper_analysis.together import Writing, write_together
 
 
 @check_arguments
 @silence_mujoco()
+@running()
 def convert_model(
     source: str | Path,
     output: str | Path,
@@ -75,7 +77,7 @@ def convert_model(
         copy_meshes: Copy all meshes to a folder ``NAME_meshes`` beside the new file; by default it
             names them where they are, relative to itself.
         packages: {ROS package: its folder}, for ``package://`` paths.
-        force: Replace the output if it exists.
+        force: Replace the output, and meshes, if they exist; never what is read.
 
     Returns:
         What was written, and the proof.
@@ -83,19 +85,17 @@ def convert_model(
     Raises:
         ConfigurationError: If an argument is out of its range.
         ModelError: If the source cannot be read, or the other format cannot have the robot.
-        OutputError: If the output exists, or cannot be written.
+        OutputError: If the output or a mesh exists, is one of the files that are read, or cannot be
+            written.
     """
     for name, value in (("sag", sag), ("damping_ratio", damping_ratio)):
         if value is not None and not 0 < value < float("inf"):
             raise ConfigurationError(name, diagnose("value-not-positive", value=value))
     source, output = Path(source), Path(output)
-    check_writable(output)
-    if output.resolve() == source.resolve():
-        raise OutputError(output, diagnose("output-is-source"))
+    note_input(source)
+    check_writable(output, MODEL, force=force)
     if output.exists() and not output.is_file():
         raise OutputError(output, diagnose("output-not-regular"))
-    if output.exists() and not force:
-        raise OutputError(output, diagnose("output-there"))
     file = read_model(source, packages)
     wanted = ".xml" if isinstance(file, UrdfFile) else ".urdf"
     if output.suffix.lower() != wanted:
@@ -114,7 +114,8 @@ def convert_model(
         _refuse_given(options, source)
         draft = urdf_draft(file, output)
         urdf, mjcf = output, source
-    written = _write(output, draft, force=force)
+    contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
+    write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
     verification, kept = None, None
     failures = list(_disagreements(comparison, draft.repairs))
@@ -132,7 +133,7 @@ def convert_model(
     return Conversion(
         source=str(source),
         output=str(output),
-        written=tuple(map(str, written)),
+        written=tuple(map(str, contents)),
         notes=draft.notes,
         not_converted=draft.not_converted,
         repairs=draft.repairs,
@@ -167,17 +168,3 @@ def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterato
 def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
     robot = robot_of(urdf, read_mjcf(mjcf), feet=feet)
     return verify_stand(robot, solve_stand_on_soft_ground(robot))
-
-
-def _write(output: Path, draft: ConversionDraft, *, force: bool) -> list[Path]:
-    """Writes the meshes and the file that names them, together.
-
-    Raises:
-        OutputError: If a mesh would replace a file without ``force``.
-    """
-    there = [path for path in draft.meshes if path.exists()]
-    if there and not force:
-        raise OutputError(there[0], diagnose("output-there"))
-    contents = {**draft.meshes, output: draft.text.encode(errors="backslashreplace")}
-    write_together([Writing(path, content) for path, content in contents.items()])
-    return list(contents)

@@ -13,6 +13,7 @@ from pupper_analysis.errors import ModelError
 from pupper_analysis.files import whole_file
 from pupper_analysis.guard.remarks import REFUSED, Remark, RemarkState
 from pupper_analysis.guard.toml import read_toml, toml_table
+from pupper_analysis.kinds import EDITED
 from pupper_analysis.models.places import source_name
 from pupper_analysis.results import Result
 
@@ -108,7 +109,7 @@ def read_baseline(path: Path) -> tuple[BaselineEntry, ...]:
 
 
 def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
-    """Writes a baseline: sorted, whole or not at all.
+    """Writes a baseline in place of the one that was read: sorted, whole or not at all.
 
     Raises:
         OutputError: If it cannot be written.
@@ -120,7 +121,7 @@ def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
         values = {**{name: text for name, text in names.items() if text}, **entry.values}
         notes = [entry.note] if entry.note and not entry.outdated else []
         tables.append(toml_table("known", values, notes))
-    with whole_file(path) as file:
+    with whole_file(path, EDITED) as file:
         file.write("\n".join(tables).encode())
 
 

@@ -10,7 +10,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.audit import audit_model
 from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.errors import OutputError, PupperAnalysisError
 from pupper_analysis.files import check_writable
 from pupper_analysis.guard.baseline import (
     BaselineEntry,
@@ -29,6 +29,7 @@ from pupper_analysis.guard.remarks import (
     of_error,
     relative_path,
 )
+from pupper_analysis.kinds import EDITED
 from pupper_analysis.results import Result
 
 
@@ -106,7 +107,7 @@ def check_repository(
     settings = read_config(Path(config) if config is not None else find_config())
     before = read_baseline(settings.baseline)
     if update_baseline:
-        check_writable(settings.baseline)
+        check_writable(settings.baseline, EDITED)
     pairs, found = [], []
     for pair in settings.pairs:
         done, remarks = _check_pair(pair, settings.path.parent)
@@ -160,6 +161,8 @@ def _check_pair(pair: GuardedPair, folder: Path) -> tuple[PairCheck, list[Remark
     for file in files:
         try:
             audit = audit_model(file, packages=pair.packages, disabled=tuple(pair.disabled))
+        except OutputError:  # it is to be written, too: nothing of a model
+            raise
         except PupperAnalysisError as error:
             remarks.append(of_error(error, "audit", pair, file, folder))
         else:

@@ -12,6 +12,7 @@ from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
 from pupper_analysis.guard.config import CONFIG
 from pupper_analysis.guard.toml import toml_table
+from pupper_analysis.kinds import MODEL
 from pupper_analysis.models.loading import kind_of
 
 _PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log")
@@ -43,7 +44,7 @@ def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
     if not entries:
         raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
     tables = [toml_table("pair", entry) for entry in entries]
-    with whole_file(path) as file:
+    with whole_file(path, MODEL) as file:
         file.write("\n".join([_HEAD, *tables]).encode())
     return path, tuple(entry["name"] for entry in entries)
 

@@ -18,7 +18,7 @@ from pupper_analysis.identification.consistency import make_consistent
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.links import AXES
 from pupper_analysis.identification.parameters import Parameter
-from pupper_analysis.results import to_json
+from pupper_analysis.results import marked_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.sync.frames import Key
@@ -211,10 +211,11 @@ def _json(
     document = {
         "urdf": None if models.urdf is None else str(models.urdf),
         "mjcf": None if models.mjcf is None else str(models.mjcf),
+        "files": models.hashes(),
         "parameters": rows,
         "covariance": posterior.covariance,
         "edits": [replace(edit, file=Path(edit.file).name) for edit in models.edits],
         "diagnostics": told,
         **({} if fit is None else {"fit": fit}),
     }
-    return to_json(document).encode() + b"\n"
+    return marked_json(document).encode()

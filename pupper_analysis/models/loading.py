@@ -14,6 +14,7 @@ from pupper_analysis.models.places import NO_LINE, refusal_at
 from pupper_analysis.models.published import XACRO, expand_xacro, find_file
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.xml import parse_file_text, parse_xml
+from pupper_analysis.runs import note_input
 
 
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:
@@ -32,6 +33,7 @@ def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> 
     """
     check_type("path", path, str | Path)
     path = find_file(path)
+    note_input(path)
     if path.suffix == XACRO:
         text = expand_xacro(path)
         root = parse_file_text(path, text)

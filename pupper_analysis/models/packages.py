@@ -7,17 +7,22 @@ from pathlib import Path
 
 from pupper_analysis.errors import ModelError
 from pupper_analysis.models.xml import LFS_POINTER, parse_xml
+from pupper_analysis.runs import note_input
 
 
 def existing_file(path: Path) -> Path | None:
-    """Returns the path if there is such a file; the name may be any text of a model file.
+    """Returns the path if there is such a file, which counts as read then.
 
-    A pointer that Git LFS leaves in place of a file is none.
+    The name may be any text of a model file. A pointer that Git LFS leaves in place of a file is
+    none.
     """
     try:
-        return path if path.is_file() and not is_pointer(path) else None
+        if not path.is_file() or is_pointer(path):
+            return None
     except (OSError, ValueError):
         return None
+    note_input(path)
+    return path
 
 
 def is_pointer(path: Path) -> bool:

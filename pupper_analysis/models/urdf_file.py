@@ -29,6 +29,7 @@ from pupper_analysis.models.urdf_checks import (
 )
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_xml
+from pupper_analysis.runs import current_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,4 +175,8 @@ def urdf_from(
     notes += [] if unlimited is None else [unlimited]
     if rewritten or unlimited or next(root.iter("capsule"), None) is not None:
         text = for_engines(root)
-    return UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
+    file = UrdfFile(path, text, root, MappingProxyType(dict(packages or {})), tuple(notes))
+    if current_run() is not None:  # a command may not look at them, and must not lose them
+        for element in root.iter("mesh", "texture"):
+            file.resolve_mesh(element.get("filename") or "")
+    return file

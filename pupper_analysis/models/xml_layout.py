@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
+from typing import Final
 
 from lxml import etree
 
@@ -109,6 +110,10 @@ def _shared_ending(names: Sequence[str]) -> str:
     return ending if len(ending) > 1 else ""
 
 
+_NO_XML: Final = re.compile("[^\t\n\r\x20-\ud7ff\udc80-\udcff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What no XML can have; the bytes of names that are no UTF-8 are escaped when they are encoded."""
+
+
 def to_text(root: etree._Element, header: str) -> str:
     """Writes a new model file: two spaces a level, a blank line between sections.
 
@@ -120,5 +125,5 @@ def to_text(root: etree._Element, header: str) -> str:
     text = etree.tostring(root, encoding="unicode")
     tags = "|".join(sorted({str(section.tag) for section in root} - _COMPACT_SECTIONS))
     text = re.sub(rf"\n  <({tags})(?=[ >/])", r"\n\n  <\1", text)
-    quiet = header.replace("--", "- -")
+    quiet = _NO_XML.sub(lambda found: f"\\x{ord(found[0]):02x}", header).replace("--", "- -")
     return f"<!-- {quiet} -->\n{text}\n"

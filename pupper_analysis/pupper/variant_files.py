@@ -10,7 +10,8 @@ import mujoco
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, VariantError
-from pupper_analysis.files import whole_file
+from pupper_analysis.files import Writing, write_together
+from pupper_analysis.kinds import MODEL
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.places import one_line
@@ -90,19 +91,22 @@ def _read(source: Path, _stamp: tuple[int, int]) -> mujoco.MjSpec:
     return mjcf.load_mjcf(source)
 
 
-def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path, Path]:
+def write_variant(
+    variant: str | VariantSpec, folder: str | Path, *, force: bool = False
+) -> tuple[Path, Path]:
     """Writes a variant's files, with the meshes they use, so that any viewer can open them.
 
     Args:
         variant: A name or a spec.
         folder: Gets ``urdf/NAME.urdf``, ``mjcf/NAME.xml`` and ``mjcf/meshes/``.
+        force: Replace files that are there with another content.
 
     Returns:
         The paths of the URDF and of the MJCF.
 
     Raises:
         VariantError: If the name is unknown.
-        OutputError: If a file cannot be written.
+        OutputError: If a file cannot be written, or is there with another content.
     """
     description = describe_variant(variant)
     check_type("folder", folder, str | Path)
@@ -112,11 +116,10 @@ def write_variant(variant: str | VariantSpec, folder: str | Path) -> tuple[Path,
     mjcf_text = mjcf.to_xml(description.mjcf)
     meshes = {mesh.file for mesh in description.mjcf.meshes}
     meshdir = description.mjcf.compiler.meshdir
-    for mesh in sorted(meshes):
-        content = (description.mjcf_source.parent / meshdir / mesh).read_bytes()
-        with whole_file(mjcf_path.parent / meshdir / mesh) as file:
-            file.write(content)
-    for path, text in ((urdf_path, description.urdf), (mjcf_path, mjcf_text)):
-        with whole_file(path) as file:
-            file.write(text.encode())
+    beside = description.mjcf_source.parent / meshdir
+    contents = {
+        mjcf_path.parent / meshdir / mesh: (beside / mesh).read_bytes() for mesh in sorted(meshes)
+    }
+    contents |= {urdf_path: description.urdf.encode(), mjcf_path: mjcf_text.encode()}
+    write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     return urdf_path, mjcf_path

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+import orjson
+
+from pupper_analysis.files import Writing, write_together
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.write import FitFiles, fit_files
+from pupper_analysis.kinds import FIT_FOLDER
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.randomisation import randomisation_text
-from pupper_analysis.together import Writing, write_together
 
 
 def write_fit(
@@ -20,6 +23,7 @@ def write_fit(
     fit: object = None,
     files: tuple[Path | None, Path | None] | None = None,
     packages: Mapping[str, Path] | None = None,
+    force: bool = False,
 ) -> FitFiles:
     """Writes a fit to a folder: all of its files, or none.
 
@@ -36,6 +40,8 @@ def write_fit(
         fit: The result that is told in ``fit.json``, too.
         files: The URDF and the MJCF, if they are not those that the robot was loaded from.
         packages: {ROS package: its folder}, for ``package://`` paths.
+        force: Replace files that no fit has written, or that were edited since; but never those
+            that the robot was loaded from.
 
     Returns:
         What was written.
@@ -43,14 +49,27 @@ def write_fit(
     Raises:
         FitError: If no bodies can be near the estimate.
         ModelError: If not all numbers can be written.
-        OutputError: If a file cannot be, or is one that the robot was loaded from.
+        OutputError: If a file cannot be or must not be replaced, or is one that the robot was
+            loaded from.
     """
     folder = Path(folder)
     made = fit_files(robot, posterior, fit=fit, files=files, packages=packages)
-    writings = made.models.writings(folder)
-    writings += [Writing(folder / name, content) for name, content in made.contents.items()]
+    contents = dict(made.contents)
     if made.spreads:
-        text, _ = randomisation_text(made.spreads, "yaml")
-        writings.append(Writing(folder / "ranges.yaml", text.encode()))
+        contents[Path("ranges.yaml")] = randomisation_text(made.spreads, "yaml")[0].encode()
+    writings = made.models.writings(folder, _made_before(folder), force=force)
+    writings += [
+        Writing(folder / name, content, FIT_FOLDER.files[name.name], force=force)
+        for name, content in contents.items()
+    ]
     write_together(writings)
     return made
+
+
+def _made_before(folder: Path) -> dict[str, str]:
+    """Returns {place: hash} of the models that a fit has written to that folder."""
+    try:
+        found = orjson.loads((folder / "fit.json").read_bytes())
+        return {str(place): str(known) for place, known in found["files"].items()}
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return {}

@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import inspect
 import pickle
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +18,7 @@ from pupper_analysis.diagnostics import diagnose, phrase
 from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import Stability
+from pupper_analysis.runs import note_input
 from pupper_analysis.simulation.causes import describe_growth
 from pupper_analysis.simulation.push import push_recovery
 from pupper_analysis.simulation.stability import rest_stability
@@ -334,6 +336,7 @@ def _imported(name: str) -> Function:
     except (ImportError, AttributeError, ValueError) as error:
         told = diagnose("metric-not-importable", name=name, problem=str(error))
         raise ConfigurationError("measure", told) from error
+    note_input(getattr(sys.modules[module], "__file__", None) or "")
     return found
 
 

@@ -13,6 +13,7 @@ from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
+from pupper_analysis.kinds import RANGES
 from pupper_analysis.study.named import AXES, Named
 
 Form = Literal["yaml", "mjlab", "isaaclab"]
@@ -40,7 +41,11 @@ class RandomisationTerm:
 
 
 def write_randomisation(
-    spreads: Mapping[str, Mapping[str, Any]], path: str | Path, form: Form = "yaml"
+    spreads: Mapping[str, Mapping[str, Any]],
+    path: str | Path,
+    form: Form = "yaml",
+    *,
+    force: bool = False,
 ) -> tuple[str, ...]:
     """Writes spreads for the domain randomisation of those who train policies.
 
@@ -55,6 +60,7 @@ def write_randomisation(
             ``KIND:each:PATTERN`` is drawn for each that matches, ``KIND:PATTERN`` once for all.
         path: The file.
         form: ``yaml``, ``mjlab`` or ``isaaclab``.
+        force: Replace what is no such file, too.
 
     Returns:
         The variables for which the framework has no term: they are named in the file, and not
@@ -62,11 +68,11 @@ def write_randomisation(
 
     Raises:
         ConfigurationError: If a spread is none, or there is no such form.
-        OutputError: If it cannot be written.
+        OutputError: If it cannot be written, or is no such file.
     """
     check_type("path", path, str | Path)
     text, left = randomisation_text(spreads, form)
-    with whole_file(Path(path)) as file:
+    with whole_file(Path(path), RANGES, force=force) as file:
         file.write(text.encode())
     return left
 

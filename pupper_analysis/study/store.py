@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import InputError, MissingPackageError, OutputError, StudyError
-from pupper_analysis.files import whole_file
+from pupper_analysis.files import Writing, whole_file, write_together
 from pupper_analysis.inputs import MOST_TEXT, read_input
+from pupper_analysis.kinds import EDITED, MODEL, OWN
 from pupper_analysis.study.design import ENDS, Row
 
 if TYPE_CHECKING:
@@ -87,8 +88,6 @@ class Store:
         try:
             if not _lock(handle):
                 raise StudyError(self.folder, busy)
-            for left in self.shards.glob(".*.tmp"):  # of a run that was killed while it wrote
-                left.unlink(missing_ok=True)
             yield
         finally:
             with _own:
@@ -96,18 +95,19 @@ class Store:
                 _held.discard(place)
 
     def write_asked(self, asked: dict[str, Any]) -> None:
-        """Writes what was asked, and what the folder is.
+        """Writes what was asked, and what the folder is where it is a study's alone.
 
         Raises:
             OutputError: If it cannot be written.
         """
-        before = self.folder / "study.json"
-        if before.is_file():
-            self.asked()
+        before, readme = self.folder / "study.json", self.folder / "README.md"
+        known = before.is_file() and bool(self.asked())
+        mine = known or {path.name for path in self.folder.iterdir()} <= {".lock", "shards"}
         content = orjson.dumps({"format": FORMAT, **asked}, option=orjson.OPT_INDENT_2)
-        for name, data in (("study.json", content + b"\n"), ("README.md", _README.encode())):
-            with whole_file(self.folder / name) as file:
-                file.write(data)
+        writings = [Writing(before, content + b"\n", EDITED if known else MODEL)]
+        if mine and not readme.exists():
+            writings.append(Writing(readme, _README.encode(), MODEL))
+        write_together(writings)
 
     def asked(self) -> dict[str, Any]:
         """Reads what was asked.
@@ -117,7 +117,7 @@ class Store:
         """
         path = self.folder / "study.json"
         try:
-            found: dict[str, Any] = orjson.loads(read_input(path, MOST_TEXT))
+            found: dict[str, Any] = orjson.loads(read_input(path, MOST_TEXT, own=True))
         except InputError as error:
             told = error.cause
             if told.code == "no-such-file":
@@ -148,7 +148,7 @@ class Store:
         table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
         named = "".join(sorted(row["design"] for row in rows))
         name = hashlib.sha256(named.encode()).hexdigest()[:24]
-        with whole_file(self.shards / f"{name}.parquet") as file:
+        with whole_file(self.shards / f"{name}.parquet", OWN) as file:
             pq.write_table(table, file)
 
     def designs(self) -> NDArray[np.uint64]:

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import OutputError
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing_file
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -134,19 +132,3 @@ def _assets(mjcf: MjcfFile) -> Iterator[Path]:
             continue
         found = (existing_file(top / folder / name) for top in folders)
         yield from (path for path in found if path is not None)
-
-
-def refuse_sources(files: Iterable[Path], targets: Iterable[Path]) -> None:
-    """Refuses to write to files that are read: they are what the result is compared with.
-
-    Raises:
-        OutputError: If a target is one of the files.
-    """
-    known = {(there.st_dev, there.st_ino) for there in map(os.stat, files)}
-    for target in targets:
-        try:
-            there = target.stat()
-        except OSError:
-            continue
-        if (there.st_dev, there.st_ino) in known:
-            raise OutputError(target, diagnose("output-is-the-source"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -15,6 +14,8 @@ from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import Difference
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, OutputError
+from pupper_analysis.files import Writing, write_together
+from pupper_analysis.kinds import EDITED
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -25,7 +26,7 @@ from pupper_analysis.results import Result
 from pupper_analysis.sync.choices import choose_files, difference_label
 from pupper_analysis.sync.frames import Key
 from pupper_analysis.sync.plan import Edit, Files, Plan, UnwrittenCause, make_plan
-from pupper_analysis.together import Writing, write_together
+from pupper_analysis.temporary import clear_left, hidden_token, write_new
 
 FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
 """What counts as a difference, digit for digit: rounding does not; a URDF states no gravity."""
@@ -241,7 +242,7 @@ def _written(plan: Plan, *, backup: bool, force: bool) -> tuple[tuple[str, ...],
     if not force:
         for document in changed:
             refuse_uncommitted(document.path)
-    writings = [Writing(d.path, d.rendered(), before=d.data) for d in changed]
+    writings = [Writing(d.path, d.rendered(), EDITED, before=d.data) for d in changed]
     kept = write_together(writings, backup=backup)
     return tuple(str(d.path) for d in changed), tuple(map(str, kept))
 
@@ -285,7 +286,7 @@ def unified_diff(path: Path, before: bytes, after: bytes) -> str:
     return "\n".join(lines) + "\n" if before != after else ""
 
 
-_TRIAL = re.compile(r"\.([^\s/]+)-[0-9a-f]{8}(?=\.)")
+_TRIAL = re.compile(r"\.([^\s/]+)-pupper(?:-[0-9a-f]+){3}(?=\.)")
 
 
 def as_given(text: str) -> str:
@@ -307,7 +308,7 @@ def stage_files(*groups: Mapping[Path, XmlDocument]) -> Iterator[list[Path]]:
     Raises:
         OutputError: If nothing can be written there.
     """
-    token = secrets.token_hex(4)
+    token = hidden_token()
     places: dict[Path, Path] = {}
     for group in groups:
         if any(document.rendered() != document.data for document in group.values()):
@@ -327,7 +328,8 @@ def stage_files(*groups: Mapping[Path, XmlDocument]) -> Iterator[list[Path]]:
 def _write_trial(place: Path, data: bytes, path: Path) -> None:
     """Writes what is tried; an error names the file that is meant, not the hidden one."""
     try:
-        place.write_bytes(data)
+        clear_left(place.parent)
+        write_new(place, data, lasting=False)
     except OSError as error:
         told = diagnose("nothing-to-be-tried", problem=error.strerror or str(error))
         raise OutputError(path, told) from error

@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.checks.attribution import align_robot
 from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.files import Writing, write_together
+from pupper_analysis.kinds import hash_of, made_model
 from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
@@ -22,12 +24,12 @@ from pupper_analysis.models.xml import parse_text
 from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.runs import note_input, running
 from pupper_analysis.sync.copies import (
     Copies,
     copies_of_mjcf,
     copies_of_urdf,
     laid_out,
-    refuse_sources,
 )
 from pupper_analysis.sync.frames import Key, Side, pair_robots
 from pupper_analysis.sync.mjcf_side import MjcfSide
@@ -42,7 +44,6 @@ from pupper_analysis.sync.wanted import (
     refuse_numbers,
     resolve_numbers,
 )
-from pupper_analysis.together import Writing, write_together
 
 Array = NDArray[np.float64]
 
@@ -67,26 +68,46 @@ class WrittenNumbers:
     contents: Mapping[Path, bytes]
     sources: tuple[Path, ...]
 
-    def writings(self, folder: Path) -> list[Writing]:
+    def writings(
+        self, folder: Path, made: Mapping[str, str] | None = None, *, force: bool = False
+    ) -> list[Writing]:
         """Returns what is to be written to a folder; what is there already is left.
+
+        Args:
+            folder: The folder.
+            made: {place: hash} of what was written there before: it is replaced while it is that.
+            force: Replace whatever is there, but for the robot's own files.
 
         Raises:
             OutputError: If that is where the robot's own files are.
         """
-        refuse_sources(self.sources, (folder / place for place in self.contents))
+        with running() as run:
+            for source in self.sources:
+                note_input(source)
+            for place in self.contents:
+                run.expect(folder / place)
         return [
-            Writing(folder / place, content)
+            Writing(folder / place, content, made_model((made or {}).get(str(place))), force=force)
             for place, content in self.contents.items()
             if not _holds(folder / place, content)
         ]
 
-    def write(self, folder: str | Path) -> None:
+    def hashes(self) -> dict[str, str]:
+        """Returns {place: hash} of what is written, by which it is known again."""
+        return {str(place): hash_of(content) for place, content in self.contents.items()}
+
+    def write(self, folder: str | Path, *, force: bool = False) -> None:
         """Writes all files, or none.
 
+        Args:
+            folder: The folder.
+            force: Replace whatever is there, but for the robot's own files.
+
         Raises:
-            OutputError: If one cannot be written, or is one that the robot was loaded from.
+            OutputError: If one cannot be written, is there, or is one that the robot was loaded
+                from.
         """
-        write_together(self.writings(Path(folder)))
+        write_together(self.writings(Path(folder), force=force))
 
 
 def _holds(path: Path, content: bytes) -> bool:

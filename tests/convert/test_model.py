@@ -514,7 +514,7 @@ def test_arguments_are_checked(tmp_path: Path) -> None:
     with pytest.raises(pa.OutputError, match="it exists"):
         pa.convert_model(urdf, output)
     assert output.read_text() == "mine"
-    with pytest.raises(pa.OutputError, match="the source"):
+    with pytest.raises(pa.OutputError, match="which this run reads"):
         pa.convert_model(urdf, urdf, force=True)
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,11 +15,13 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis import files
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.parameters import Parameter
 from pupper_analysis.identification.write import FitFiles
 from pupper_analysis.study.fitted import write_fit
 from pupper_analysis.study.parameters import scale_robot, with_gains
+from tests.support.repository import ROOT
 
 JOINT = "leg_front_r_2"
 
@@ -37,9 +42,10 @@ def v3() -> pa.Robot:
     return pa.load_variant("v3")
 
 
-def estimated() -> Posterior:
+def estimated(mass: float = 1.88251) -> Posterior:
     parameters = tuple(Parameter(*name, row[0], 0.5) for name, row in WANTED.items())
     mean = np.array([row[1] for row in WANTED.values()])
+    mean[0] = mass
     std = np.array([row[2] for row in WANTED.values()])
     n = len(mean)
     return Posterior(parameters, mean, np.diag(std**2), np.eye(n), np.eye(n), 0.0, 0.0, 0, 1)
@@ -106,3 +112,48 @@ def test_nothing_is_there_if_one_file_cannot_be(v3: pa.Robot, tmp_path: Path) ->
     with pytest.raises(pa.OutputError):
         write_fit(v3, estimated(), tmp_path)
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_a_full_disk_leaves_nothing(
+    v3: pa.Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, written = files.write_new, list[Path]()
+
+    def full(path: Path, data: bytes, **how: Any) -> None:
+        written.append(path)
+        real(path, data[:100], **how)
+        if len(written) > 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(files, "write_new", full)
+    with pytest.raises(pa.OutputError, match="No space left"):
+        write_fit(v3, estimated(), tmp_path)
+    assert len(written) == 4
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_a_fit_goes_over_its_own_models_until_they_are_edited(v3: pa.Robot, tmp_path: Path) -> None:
+    urdf = tmp_path / "urdf" / "pupper_v3.urdf"
+    write_fit(v3, estimated(), tmp_path)
+    first = urdf.read_bytes()
+    write_fit(v3, estimated(mass=1.8), tmp_path)
+    second = urdf.read_bytes()
+    assert first != second
+    edited = second.replace(b"<robot", b"<!-- mine --><robot", 1)
+    urdf.write_bytes(edited)
+    before = (tmp_path / "fit.json").read_bytes()
+    with pytest.raises(pa.OutputError, match="no model as a fit has written it"):
+        write_fit(v3, estimated(), tmp_path)
+    assert (urdf.read_bytes(), (tmp_path / "fit.json").read_bytes()) == (edited, before)
+    write_fit(v3, estimated(), tmp_path, force=True)
+    assert urdf.read_bytes() == first
+
+
+def test_a_fit_never_goes_over_the_files_of_its_robot(tmp_path: Path) -> None:
+    for name in ("urdf", "mjcf"):
+        shutil.copytree(ROOT / name, tmp_path / name)
+    robot = pa.load_robot(tmp_path / "urdf/pupper_v3.urdf", tmp_path / "mjcf/pupper_v3.xml")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(pa.OutputError, match="which this run reads"):
+        write_fit(robot, estimated(), tmp_path, force=True)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

@@ -525,11 +525,20 @@ def test_a_damaged_shard_and_a_strange_folder_are_named(tmp_path: Path, threads:
         study({"kp": [5.0]}).execute(tmp_path, executor=threads)
 
 
-def test_left_overs_of_a_write_are_cleared(tmp_path: Path, threads: Executor) -> None:
-    (tmp_path / "shards").mkdir()
-    (tmp_path / "shards" / ".0123.tmp").write_bytes(b"half")
-    study({"kp": [5.0]}).execute(tmp_path, executor=threads)
-    assert not list((tmp_path / "shards").glob(".*"))
+def test_a_readme_is_written_only_beside_a_study(tmp_path: Path, threads: Executor) -> None:
+    made, project, bare = tmp_path / "made", tmp_path / "project", tmp_path / "bare"
+    for folder in (project, bare):
+        folder.mkdir()
+        (folder / "robot.py").touch()
+    (project / "README.md").write_text("# my project\n")
+    for folder in (made, project, bare):
+        study({"kp": [5.0]}).execute(folder, executor=threads)
+    assert (made / "README.md").read_text().startswith("# A study")
+    assert (project / "README.md").read_text() == "# my project\n"
+    assert not (bare / "README.md").exists()
+    (made / "README.md").write_text("# what I make of it\n")
+    assert study({"kp": [5.0]}).execute(made, executor=threads).there == 1
+    assert (made / "README.md").read_text() == "# what I make of it\n"
 
 
 # ----------------------------------------------------------------------------- commands

@@ -36,6 +36,7 @@ from pupper_analysis.identification.stands.fit import (
 )
 from pupper_analysis.identification.stands.random_stands import RandomStands
 from pupper_analysis.identification.told import told_by
+from pupper_analysis.kinds import PLAN
 from pupper_analysis.results import Result
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
@@ -265,16 +266,20 @@ def _plan(
 
 
 @check_arguments
-def write_plan(plan: StandPlan, path: str | Path, *, degrees: bool = False) -> None:
+def write_plan(
+    plan: StandPlan, path: str | Path, *, degrees: bool = False, force: bool = False
+) -> None:
     """Writes stands as a CSV file that ``read_stands`` reads, once positions are filled in.
 
     Args:
         plan: The stands.
         path: The file.
         degrees: Write commands in degrees, and ask for positions in degrees.
+        force: Replace what is no plan, too; but never a plan with readings, which no computer can
+            make again.
 
     Raises:
-        OutputError: If it cannot be written.
+        OutputError: If it cannot be written, or what is there must not be replaced.
     """
     joints = list(plan.stands[0].command)
     unit, size = (" [deg]", 180 / math.pi) if degrees else ("", 1.0)
@@ -287,5 +292,5 @@ def write_plan(plan: StandPlan, path: str | Path, *, degrees: bool = False) -> N
         writer.writerow(
             [one.name, " ".join(one.swing), one.approach, *commands, *([""] * len(joints))]
         )
-    with whole_file(Path(path)) as file:
+    with whole_file(Path(path), PLAN, force=force) as file:
         file.write(text.getvalue().encode())

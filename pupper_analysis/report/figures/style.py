@@ -15,6 +15,7 @@ from matplotlib.ticker import FuncFormatter
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
+from pupper_analysis.kinds import GENERATOR, PICTURE
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.robot import Analysis
@@ -108,12 +109,19 @@ def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
     )
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> None:
     """Writes a figure as a PNG, and its folder if need be; no half-written file is ever there.
 
+    Args:
+        figure: The figure.
+        path: The file.
+        force: Replace what is no figure of ours, too.
+
     Raises:
-        OutputError: If the file cannot be written.
+        OutputError: If the file cannot be written, or is no figure of ours.
     """
+    from pupper_analysis import __version__
+
     FigureCanvasAgg(figure)
-    with whole_file(Path(path)) as file:
-        figure.savefig(file, format="png")
+    with whole_file(Path(path), PICTURE, force=force) as file:
+        figure.savefig(file, format="png", metadata={"Software": f"{GENERATOR} {__version__}"})

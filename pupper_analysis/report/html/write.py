@@ -16,6 +16,7 @@ from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.files import whole_file
+from pupper_analysis.kinds import PAGE
 from pupper_analysis.report.document import Block, Document, Lines, Report, Table, Text, View
 from pupper_analysis.report.documents.registry import build_report
 from pupper_analysis.report.formats import escape_control
@@ -48,6 +49,7 @@ def write_report(
     *,
     robots: Iterable[Robot] = (),
     language: str = "en",
+    force: bool = False,
 ) -> None:
     """Writes results as one HTML file, which needs no network and nothing beside it.
 
@@ -59,10 +61,11 @@ def write_report(
         robots: The robots that the results are of, for the views in three dimensions; they are
             found by their names.
         language: In which it opens, ``"en"`` or ``"zh"``; it can be changed on the page.
+        force: Replace what is no page of ours, too.
 
     Raises:
         ConfigurationError: If there is no result, or the language is neither.
-        OutputError: If the file cannot be written.
+        OutputError: If the file cannot be written, or is no page of ours.
     """
     if language not in LANGUAGES:
         raise ConfigurationError("language", diagnose("language-unknown", language=language))
@@ -79,7 +82,7 @@ def write_report(
         robots,
         [result for _, result in named if isinstance(result, Table)],
     )
-    with whole_file(Path(path)) as file:
+    with whole_file(Path(path), PAGE, force=force) as file:
         file.write(render_page(shown, language).encode())
 
 

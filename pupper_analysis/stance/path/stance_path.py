@@ -17,6 +17,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
 from pupper_analysis.files import whole_file
+from pupper_analysis.kinds import PATH_ARRAYS, PATH_TABLE
 from pupper_analysis.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.path.effort import path_effort
@@ -109,11 +110,15 @@ class StancePath(Tabular):
         """Returns the joints' part (n, nu) of ``qpos`` (rad)."""
         return self.qpos[:, self.qpos.shape[1] - len(self.joint_names) :]
 
-    def to_csv(self, path: str | Path) -> None:
+    def to_csv(self, path: str | Path, *, force: bool = False) -> None:
         """Writes time, joint positions and torques, with a header line that names the units.
 
+        Args:
+            path: The file.
+            force: Replace what is no such table, too.
+
         Raises:
-            OutputError: If the file cannot be written.
+            OutputError: If the file cannot be written, or is no such table.
         """
         header = ["time (s)", *(f"q {name} (rad)" for name in self.joint_names)]
         header += [f"tau {name} (N m)" for name in self.joint_names]
@@ -122,14 +127,18 @@ class StancePath(Tabular):
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(header)
         writer.writerows(rows.tolist())
-        with whole_file(Path(path)) as file:
+        with whole_file(Path(path), PATH_TABLE, force=force) as file:
             file.write(text.getvalue().encode())
 
-    def to_npz(self, path: str | Path) -> None:
+    def to_npz(self, path: str | Path, *, force: bool = False) -> None:
         """Writes the arrays under their names, and ``joints``, (n, nu), beside ``qpos``.
 
+        Args:
+            path: The file.
+            force: Replace what has no such arrays, too.
+
         Raises:
-            OutputError: If the file cannot be written.
+            OutputError: If the file cannot be written, or has no such arrays.
         """
         names: tuple[str, ...] = (
             "joint_names",
@@ -151,7 +160,7 @@ class StancePath(Tabular):
         )
         arrays = {key: np.array(getattr(self, key)) for key in (*names, "clearance", "com_margin")}
         arrays["joints"] = self.joint_positions()
-        with whole_file(Path(path)) as file:
+        with whole_file(Path(path), PATH_ARRAYS, force=force) as file:
             # NumPy 2.0 and 2.1 have no allow_pickle; all are numbers and texts, so none is pickled.
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 

@@ -11,9 +11,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.errors import OutputError
+from pupper_analysis.files import Writing, write_together
+from pupper_analysis.kinds import OWN
 from pupper_analysis.models.xml_bytes import read_document
 from pupper_analysis.sync.models import as_given, stage_files
-from pupper_analysis.together import Writing, write_together
 from tests.support.robots import changed, quadruped, write_parts
 
 OLD = {"a": b"old a", "b": b"old b"}
@@ -31,7 +32,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def both(folder: Path, **options: bool) -> tuple[Path, ...]:
-    wanted = [Writing(folder / name, b"new " + name.encode(), old) for name, old in OLD.items()]
+    wanted = [
+        Writing(folder / name, b"new " + name.encode(), OWN, old) for name, old in OLD.items()
+    ]
     return write_together(wanted, **options)
 
 
@@ -113,7 +116,7 @@ def test_new_files_go_again_if_a_later_one_fails(
 ) -> None:
     fails_at("b", monkeypatch, OSError(errno.EIO, "Input/output error"))
     with pytest.raises(OutputError):
-        write_together([Writing(folder / "new", b"x"), Writing(folder / "b", b"y")])
+        write_together([Writing(folder / "new", b"x", OWN), Writing(folder / "b", b"y", OWN)])
     assert contents(folder) == OLD
 
 
@@ -207,10 +210,10 @@ def test_what_cannot_be_tried_is_said_of_the_file_that_was_given(
 ) -> None:
     files = write_parts(tmp_path, quadruped(), changed(quadruped(), "base", mass=7.0))
 
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr("pupper_analysis.sync.models.write_new", full)
     with pytest.raises(pa.OutputError) as raised:
         pa.sync_models(files.urdf, files.mjcf, take="urdf", dry_run=True)
     assert raised.value.path == files.mjcf

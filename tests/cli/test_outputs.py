@@ -1,0 +1,339 @@
+"""No output of any command is one of its inputs, whatever links lead there; nor anybody's file.
+
+Commands, their outputs and the files that they read are those that click knows: one that is new is
+swept, too, and a kind of input that this does not know fails.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import click
+import pytest
+
+from pupper_analysis import cli
+from pupper_analysis.cli.shared import Command, OutputPath
+from pupper_analysis.kinds import Folder
+from tests.support import legged
+from tests.support.commands import Answer, answer
+from tests.support.repository import ROOT
+
+ARGUMENTS = {
+    "words": ("robot.urdf", "robot.xml"),
+    "urdf": ("robot.urdf",),
+    "mjcf": ("robot.xml",),
+    "source": ("robot.urdf",),
+    "old": ("other.urdf",),
+    "new": ("robot.urdf",),
+    "file": ("robot.urdf",),
+    "objective": ("margin",),
+}
+"""{argument of a command: what is given}."""
+
+OPTIONS = {
+    "map_file": "map.toml",
+    "stance": "stance.toml",
+    "stands": "stands.csv",
+    "logs": "log.csv",
+    "config": "pupper-analysis.toml",
+}
+"""{option that names a file to be read: the file}; ``--urdf`` and ``--mjcf`` are arguments here."""
+
+MORE: dict[str, list[list[str]]] = {
+    "path": [["--seconds", "1"]],
+    "drop": [["--headless", "--demo", "squat"]],
+    "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
+    "convert": [["-o", "new.xml"]],
+    "study": [["-o", "results", "--workers", "1"]],
+    "sync": [["--dry-run"], ["--take", "urdf"]],
+    "check": [[], ["--update-baseline"]],
+}
+"""{command: what else it needs, in each of its ways}."""
+
+INSIDE = {
+    "robot.xml": ("parts.xml", "feet/foot.stl", "skin.png"),
+    "robot.urdf": ("feet/foot.stl",),
+    "study.toml": ("robot.urdf", "robot.xml"),
+    "pupper-analysis.toml": ("robot.urdf", "robot.xml", "known.toml"),
+}
+"""{file: what is read because of it}."""
+
+LINKS: dict[str, Callable[[Path, Path], Path]] = {
+    "its name": lambda folder, file: file,
+    "another way": lambda folder, file: Path("feet/..") / file,
+    "a link": lambda folder, file: _link(folder, file, os.symlink),
+    "a hard link": lambda folder, file: _link(folder, file, os.link),
+}
+
+
+def _link(folder: Path, file: Path, link: Callable[[Path, Path], None]) -> Path:
+    other = folder / "linked"
+    other.unlink(missing_ok=True)
+    link(folder / file, other)
+    return Path("linked")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with files of every kind that commands read."""
+    return fill(tmp_path_factory.mktemp("inputs"))
+
+
+def fill(folder: Path) -> Path:
+    """Puts files of every kind that commands read into a folder."""
+    pair = legged.quadruped(folder, floor=True, actuators="position")
+    urdf, mjcf = pair.urdf.read_text(), pair.mjcf.read_text()
+    (folder / "feet").mkdir()
+    mesh = ROOT / "mjcf" / "meshes"
+    shutil.copy(next(mesh.glob("*.[sS][tT][lL]")), folder / "feet" / "foot.stl")
+    shutil.copy(next((ROOT / "docs").rglob("*.png")), folder / "skin.png")
+    parts = (
+        '<mujocoinclude><asset><mesh name="foot" file="feet/foot.stl"/>'
+        '<texture name="skin" type="2d" file="skin.png"/></asset></mujocoinclude>'
+    )
+    (folder / "parts.xml").write_text(parts)
+    at = mjcf.index(">") + 1
+    (folder / "robot.xml").write_text(f'{mjcf[:at]}<include file="parts.xml"/>{mjcf[at:]}')
+    seen = '<visual><geometry><mesh filename="feet/foot.stl"/></geometry></visual></link>'
+    (folder / "robot.urdf").write_text(urdf.replace("</link>", seen, 1))
+    (folder / "other.urdf").write_text(urdf)
+    for path in (pair.urdf, pair.mjcf):
+        if path.name not in ("robot.urdf", "robot.xml"):
+            path.unlink()
+    (folder / "map.toml").write_text('"FL_knee" = "FL_knee"\n')
+    (folder / "stance.toml").write_text("height = '30cm'\n")
+    (folder / "stands.csv").write_text("command.FL_knee,position.FL_knee\n-1.2,-1.25\n")
+    (folder / "log.csv").write_text("time,command.FL_knee,position.FL_knee\n0,-1.2,-1.25\n")
+    robot = 'urdf = "robot.urdf"\nmjcf = "robot.xml"\n'
+    (folder / "study.toml").write_text(
+        f'measure = ["servo_sag"]\n[robot]\n{robot}[vary]\nkp = {{ values = [150] }}\n'
+    )
+    (folder / "pupper-analysis.toml").write_text(
+        f'baseline = "known.toml"\n[[pair]]\nname = "robot"\n{robot}'
+    )
+    (folder / "known.toml").write_text("version = 2\n")
+    return folder
+
+
+def sums(folder: Path) -> dict[Path, str]:
+    return {
+        path: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != "linked"
+    }
+
+
+def reads(command: click.Command, words: list[str]) -> list[str]:
+    """Returns the files that a command line of these words reads."""
+    named = [word for word in words if word in INSIDE or word.endswith((".csv", ".toml", ".urdf"))]
+    if command.name == "check":
+        named.append("pupper-analysis.toml")
+    inside = [one for name in named for one in INSIDE.get(name, ())]
+    inside += [one for name in inside for one in INSIDE.get(name, ())]
+    return list(dict.fromkeys([*named, *inside]))
+
+
+def lines_of(command: click.Command) -> Iterator[list[str]]:
+    """Yields command lines in which every file is given that can be."""
+    given = [
+        word
+        for parameter in command.params
+        if isinstance(parameter, click.Argument)
+        for word in ("study.toml",) * (command.name == "study") or ARGUMENTS[str(parameter.name)]
+    ]
+    hidden = {"stance": ["--stance", "stance.toml"]}
+    inputs = [
+        word
+        for parameter in command.params
+        if isinstance(parameter, click.Option)
+        and isinstance(parameter.type, click.Path)
+        and not isinstance(parameter.type, OutputPath)
+        and parameter.name not in ("urdf", "mjcf", "stands", "logs")
+        for word in hidden.get(
+            str(parameter.name), [parameter.opts[0], OPTIONS[str(parameter.name)]]
+        )
+    ]
+    for more in MORE.get(str(command.name), [[]]):
+        yield [str(command.name), *given, *inputs, *more]
+
+
+def outputs_of(command: Command, line: list[str]) -> Iterator[tuple[click.Parameter, Path | None]]:
+    """Yields the outputs of a command line; of folders with a file that is written into them."""
+    for option in command.outputs:
+        given = {"count": 4 if "--plan" in line else None, "no_figures": False, "list_only": False}
+        assert isinstance(option.type, OutputPath)
+        holds = option.type.held(given)
+        if isinstance(holds, Folder):
+            for name in list(holds.files)[:1]:
+                yield option, Path(name)
+        elif holds is not None:
+            yield option, None
+
+
+def cases(command: Command) -> Iterator[tuple[list[str], str, str, click.Parameter, Path | None]]:
+    """Yields (command line, input, kind of link, output, file in that folder)."""
+    for line in lines_of(command):
+        named = reads(command, line)
+        for option, inside in outputs_of(command, line):
+            for number, file in enumerate(named):
+                # What is found only when a file is read: one link each, in turns.
+                links = list(LINKS) if file in line else [list(LINKS)[number % len(LINKS)]]
+                for link in links:
+                    yield line, file, link, option, inside
+
+
+def aimed(
+    folder: Path,
+    line: list[str],
+    file: str,
+    link: str,
+    option: click.Parameter,
+    inside: Path | None,
+) -> list[str]:
+    """Returns a command line one of whose outputs is an input."""
+    if inside is not None:
+        shutil.rmtree(folder / "into", ignore_errors=True)
+        (folder / "into").mkdir()
+        make = os.link if link == "a hard link" else os.symlink
+        make(folder / file, folder / "into" / inside)
+        target = Path("into")
+    else:
+        target = LINKS[link](folder, Path(file))
+    words = list(line)
+    for name in option.opts:
+        if name in words:
+            at = words.index(name)
+            del words[at : at + 2]
+    return [*words, option.opts[0], str(target)]
+
+
+ALL = [cli.find_command(name) for name in cli.COMMANDS]
+WRITING = [one for one in ALL if isinstance(one, Command) and one.outputs]
+
+
+def one_line(given: Answer) -> bool:
+    return given.stderr.startswith("error: ") and len(given.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
+def test_no_output_is_an_input(command: Command, folder: Path) -> None:
+    before, count = sums(folder), 0
+    for case in cases(command):
+        words = aimed(folder, *case)
+        for force in ([], ["--force"]):
+            given = answer(*words, *force, folder=folder)
+            told = (*words, *force, given)
+            assert given.returncode == 2, told
+            assert one_line(given), told
+            assert not force or "this run reads" in given.stderr, told
+            count += 1
+        shutil.rmtree(folder / "into", ignore_errors=True)
+    (folder / "linked").unlink(missing_ok=True)
+    assert sums(folder) == before
+    assert count >= 16, "what is swept has become little"
+
+
+def test_every_command_with_a_path_is_swept() -> None:
+    """An option that takes a path is an input that is known here, or an output."""
+    for command in ALL:
+        assert isinstance(command, Command), command.name
+        for option in command.params:
+            if isinstance(option.type, click.Path) and not isinstance(option.type, OutputPath):
+                known = {**ARGUMENTS, **OPTIONS}
+                assert option.name in known, (command.name, option.name)
+        writes = [o for o in command.params if isinstance(o, click.Option) and o.help]
+        for option in writes:
+            if option.help.startswith(("Write ", "Draw ")) and not option.is_flag:
+                assert isinstance(option.type, OutputPath), (command.name, option.name)
+
+
+def tiny(folder: Path, command: click.Command) -> list[str]:
+    """Returns a command line that is soon done, without outputs."""
+    line = next(lines_of(command))
+    if "-o" in line:
+        del line[line.index("-o") : line.index("-o") + 2]
+    drop = ("--stance", "--map-file")  # which are of other robots
+    for name in drop:
+        if name in line:
+            del line[line.index(name) : line.index(name) + 2]
+    return line
+
+
+def all_outputs(folder: Path, command: Command) -> list[str]:
+    """Returns the options of a command's outputs, each in a new folder."""
+    names = {"convert": "new.xml"}
+    return [
+        word
+        for option in command.outputs
+        for word in (option.opts[0], f"new/{option.name}/{names.get(str(command.name), 'result')}")
+        if (command.name, option.name) != ("analyze", "write_folder")
+    ]
+
+
+@pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
+def test_a_folder_that_takes_no_file_is_found_before_the_work(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # By a stand-in: who runs the tests may be root, who may do everything.
+    monkeypatch.setattr(os, "access", lambda path, how: not how & os.W_OK)
+    words, before, outputs = tiny(folder, command), sums(folder), all_outputs(folder, command)
+    needed = [word for at, word in enumerate(outputs) if "-o" in (word, outputs[at - 1])]
+    for place in range(0, len(outputs), 2):
+        out = outputs[place : place + 2]
+        given = answer(*words, *needed, *out, folder=folder)
+        assert (given.returncode, given.stdout) == (2, ""), (words, given)
+        assert "no file may be made" in given.stderr
+        assert one_line(given)
+    assert sums(folder) == before
+    assert not (folder / "new").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", WRITING, ids=lambda command: str(command.name))
+def test_a_full_disk_is_one_line_and_leaves_nothing(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("pupper_analysis.files.write_new", full)
+    words, before = tiny(folder, command), sums(folder)
+    given = answer(*words, *all_outputs(folder, command), folder=folder)
+    lines = [line for line in given.stderr.splitlines() if line.startswith("error")]
+    assert given.returncode == 2, given
+    assert len(lines) == 1
+    assert "No space left on device" in lines[0]
+    left = {path for path in sums(folder).keys() - before.keys() if path.name != ".lock"}
+    assert left == set()
+    shutil.rmtree(folder / "new", ignore_errors=True)
+
+
+def test_anybodys_file_is_replaced_when_that_is_asked_for(folder: Path) -> None:
+    mine = folder / "notes.json"
+    mine.write_text('{"mine": true}\n')
+    given = answer("audit", "robot.urdf", "--json", "notes.json", folder=folder)
+    assert given.returncode == 2
+    assert "give another name, or add --force" in given.stderr
+    assert mine.read_text() == '{"mine": true}\n'
+    for more in (["--force"], []):  # and then it is a result, which the next may replace
+        given = answer("audit", "robot.urdf", "--json", "notes.json", *more, folder=folder)
+        assert given.returncode < 2, given
+        assert mine.read_text().startswith('{\n  "generator": "pupper-analysis ')
+    mine.unlink()
+
+
+def test_two_names_of_one_file_are_two_results_to_one_file(folder: Path) -> None:
+    (folder / "one.json").touch()
+    (folder / "two.html").symlink_to("one.json")
+    outputs = ("--json", "one.json", "--report", "two.html")
+    given = answer("audit", "robot.urdf", *outputs, folder=folder)
+    assert given.returncode == 2
+    assert "two results" in given.stderr
+    for name in ("one.json", "two.html"):
+        (folder / name).unlink()

@@ -1,0 +1,82 @@
+"""Results are known by their content, as their writers make them; what people type is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from matplotlib.figure import Figure
+
+from pupper_analysis.errors import OutputError
+from pupper_analysis.identification.stands.plan import PlannedStand, StandPlan, write_plan
+from pupper_analysis.report.figures.style import save_figure
+from pupper_analysis.report.html.write import write_report
+from pupper_analysis.study.randomisation import write_randomisation
+
+STAND = PlannedStand("s01", ("FL",), "above", {"hip": 0.5, "knee": -1.0}, 0.2)
+PLAN = StandPlan("robot", (STAND,), (), 1, 0.0)
+
+WRITERS: dict[str, Callable[..., object]] = {
+    "report.html": lambda path, **how: write_report(PLAN, path, **how),
+    "figure.png": lambda path, **how: save_figure(Figure(), path, **how),
+    "plan.csv": lambda path, **how: write_plan(PLAN, path, **how),
+    "random.yaml": lambda path, **how: write_randomisation(
+        {"kp": {"uniform": [0.9, 1.1]}}, path, **how
+    ),
+    "events.py": lambda path, **how: write_randomisation(
+        {"kp:*": {"uniform": [0.9, 1.1]}}, path, "mjlab", **how
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_result_is_known_and_nothing_else_is_taken_for_it(name: str, tmp_path: Path) -> None:
+    path, write = tmp_path / name, WRITERS[name]
+    write(path)
+    write(path)
+    ours = path.read_bytes()
+    others = [b"name,mass\nbase,1\n", b"\x89PNG\r\n\x1a\n", b"<!DOCTYPE html><html></html>", b"# x"]
+    for other in [*others, *(read for read in _results(tmp_path) if read != ours)]:
+        path.write_bytes(other)
+        with pytest.raises(OutputError, match="of this package"):
+            write(path)
+        assert path.read_bytes() == other
+    write(path, force=True)
+    write(path)
+
+
+def _results(folder: Path) -> list[bytes]:
+    made = []
+    for name, write in WRITERS.items():
+        other = folder / "others" / name
+        write(other)
+        made.append(other.read_bytes())
+    return [one for one in made if not one.startswith((b"# Domain", b'"""Domain'))]
+
+
+def test_a_picture_of_others_is_no_figure(tmp_path: Path) -> None:
+    path = tmp_path / "x.png"
+    Figure().savefig(path)
+    with pytest.raises(OutputError, match="no figure of this package"):
+        save_figure(Figure(), path)
+
+
+@pytest.mark.parametrize(
+    ("typed", "where"),
+    [("0.51", 5), ("0", 6), ("nan", 6), ("2.5", 7)],
+)
+def test_a_plan_with_readings_is_never_replaced(typed: str, where: int, tmp_path: Path) -> None:
+    path = tmp_path / "plan.csv"
+    write_plan(PLAN, path)
+    header, row = (line.split(",") for line in path.read_text().splitlines())
+    if where == len(row):
+        header, row = [*header, "force.FL"], [*row, ""]
+    row[where] = typed
+    for comment in ("", "\ufeff"):  # as spreadsheets write it
+        filled = f"{comment}{','.join(header)}\r\n{','.join(row)}\r\n"
+        path.write_text(filled, newline="")
+        for force in (False, True):
+            with pytest.raises(OutputError, match="which no run can make again"):
+                write_plan(PLAN, path, force=force)
+        assert path.read_bytes() == filled.encode()
