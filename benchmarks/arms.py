@@ -7,8 +7,7 @@ For each file (a URDF, an MJCF, or both joined by a comma), held by its base:
 - apart: what is held by both engines at 100 postures, in parts of gravity's largest torque, which
   gravity compensation may take away;
 - beyond: 10^5 postures' torques by MuJoCo (5,000 where loops bend), the most of any joint in parts
-  of what the search for its worst posture found (1 or less, but for rounding); gap: what no posture
-  is proven to exceed, less what was found, in parts of the largest torque of all joints;
+  of what the search for its worst posture found (1 or less, but for rounding);
 - motors, servos: what either hold at the tool in the posture; 0.98, 1.02: whether MuJoCo holds
   such parts of the lesser, for as long as ``hold`` simulates; dry friction, where there is some,
   may hold more: then it is told what is held without;
@@ -83,8 +82,8 @@ def by_motors(robot: Robot, qpos: Array, forces: Array) -> Array:
     return Configuration(robot, qpos).by_motors(forces)
 
 
-def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> tuple[float, float]:
-    """Returns the most of random postures' torques in parts of what was found, and the gap."""
+def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> float:
+    """Returns the most of random postures' torques in parts of what was found."""
     ways = Ways(robot, held.posture)
     rng = np.random.default_rng(1)
     alone = robot.closure is None
@@ -99,11 +98,8 @@ def sampled(robot: Robot, held: Hold, own: ByMujoco, gravity: float) -> tuple[fl
     for qpos in postures:
         load = own.load(qpos)
         most = np.maximum(most, np.abs(parts @ load if same else by_motors(robot, qpos, load)))
-    found, bounds = np.abs(held.worst.joint_torques), held.worst.bounds
-    scale = 1e-9 * max(gravity, 1e-300)
-    bounded = np.isfinite(bounds) & (found > scale)
-    gap = (bounds - found)[bounded].max(initial=0.0) / max(float(found.max()), 1e-300)
-    return float((most / np.maximum(found, scale)).max()), float(gap)
+    found, scale = np.abs(held.worst.joint_torques), 1e-9 * max(gravity, 1e-300)
+    return float((most / np.maximum(found, scale)).max())
 
 
 def carried(robot: Robot, held: Hold, share: float) -> str:
@@ -167,13 +163,13 @@ def row(files: str) -> str:
     both = [(Configuration(robot, qpos).load(), own.load(qpos)) for qpos in postures]
     gravity = own.gravity(postures)
     apart = max(float(np.abs(one - other).max()) for one, other in both) / max(gravity, 1e-300)
-    beyond, gap = sampled(robot, held, own, gravity)
+    beyond = sampled(robot, held, own, gravity)
     edge, least = pushed(robot, held, own)
     lasts, breaks = carried(robot, held, 0.98), carried(robot, held, 1.02)
     payload = held.payload
     return (
         f"| {name} | {robot.nu} | {verdict_word(held.verdict).en} | {loaded:.1f} | {took:.1f} "
-        f"| {apart:.0e} | {beyond:.6f} | {gap:.1e} | {payload.mass:.3g} "
+        f"| {apart:.0e} | {beyond:.6f} | {payload.mass:.3g} "
         f"| {payload.servos:.3g} | {lasts} | {breaks} | {edge:.0e} | {least:.0e} |"
     )
 
@@ -183,7 +179,7 @@ def row(files: str) -> str:
 def main(files: tuple[str, ...]) -> None:
     """Prints a row of a Markdown table for each of FILES."""
     columns = (
-        *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond", "gap"),
+        *("file", "joints", "verdict", "load (s)", "hold (s)", "apart", "beyond"),
         *("motors (kg)", "servos (kg)", "0.98", "1.02", "edges", "weakest"),
     )
     print(f"| {' | '.join(columns)} |")

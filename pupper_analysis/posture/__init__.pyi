@@ -10,6 +10,5 @@ from .sag import SaggedPosture as SaggedPosture
 from .sag import sag_posture as sag_posture
 from .verify import PostureVerification as PostureVerification
 from .verify import verify_posture as verify_posture
-from .worst import Everywhere as Everywhere
 from .worst import WorstPostures as WorstPostures
 from .worst import worst_postures as worst_postures

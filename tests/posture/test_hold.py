@@ -143,9 +143,7 @@ def test_a_joint_that_follows_is_held_by_the_one_that_leads(
     opened = dict(zip(robot.joint_names, off, strict=True))["b_slide"]
     assert opened > 3e-3
     assert held.verification.joint_error < 1e-4
-    straight = ratio.endswith(" 0")
-    assert (held.worst.unproven is None) == straight
-    assert np.isfinite(held.worst.bounds).all() == straight
+    assert held.worst.endless is None
 
 
 def test_a_robot_that_is_held_by_its_base_hangs() -> None:

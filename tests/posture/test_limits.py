@@ -13,12 +13,10 @@ from scipy import optimize, spatial
 
 import pupper_analysis as pa
 from pupper_analysis.posture.force import tool_force, withstood
-from pupper_analysis.posture.gravity_tree import GravityTree, tree_torques
 from pupper_analysis.posture.payload import posture_payload, servo_payload, tool_payload
 from pupper_analysis.posture.posture import find_posture, joint_ranges
-from pupper_analysis.posture.support import Grid, Support
 from pupper_analysis.posture.verify import verify_posture
-from pupper_analysis.posture.worst import Everywhere, worst_postures
+from pupper_analysis.posture.worst import worst_postures
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.tool import find_tool
@@ -27,31 +25,6 @@ from tests.support import arm as by_hand
 from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
 
 POSTURE = {"a_turn": 0.7, "shoulder": -0.6, "elbow": 1.1, "b_slide": 0.05}
-
-
-def test_bounds_of_a_support_function_hold_between_the_directions_of_the_grid() -> None:
-    """Of an ellipsoid's, and of it turned about the axis; and they are close."""
-    random = np.random.default_rng(1)
-    axis = np.array([0.48, -0.6, 0.64])
-    half = np.eye(3) + 0.2 * random.normal(size=(3, 3))
-    grid = Grid.about(axis)
-    size = np.array([np.linalg.norm(half, 2)])
-    support = Support(grid, np.linalg.norm(grid.directions @ half, axis=-1)[None], size)
-    directions = random.normal(size=(4000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    exact = np.linalg.norm(directions @ half, axis=1)
-    off = support.at(directions)[0] - exact
-    assert off.min() >= 0.0
-    assert off.max() < 2e-4 * size[0]
-    for low, high in ((-0.4, 0.9), (0.2, 0.2), (-1.003, -1.0), (-4.0, 4.0)):
-        found = support.turned(low, high).at(directions)[0]
-        turned = []
-        for angle in np.linspace(low, min(high, low + 2 * math.pi), 200):
-            skew = np.cross(np.eye(3), axis)
-            back = np.eye(3) + math.sin(angle) * skew + (1 - math.cos(angle)) * skew @ skew
-            turned.append(np.linalg.norm(directions @ back @ half, axis=1))
-        assert (found - np.max(turned, axis=0)).min() > -1e-9
-        assert (found - np.max(turned, axis=0)).max() < 2e-3 * size[0]
 
 
 def test_the_worst_postures_are_those_of_the_closed_form() -> None:
@@ -68,27 +41,23 @@ def test_the_worst_postures_are_those_of_the_closed_form() -> None:
     assert found["shoulder"] == pytest.approx(max(both), rel=1e-7)
     assert found["b_slide"] == pytest.approx(G * slide, rel=1e-9)
     assert found["a_turn"] == 0.0
-    assert (worst.bounds >= np.abs(worst.joint_torques)).all()
-    assert worst.bounds == pytest.approx(np.abs(worst.joint_torques), rel=1e-3, abs=1e-9)
-    assert set(worst.everywhere) == {Everywhere.HOLDS}
+    assert worst.endless is None
+    assert (worst.utilisation < 1).all()
     for row, torque in zip(range(4), worst.joint_torques, strict=True):
         there = Configuration(robot, worst.postures[row]).load()
         assert there[row] == pytest.approx(torque, abs=1e-12)
 
 
-def test_no_sample_exceeds_the_bounds_and_the_tree_is_the_robots() -> None:
+def test_no_sample_exceeds_what_is_found() -> None:
     """Of legs of a held Pupper, too."""
     random = np.random.default_rng(2)
     for robot in (arm(), pa.load_variant("v3", fixed_base=True)):
-        ranges = joint_ranges(robot)
-        tree = GravityTree.of(robot, ranges)
-        samples = random.uniform(*ranges.T, size=(300, robot.nu))
+        samples = random.uniform(*joint_ranges(robot).T, size=(2000, robot.nu))
         torques = np.array([Configuration(robot, qpos).load() for qpos in samples])
-        for qpos, load in zip(samples[:5], torques, strict=False):
-            assert tree_torques(tree, qpos) == pytest.approx(load, abs=1e-12)
-        most = tree.greatest(np.eye(robot.nu))
-        assert (torques <= most[:, 0] + 1e-12).all()
-        assert (-torques <= most[:, 1] + 1e-12).all()
+        found = np.abs(worst_postures(robot, find_posture(robot), find_tool(robot)).joint_torques)
+        most = np.abs(torques).max(axis=0)
+        assert (most <= found + 1e-12).all()
+        assert (most[found > 1e-9] > 0.7 * found[found > 1e-9]).all()
 
 
 def test_springs_and_gravity_compensation_are_those_of_the_mjcf(tmp_path: Path) -> None:
@@ -109,13 +78,11 @@ def test_springs_and_gravity_compensation_are_those_of_the_mjcf(tmp_path: Path) 
             relief = -0.7 * G * MASSES["fore"] * by_hand.CENTRES["fore"] * ahead
         assert held[0] == pytest.approx(plain - relief, abs=1e-12)
         worst = worst_postures(robot, posture, find_tool(robot))
-        assert worst.unproven is None
+        assert worst.endless is None
         found = np.abs(worst.joint_torques)
         samples = np.random.default_rng(5).uniform(*joint_ranges(robot).T, size=(500, 4))
         most = np.abs([Configuration(robot, qpos).load() for qpos in samples]).max(axis=0)
         assert (most <= found + 1e-12).all()
-        assert (found <= worst.bounds).all()
-        assert (worst.bounds <= 1.2 * found + 1e-9).all()  # where spring and gravity are one's most
         for joint, torque in enumerate(worst.joint_torques):
             there = Configuration(robot, worst.postures[joint]).load()
             assert there[joint] == pytest.approx(torque, abs=1e-9)
@@ -162,7 +129,7 @@ def test_the_worst_posture_of_a_loop_is_between_the_places_at_which_it_was_close
 
 
 def test_a_payload_is_at_its_limit_in_both_engines() -> None:
-    """And what is held in every posture is between what is proven and what is found to fail."""
+    """And in the worst posture that is found the weakest motor is at its limit."""
     robot = arm()
     posture, tool = find_posture(robot, POSTURE), find_tool(robot)
     worst = worst_postures(robot, posture, tool)
@@ -172,7 +139,7 @@ def test_a_payload_is_at_its_limit_in_both_engines() -> None:
         torques = Configuration(loaded, posture.qpos).load()
         assert (np.abs(torques) <= robot.effort_limits).all() == holds
         assert verify_posture(loaded, posture, tool, duration=4.0).passed == holds
-    assert payload.everywhere <= payload.somewhere <= payload.everywhere * 1.005
+    assert payload.somewhere < payload.mass
     # The slide stands upright, and carries itself and the payload.
     assert payload.weakest == "b_slide"
     mass = by_hand.EFFORTS["b_slide"] / G - MASSES["hand"]
@@ -181,13 +148,13 @@ def test_a_payload_is_at_its_limit_in_both_engines() -> None:
     strong = replace(robot)
     vars(strong)["effort_limits"] = np.full(4, math.inf)
     free = tool_payload(strong, posture, tool, worst_postures(strong, posture, tool))
-    assert free.mass == free.everywhere == free.somewhere == math.inf
+    assert free.mass == free.somewhere == math.inf
     assert tool_force(strong, posture, tool).weakest == math.inf
     weak = replace(robot)
     vars(weak)["effort_limits"] = np.full(4, 1e-3)
     held = worst_postures(weak, posture, tool)
-    assert set(held.everywhere) == {Everywhere.FAILS, Everywhere.HOLDS}
-    assert tool_payload(weak, posture, tool, held).everywhere == 0.0
+    assert (held.utilisation > 1).any()
+    assert tool_payload(weak, posture, tool, held).somewhere == 0.0
     assert tool_payload(weak, posture, tool, held).mass == 0.0
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from pupper_analysis.analysis.hold import TRIED, Hold
 from pupper_analysis.posture.force import ToolForce
 from pupper_analysis.posture.reach import ReachLoad
-from pupper_analysis.posture.worst import Everywhere, WorstPostures
+from pupper_analysis.posture.worst import WorstPostures
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import (
@@ -30,12 +29,6 @@ from pupper_analysis.statics.equilibrium import GravityCompensation
 
 _RINGS = 12
 """Distances of the tool that are told apart: some 50 random postures each."""
-
-_EVERYWHERE = {
-    Everywhere.HOLDS: "holds-everywhere",
-    Everywhere.FAILS: "does-not-hold-everywhere",
-    Everywhere.OPEN: "not-decided",
-}
 
 
 @build_document.register(Hold)
@@ -112,15 +105,13 @@ def _tool(hold: Hold) -> doc.Table:
 
 
 def _worst(worst: WorstPostures) -> doc.Table:
-    """Returns the worst posture of each motor, and whether it holds in every one."""
+    """Returns the worst posture of each motor."""
     rows: list[tuple[doc.Cell, ...]] = [
         (
             doc.Name(name),
             doc.number_cell(worst.joint_torques[index], "+.4g"),
-            doc.number_cell(worst.bounds[index], ".4g"),
             doc.number_cell(worst.limits[index], "g"),
             utilisation_cell(float(worst.utilisation[index]), float(worst.limits[index])),
-            text(_EVERYWHERE[worst.everywhere[index]]),
             doc.vector_cell(worst.postures[index], ".3g"),
         )
         for index, name in enumerate(worst.joint_names)
@@ -128,15 +119,13 @@ def _worst(worst: WorstPostures) -> doc.Table:
     columns = (
         doc.Column(text("joint"), left=True),
         doc.Column(text("worst-torque"), "N m"),
-        doc.Column(text("no-posture-exceeds"), "N m"),
         doc.Column(text("limit"), "N m"),
         doc.Column(text("utilisation"), "%"),
-        doc.Column(text("in-every-posture"), left=True),
         doc.Column(text("worst-posture"), "rad", left=True, detail=True),
     )
-    notes = (text("worst-found-and-bounded"),)
-    if worst.unproven is not None:
-        notes = (text("worst-not-bounded", why=doc.tell(worst.unproven)),)
+    notes = (text("worst-found"),)
+    if worst.endless is not None:
+        notes = (text("worst-not-bounded", why=doc.tell(worst.endless)),)
     return doc.Table(text("worst-postures"), columns, tuple(rows), notes=notes)
 
 
@@ -146,13 +135,12 @@ def _payload(hold: Hold) -> doc.Table:
     known = (
         ("payload-here", payload.mass, payload.joint),
         ("payload-by-servos", payload.servos, payload.servo),
-        ("payload-everywhere", payload.everywhere, ""),
         ("payload-somewhere", payload.somewhere, payload.weakest),
     )
     rows = tuple(
         (
             text(name),
-            doc.number_cell(None if math.isnan(mass) else mass, ".4g"),
+            doc.number_cell(mass, ".4g"),
             doc.Name(joint or "-"),
         )
         for name, mass, joint in known
@@ -282,8 +270,8 @@ def _told(hold: Hold) -> Iterable[doc.Words]:
         yield text("no-sag-predicted", why=doc.tell(hold.unsettled))
     weak = [
         name
-        for name, everywhere in zip(hold.worst.joint_names, hold.worst.everywhere, strict=True)
-        if everywhere is Everywhere.FAILS
+        for name, used in zip(hold.worst.joint_names, hold.worst.utilisation, strict=True)
+        if used > 1
     ]
     if weak:
         yield text("motors-weak-somewhere", joints=", ".join(weak)).marked("warn")
@@ -301,7 +289,7 @@ def _told(hold: Hold) -> Iterable[doc.Words]:
         "carries-and-withstands",
         tool=doc.Name(hold.tool.name),
         here=f"{hold.payload.mass:.3g}",
-        everywhere=f"{hold.payload.everywhere:.3g}",
+        somewhere=f"{hold.payload.somewhere:.3g}",
         force=f"{hold.force.weakest:.3g}",
     )
 
