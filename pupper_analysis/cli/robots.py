@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,7 +128,7 @@ class RobotOptions:
         return given[0] if given else None
 
     def all(self, words: tuple[str, ...]) -> list[str | VariantSpec | RobotFiles]:
-        """Returns the robots that are meant, each word another.
+        """Returns the robots that are meant; a URDF and the MJCF after it are one.
 
         Raises:
             ConfigurationError: If options are for files, and there are none.
@@ -205,6 +206,22 @@ def robot_from(
     from pupper_analysis.pupper.load import load_variant
 
     return load_variant(meant, fixed_base=fixed_base)
+
+
+def told_apart(meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Robot]) -> list[Robot]:
+    """Returns robots by names of their own: those of one name have their files', or a number."""
+    names = Counter(robot.name for robot in robots)
+    found: list[Robot] = []
+    for one, robot in zip(meant, robots, strict=True):
+        name = robot.name
+        if names[name] > 1 and isinstance(one, RobotFiles):
+            name = f"{name} ({one})"
+        taken, number, first = {other.name for other in found}, 1, name
+        while name in taken:
+            number += 1
+            name = f"{first} {number}"
+        found.append(robot if name == robot.name else replace(robot, name=name))
+    return found
 
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:

@@ -13,7 +13,7 @@ from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, InputError
 from pupper_analysis.inputs import read_toml
 
-_OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator")
+_OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator", "cone", "impratio")
 """Options besides those of the stance: the load, and the servos that hold it."""
 
 

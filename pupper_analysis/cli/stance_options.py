@@ -18,6 +18,7 @@ from pupper_analysis.cli.robots import (
     add_options,
     print_notes,
     robot_from,
+    told_apart,
 )
 from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of
 from pupper_analysis.cli.stance_file import stance_option
@@ -55,6 +56,18 @@ SERVOS = (
         type=click.Choice(["Euler", "implicitfast", "implicit", "RK4"]),
         help="MuJoCo integrator, in place of the model's; e.g. implicitfast.",
     ),
+    click.option(
+        "--cone",
+        type=click.Choice(["elliptic", "pyramidal"]),
+        help="Form of MuJoCo's friction cones, in place of the model's.",
+    ),
+    click.option(
+        "--impratio",
+        type=float,
+        metavar="X",
+        help="How much stiffer MuJoCo's friction is than its ground, in place of the model's: "
+        "feet creep the less; e.g. 100.",
+    ),
 )
 
 LOOK = (shared.look_option, shared.verbose_option)
@@ -77,6 +90,8 @@ class RobotAndTask:
     integrator: str | None
     style: str
     everything: bool
+    cone: str | None = None
+    impratio: float | None = None
     fixed_base: bool = False
 
     @classmethod
@@ -97,24 +112,25 @@ class RobotAndTask:
         return self._loaded(self.which.one(words) or "v3")
 
     def robots(self, words: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
-        """Returns the robots that are meant, each word another."""
-        return [self._loaded(meant) for meant in self.which.all(words) or default]
+        """Returns the robots that are meant, by names of their own."""
+        meant = self.which.all(words) or default
+        return told_apart(meant, [self._loaded(one) for one in meant])
 
     def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
         """Returns a robot as it was asked for; of one of files it is told what was assumed."""
-        robot = robot_from(meant, fixed_base=self.fixed_base, as_is=self.as_is)
+        robot = self._as_asked(robot_from(meant, fixed_base=self.fixed_base, as_is=self.as_is))
         if isinstance(meant, RobotFiles) and self.style == "text":  # Markdown has them in its page
             print_notes(robot, everything=self.everything)
-        return self._as_asked(robot)
+        return robot
 
     def _as_asked(self, robot: Robot) -> Robot:
-        """Returns a robot with the payload and the integrator that were asked for."""
+        """Returns a robot with the payload and the options of MuJoCo that were asked for."""
         from pupper_analysis.robot.payload import with_payload
-        from pupper_analysis.robot.servos import with_integrator
+        from pupper_analysis.robot.servos import with_options
 
         place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
         loaded = with_payload(robot, self.payload, place)
-        return with_integrator(loaded, self.integrator)
+        return with_options(loaded, self.integrator, self.cone, self.impratio)
 
     def show(self, result: Result, robot: Robot) -> None:
         """Shows a result of that robot as it was asked for."""

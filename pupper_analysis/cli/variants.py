@@ -18,6 +18,7 @@ from pupper_analysis.cli.robots import (
     add_options,
     robot_from,
     robots_argument,
+    told_apart,
     with_robot,
 )
 from pupper_analysis.cli.stance_fields import options_of, task_of
@@ -74,9 +75,9 @@ def analyze(
 ) -> None:
     """Take robots from their model files to a verified stand.
 
-    Each ROBOT is a variant of Pupper (see --list), a URDF, an MJCF, or both as a.urdf+a.xml. By
-    default the six variants are analysed. Define a variant of your own with --base, --leg-scale and
-    --torso-mass-scale.
+    Each ROBOT is a variant of Pupper (see --list), a URDF, an MJCF, or both: the URDF and then the
+    MJCF. By default the six variants are analysed. Define a variant of your own with --base,
+    --leg-scale and --torso-mass-scale.
 
     \b
     The output is a verdict and two lines per robot, and a table that compares them. With -v,
@@ -90,7 +91,7 @@ def analyze(
       pupper-analysis analyze original long-leg --no-figures -v
       pupper-analysis analyze --base v3 --leg-scale 1.2 --json v3-1.2.json
       pupper-analysis analyze v3 --height 0.12 --pitch 0.1
-      pupper-analysis analyze go2.urdf a1.xml v3
+      pupper-analysis analyze go2.xml a1.urdf v3
 
     \b
     Exit status: 0 all verified, 1 something failed verification or the cross-check,
@@ -148,7 +149,7 @@ def _analyze_all(
     from pupper_analysis.report.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
 
-    robots = [robot_from(robot) for robot in meant]
+    robots = told_apart(meant, [robot_from(robot) for robot in meant])
     for robot in robots:  # a stance out of reach is found before anything is printed
         solve_stand(robot, task)
     out = make_console()

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from pupper_analysis.convert import equip
 from pupper_analysis.convert.conversion import ConversionDraft
@@ -22,22 +21,22 @@ from pupper_analysis.convert.repair import (
     merge_fixed,
     repaired_urdf,
 )
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.additions import Servo, put_all
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_layout import put_defaults, to_text
-from pupper_analysis.models.xml_text import add_element, write_numbers
+from pupper_analysis.models.xml_text import add_element
+from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.prepare.servo_tuning import held_gains, stand_gains
+from pupper_analysis.prepare.passes import ground_of_urdf
+from pupper_analysis.prepare.servo_tuning import stand_gains
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-
-Array = NDArray[np.float64]
 
 _LIMBS = 2
 """A base that carries so many limbs or more is free, as in ``load_robot``."""
@@ -166,7 +165,7 @@ class _Bare:
             draft.remove_visuals()
         used = None if visuals else draft.used_meshes
         self.meshes.write(draft.section("asset"), used=used, assets=assets)
-        return mjcf_of_text(self.urdf.path, draft.text, assets)
+        return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
 
 def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile]:
@@ -179,9 +178,13 @@ def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile]:
         The URDF with such inertials, and the MJCF.
 
     Raises:
-        ModelError: If MuJoCo cannot have the robot.
+        ModelError: If MuJoCo cannot have the robot, or nothing that moves has a mass.
     """
     bare = _Bare.of(urdf, urdf.path, MjcfOptions(repair_inertia=True), free=False)
+    made_up = {repair.link for repair in bare.repairs if not repair.mass > 0}
+    if {body.name for body in bare.mjcf.bodies if body.moves} <= made_up:
+        # Whatever is said of its motors would be of masses that nobody stated.
+        raise ModelError(urdf.path, diagnose("robot-without-mass", mass=Quantity(0.0, "kg")))
     stated = {shape.get("name") for shape in urdf.root.iter("collision")}
     for geom in bare.mjcf.geoms:
         if geom.get("name") not in stated:
@@ -198,8 +201,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
     left = [*bare.bodies.notes, *meshes.notes, *_unsaid(urdf)]
     notes, failure = list(bare.notes), None
     if bare.free:
-        mjcf.add_floor()
-        notes += [diagnose("floor-and-free-joint-added"), diagnose("contacts-made-to-hold")]
+        notes += [diagnose("free-joint-added", subject=("body", bare.bodies.root))]
         found, failure = _put_stand(bare, options)
         notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(mjcf, bare.bodies)]
     else:
@@ -266,7 +268,7 @@ def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Dia
     sure = not mjcf.touches
     sure |= bodies.floats or options.feet is not None or options.fixed_base is False
     try:
-        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
+        robot = robot_of(bare.urdf, bare.file(), feet=options.feet, self_check=False)
     except ModelError as error:
         if options.feet is not None:
             raise
@@ -274,21 +276,21 @@ def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Dia
         model = bare.file().model
         if not (meshes.missing or sure or _has_bare_legs(model, bodies.root)):
             raise _LeglessError(problem) from error
-        _put_held(bare, options)
+        put_all(ground_of_urdf(), mjcf)
+        told = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
         equip.lift_base(mjcf, bodies, model)
-        return [], diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        return told, diagnose("does-not-stand", missing=meshes.missing, problem=problem)
     if len(robot.contact_points) < _LIMBS and not sure:
         raise _LeglessError(diagnose("lowest-limbs", limbs=robot.contact_points))
     told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
-    failure = None
+    added, failure = robot.description.added, None
     try:
-        equip.add_contacts(mjcf, robot)
         stand = solve_stand_on_soft_ground(robot)
-        kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
-        equip.add_home(mjcf, bodies, robot, stand, kp)
         if options.sag is not None or options.damping_ratio is not None:
+            kp, kd = stand_gains(robot, stand, options.sag, options.damping_ratio)
+            added = drives.retuned(robot, kp, kd, stand)
             told = [note for note in told if note.code != "servos-added"]
-            told.append(_servos(kp, kd))
+            told += [each.reason for each in added if isinstance(each, Servo)][:1]
     except PupperAnalysisError as error:
         if not (sure or meshes.missing) and _reaches_no_ground(robot, error):
             raise _LeglessError(
@@ -296,12 +298,10 @@ def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Dia
             ) from error
         problem = error.diagnostic
         failure = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
-        kp, kd = held_gains(robot.mj_model, options.sag, options.damping_ratio)
+        gains = drives.held_gains_of(robot, options.sag, options.damping_ratio)
+        added = drives.retuned(robot, *gains)
+    put_all(added, mjcf)
     equip.lift_base(mjcf, bodies, robot.mj_model)
-    mjcf.set_options(timestep=write_numbers(robot.mj_model.opt.timestep))
-    mjcf.use_implicit_damping()
-    gains = zip(kp.tolist(), kd.tolist(), strict=True)
-    equip.add_servos(mjcf, bodies, dict(zip(robot.joint_names, gains, strict=True)))
     return told, failure
 
 
@@ -338,16 +338,15 @@ def _has_bare_legs(model: mujoco.MjModel, base: str) -> bool:
 
 def _put_held(bare: _Bare, options: MjcfOptions) -> list[Diagnostic]:
     """Adds the servos of a robot that is held; returns what was added."""
-    model = bare.file().model
-    bare.mjcf.use_implicit_damping()
-    moving = np.flatnonzero(model.jnt_type != JointKind.FREE)
-    if not len(moving):
+    if not bare.mjcf.joints:
         return [diagnose("nothing-moves")]
-    kp, kd = held_gains(model, options.sag, options.damping_ratio)
-    names = [str(model.joint(int(index)).name) for index in moving]
-    gains = zip(kp.tolist(), kd.tolist(), strict=True)
-    equip.add_servos(bare.mjcf, bare.bodies, dict(zip(names, gains, strict=True)))
-    return [_servos(kp, kd)]
+    robot = robot_of(bare.urdf, bare.file(), fixed_base=True)
+    added = robot.description.added
+    if options.sag is not None or options.damping_ratio is not None:
+        gains = drives.held_gains_of(robot, options.sag, options.damping_ratio)
+        added = drives.retuned(robot, *gains)
+    put_all(added, bare.mjcf)
+    return list(dict.fromkeys(each.reason for each in added))
 
 
 def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
@@ -358,9 +357,3 @@ def _unstated(mjcf: MjcfXml) -> list[Diagnostic]:
     if undamped:
         told.append(diagnose("damping-unstated", count=undamped, joints=len(joints)))
     return told
-
-
-def _servos(kp: Array, kd: Array) -> Diagnostic:
-    return diagnose(
-        "servos-made", kp=describe_span(kp, "N m/rad"), kd=describe_span(kd, "N m s/rad")
-    )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import mujoco
 
 from pupper_analysis.arrays import plain_state
+from pupper_analysis.models.additions import Addition, put_all
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.models.spec_tree import SpecTree
@@ -36,6 +37,8 @@ class Description:
             that is no sphere around the point: 0 for the corner of a box.
         nominal: {joint: position (rad)} at which the feet are where they stand by default; zero
             where not given.
+        added: What ``mjcf`` has for a simulation that the file does not, each with its reason; a
+            file that is written is given the same.
         made_servos: The servos in ``mjcf`` that the file does not have.
         efforts: {joint: what its motor can give}, of motors that were replaced by servos: what
             their own attributes stated is not in ``mjcf`` any more.
@@ -53,6 +56,7 @@ class Description:
     feet: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     foot_geoms: Mapping[str, tuple[str, float]] = field(default_factory=dict)
     nominal: Mapping[str, float] = field(default_factory=dict)
+    added: tuple[Addition, ...] = ()
     made_servos: tuple[MadeServo, ...] = ()
     efforts: Mapping[str, EffortLimit] = field(default_factory=dict)
     converted: str = ""
@@ -62,6 +66,12 @@ class Description:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update({**state, "mjcf": spec_from(state["mjcf"])})
+
+    def given(self, *added: Addition) -> Description:
+        """Returns a description whose MJCF is given something for its simulation."""
+        spec = self.mjcf.copy()
+        put_all(added, SpecTree(spec))
+        return replace(self, mjcf=spec, added=(*self.added, *added))
 
     def trees(self) -> tuple[UrdfTree, SpecTree]:
         """Returns both files' links and joints, to be changed: they are its own no more."""

@@ -45,6 +45,7 @@ class MjcfFile:
         as_it_is: The same of what was made up for, as `notes` tell: flat meshes.
         unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
             for a file of another format that can leave open what an MJCF sets to zero.
+        of_urdf: Whether it was made of a URDF, which states nothing of ground and contacts.
     """
 
     path: Path
@@ -57,6 +58,7 @@ class MjcfFile:
     _model: mujoco.MjModel | None = field(default=None, repr=False)
     _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
     _roots: tuple[Node, ...] = field(default=(), repr=False)
+    of_urdf: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         return {**plain_state(self), "spec": state_of(self.spec)}

@@ -26,11 +26,6 @@ VISUAL: Final = "visual"
 COLLISION: Final = "collision"
 """The class of geoms that touch."""
 
-GRIP: Final = {"cone": "elliptic", "impratio": "100"}
-"""How contacts hold: friction a hundred times as stiff as the ground, on a cone that is round. With
-MuJoCo's defaults (a pyramid, 1) feet creep: Go2 by 58 mm/s on a slope of 17 degrees, so by 0.35; a
-pyramid with an impratio of 10 shakes. The models of MuJoCo Menagerie have the same."""
-
 
 @dataclass(frozen=True)
 class XmlBody:
@@ -237,21 +232,16 @@ class MjcfXml:
             if node.tag != "worldbody" and not len(node) and not node.attrib:
                 self.root.remove(node)
 
-    def set_options(self, **texts: str) -> None:
-        """States options, but for those that are stated."""
+    def set_options(self, **values: Number) -> None:
+        """States attributes of ``<option>``."""
         option = self.root.find("option")
         if option is None:
             option = etree.Element("option")
             self.root.insert(1, option)
-        option.attrib.update({**texts, **option.attrib})
-
-    def use_implicit_damping(self) -> None:
-        """Steps so that a servo's damping does not shake light joints."""
-        self.set_options(integrator="implicitfast")
+        option.attrib.update({name: _text(value) for name, value in values.items()})
 
     def add_floor(self) -> None:
-        """Adds light, a floor and its look, and contacts that hold."""
-        self.root.insert(1, etree.Element("option", GRIP))
+        """Adds light, a floor and its look."""
         asset, world = self.section("asset"), self.section("worldbody")
         add_element(
             asset, "texture", name=FLOOR, type="2d", builtin="checker", width="256", height="256",
@@ -314,8 +304,15 @@ class MjcfXml:
                 geom.set("contype", "0")
                 geom.set("conaffinity", "0")
 
-    def add_ball(self, name: str, body: str, radius: float, place: ArrayLike) -> None:
-        """Adds a sphere that touches and weighs nothing."""
+    def add_ball(
+        self,
+        name: str,
+        body: str,
+        radius: float,
+        place: ArrayLike,
+        like: str | None = None,  # noqa: ARG002 - a URDF states nothing of contacts
+    ) -> None:
+        """Adds a sphere that touches, as all its shapes do, and weighs nothing."""
         add_element(
             self.body(body).element,
             "geom",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -21,6 +22,14 @@ from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SE
 
 Array = NDArray[np.float64]
 
+
+_OPTION_WORDS: Final[dict[tuple[str, Number], Any]] = {
+    ("cone", "elliptic"): mujoco.mjtCone.mjCONE_ELLIPTIC,
+    ("cone", "pyramidal"): mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    ("integrator", "implicitfast"): mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    ("jacobian", "dense"): mujoco.mjtJacobian.mjJAC_DENSE,
+}
+"""What MuJoCo's editable model has for the words of ``<option>``."""
 
 NARROW = 1e-9
 """MuJoCo refuses a range from 0 to 0, which converters write of a URDF without a range."""
@@ -189,9 +198,10 @@ class SpecTree:
             setattr(element, attribute.mjcf[0], values if len(values) > 1 else values[0])
         element.springdamper = (0.0, 0.0)
 
-    def use_implicit_damping(self) -> None:
-        """Steps so that a servo's damping does not shake light joints."""
-        self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    def set_options(self, **values: Number) -> None:
+        """States attributes of ``<option>``, by MuJoCo's words for them."""
+        for name, value in values.items():
+            setattr(self.spec.option, name, _OPTION_WORDS.get((name, value), value))
 
     def add_floor(self) -> mujoco.MjsGeom:
         """Adds a plane at z = 0 with MuJoCo's own contact, that all which touches anything touches.
@@ -278,9 +288,10 @@ class SpecTree:
         body: str,
         radius: float,
         place: ArrayLike,
-        like: mujoco.MjsGeom | None = None,
+        like: str | None = None,
     ) -> mujoco.MjsGeom:
         """Adds a sphere that weighs nothing; it touches, and is shown, as another geom."""
+        known = None if like is None else self.spec.geom(like)
         ball = self.spec.body(body).add_geom(
             name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -288,9 +299,15 @@ class SpecTree:
             pos=place,
             mass=0.0,
         )
-        for word in () if like is None else ("rgba", *CONTACT_OF_GEOM):
-            setattr(ball, word, getattr(like, word))
+        for word in () if known is None else ("rgba", *CONTACT_OF_GEOM):
+            setattr(ball, word, getattr(known, word))
         return ball
+
+    def turn_off_contact(self, geoms: Sequence[str]) -> None:
+        """Lets geoms touch nothing."""
+        for geom in self.spec.geoms:
+            if geom.name in geoms:
+                geom.contype = geom.conaffinity = 0
 
     def set_home(self, qpos: ArrayLike, ctrl: Sequence[float] = ()) -> None:
         """Makes a pose the only keyframe."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 import mujoco
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models.additions import Addition, Options, Servo, Start
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
@@ -96,19 +97,19 @@ def add_position_servos(
     stated = {limit.joint: limit for limit in robot.efforts}
 
     def built(parts: int, kp: Array, kd: Array) -> Robot:
-        spec = spec_with_servos(robot.description.mjcf, robot, kp, kd)
-        spec.option.timestep /= parts
-        take_visuals_of(spec, original)
-        return rebuild_robot(robot, mjcf=spec, efforts=stated)
+        timestep = float(robot.description.mjcf.option.timestep) / parts
+        given = robot.description.given(*servos_of(robot, kp, kd, timestep))
+        take_visuals_of(given.mjcf, original)
+        return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
 
     candidates = [
         (parts, *_kept(robot, own, *suggested_gains(robot, stand, torques, sag, parts)))
         for parts, sag in itertools.product(_FINER, _SAGS)
     ]
 
-    spec = spec_with_servos(robot.description.mjcf, robot, *candidates[0][1:])
-    trial = rebuild_robot(robot, mjcf=spec, efforts=stated)
-    timestep = float(trial.mj_model.opt.timestep)
+    timestep = float(robot.mj_model.opt.timestep)
+    first_tried = robot.description.given(*servos_of(robot, *candidates[0][1:], timestep))
+    trial = rebuild_robot(robot, mjcf=first_tried.mjcf, efforts=stated)
 
     seen: dict[tuple[int, bool], bool] = {}
 
@@ -155,13 +156,51 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
 
 def with_held_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot whose base is held position servos where it has none."""
+    kp, kd = held_gains_of(robot)
+    timestep = float(robot.mj_model.opt.timestep)
+    given = robot.description.given(*servos_of(robot, kp, kd, timestep))
+    stated = {limit.joint: limit for limit in robot.efforts}
+    built = rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
+    return _tell_made(robot, built, mjcf, kp, kd)
+
+
+def held_gains_of(
+    robot: Robot, sag: float | None = None, damping_ratio: float | None = None
+) -> tuple[Array, Array]:
+    """Returns kp and kd (nu,) of a robot that is held, in its joints' order; see ``held_gains``."""
     model = robot.mj_model
     ids = np.array([model.joint(name).id for name in robot.joint_names])
     others = np.flatnonzero(model.jnt_type != JointKind.FREE)  # those that gains are for
-    kp, kd = (gains[np.searchsorted(others, ids)] for gains in held_gains(model, None, None))
-    spec = spec_with_servos(robot.description.mjcf, robot, kp, kd)
-    stated = {limit.joint: limit for limit in robot.efforts}
-    return _tell_made(robot, rebuild_robot(robot, mjcf=spec, efforts=stated), mjcf, kp, kd)
+    order = np.searchsorted(others, ids)
+    kp, kd = held_gains(model, sag, damping_ratio)
+    return kp[order], kd[order]
+
+
+def retuned(robot: Robot, kp: Array, kd: Array, stand: Stand | None = None) -> tuple[Addition, ...]:
+    """Returns what a robot was given, with other gains of the servos.
+
+    Args:
+        robot: The robot.
+        kp: (nu,) their stiffness (N m/rad).
+        kd: (nu,) their damping (N m s/rad).
+        stand: As it rests; None: it has no pose to start from.
+    """
+    added = robot.description.added
+    servos = {each.joint for each in added if isinstance(each, Servo)}
+    own = own_servos(robot).keys() - servos
+    timestep = float(robot.mj_model.opt.timestep)
+    kept = [each for each in added if not isinstance(each, Servo | Start) and not _steps(each)]
+    starts = [
+        start.start_of(robot, stand, each.reason, kp, kd)
+        for each in added
+        if isinstance(each, Start) and stand is not None
+    ]
+    return (*kept, *servos_of(robot, kp, kd, timestep, own), *starts)
+
+
+def _steps(added: Addition) -> bool:
+    """Tells whether something is how MuJoCo steps, as servos ask for it."""
+    return isinstance(added, Options) and "integrator" in added.values
 
 
 def _tell_made(
@@ -255,22 +294,36 @@ def _another(robot: Robot, seen: StandVerification) -> bool:
     return seen.mujoco_residual > ANOTHER_ROBOT * weight
 
 
-def spec_with_servos(spec: mujoco.MjSpec, robot: Robot, kp: Array, kd: Array) -> mujoco.MjSpec:
-    """Returns a spec in which every joint has a position servo, whose limit is the motor's.
+def servos_of(
+    robot: Robot,
+    kp: Array,
+    kd: Array,
+    timestep: float,
+    own: Collection[str] | None = None,
+) -> list[Addition]:
+    """Returns what gives every joint without a position servo one, whose limit is the motor's.
 
-    A servo stays as it is. The integrator is ``implicitfast``, with which a servo's damping does
-    not shake light joints.
+    The integrator is ``implicitfast``, with which a servo's damping does not shake light joints.
+
+    Args:
+        robot: The robot.
+        kp: (nu,) stiffness (N m/rad); of joints with a servo nothing is used.
+        kd: (nu,) damping (N m s/rad), likewise.
+        timestep: s.
+        own: Joints that have one; by default those with a servo in the robot's model.
     """
-    spec, own = spec.copy(), own_servos(robot)
-    tree = SpecTree(spec)
     idle = {robot.joint_names[joint] for joint in following_joints(robot)}
-    for name, stiffness, damping, limit in zip(
-        robot.joint_names, kp, kd, robot.efforts, strict=True
-    ):
-        if name in own or name in idle:
-            continue
+    left = {*(own_servos(robot) if own is None else own), *idle}
+    missing = [index for index, name in enumerate(robot.joint_names) if name not in left]
+    stiffness = describe_span(kp[missing], "N m/rad")
+    told = diagnose("servos-made", kp=stiffness, kd=describe_span(kd[missing], "N m s/rad"))
+    made: list[Addition] = [
+        Options(told, {"integrator": "implicitfast", "timestep": timestep}),
+    ]
+    for index in missing:
+        limit = robot.efforts[index]
         bounded = math.isfinite(limit.lower) and math.isfinite(limit.upper)
         limits = (limit.lower, limit.upper) if bounded else None
-        tree.add_position_servo(name, stiffness, damping, limits)
-    tree.use_implicit_damping()
-    return spec
+        name = robot.joint_names[index]
+        made.append(Servo(told, name, float(kp[index]), float(kd[index]), limits))
+    return made

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.models.additions import Addition, Ball, Untouching
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
@@ -223,8 +223,16 @@ def _by_link(robot: Robot, name: str, frames: tuple[str, str], joints: Array) ->
     return int(robot.mj_model.body_weldid[body]), place
 
 
-def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
-    """Returns the robot's description with a frame at every contact point, in both files."""
+def with_feet(
+    robot: Robot, feet: Sequence[Foot], replaced: Mapping[str, Diagnostic] | None = None
+) -> Description:
+    """Returns the robot's description with a frame at every contact point, in both files.
+
+    Args:
+        robot: The robot, without feet.
+        feet: Its feet.
+        replaced: {foot with balls in the place of its shape: why}.
+    """
     model, spec = robot.mj_model, robot.description.mjcf.copy()
     data = pose_at_joints(robot, np.zeros(robot.nu))
     still = Configuration(robot, robot.neutral())
@@ -235,7 +243,8 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
     names: dict[str, tuple[str, str]] = {}
     several: dict[str, tuple[str, ...]] = {}
     geoms: dict[str, tuple[str, float]] = {}
-    meshes = [point.geom for foot in feet for point in foot.points if is_ball(model, point)]
+    shapes: dict[Diagnostic, list[str]] = {}
+    added: list[Addition] = []
     for foot in feet:
         link = _link_of(robot, foot.body)
         placed = still.frame_position(link), still.frame_rotation(link)
@@ -249,14 +258,20 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
             world = _in_urdf(robot, still, data, foot.body, world)
             tree.add_link(frame, link, f"to {frame}", placed[1].T @ (world - placed[0]))
             names[name] = (frame, frame)
-            geoms[name] = (_touching(spec, compiled, point, name), point.radius)
+            touching = str(compiled.geom(point.geom).name)
+            if is_ball(model, point):
+                reason = (replaced or {})[foot.name]
+                body, place = str(model.body(own).name), tuple(map(float, point.center))
+                added.append(Ball(reason, f"{name}_ball", body, point.radius, place, touching))
+                shapes.setdefault(reason, []).append(touching)
+                touching = f"{name}_ball"
+            geoms[name] = (touching, point.radius)
             points.append(name)
         if len(points) > 1:
             several[foot.name] = tuple(points)
-    for name in {compiled.geom(geom).name for geom in meshes}:
-        mesh = next(geom for geom in spec.geoms if geom.name == name)
-        mesh.contype = mesh.conaffinity = 0
-    return replace(
+    for reason, names_of in shapes.items():  # the balls have their contact before it is turned off
+        added.append(Untouching(reason, tuple(dict.fromkeys(names_of))))
+    described = replace(
         robot.description,
         urdf=to_text(tree.root),
         mjcf=spec,
@@ -264,6 +279,7 @@ def with_feet(robot: Robot, feet: Sequence[Foot]) -> Description:
         feet=several,
         foot_geoms=geoms,
     )
+    return described.given(*added)
 
 
 def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
@@ -276,25 +292,6 @@ def is_ball(model: mujoco.MjModel, point: ContactPoint) -> bool:
         return False  # a wheel, which lies
     round_ones = (mujoco.mjtGeom.mjGEOM_SPHERE.value, mujoco.mjtGeom.mjGEOM_CAPSULE.value)
     return point.radius > 0 and kind not in round_ones
-
-
-def _touching(
-    spec: mujoco.MjSpec,
-    model: mujoco.MjModel,
-    point: ContactPoint,
-    called: str,
-) -> str:
-    """Returns the name of the geom that touches at a point of a name; balls take a mesh's place.
-
-    MuJoCo's contacts of a mesh are some of its vertices, and jump from one to the next.
-    """
-    name = str(model.geom(point.geom).name)
-    if not is_ball(model, point):
-        return name
-    mesh = next(geom for geom in spec.geoms if geom.name == name)
-    body = str(model.body(int(model.geom_bodyid[point.geom])).name)
-    ball = SpecTree(spec).add_ball(f"{called} (ball)", body, point.radius, point.center, like=mesh)
-    return str(ball.name)
 
 
 def _in_urdf(

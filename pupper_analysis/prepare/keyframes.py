@@ -6,12 +6,20 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import mujoco
+import numpy as np
 
 from pupper_analysis.errors import UnknownNameError
 from pupper_analysis.models.description import Description
-from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.joint_kinds import JointKind, free_joints
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
+
+_LEVEL = 1e-6
+"""1 - cosine of the tilt up to which a base is level: 1.4 mrad."""
+
+_CARRIED = 0.01
+"""Of the weight: by less than that the ground's force is off where a robot rests; where one was put
+by hand it is off by as much as it is."""
 
 
 def list_keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
@@ -32,6 +40,40 @@ def list_keyframes(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
             for joint in range(model.njnt)
             if model.jnt_type[joint] != JointKind.FREE
         }
+    return found
+
+
+def resting_depths(model: mujoco.MjModel) -> dict[str, float]:
+    """Returns how deep the ground has a robot's feet in keyframes in which it carries the robot.
+
+    With the legs as they are there the feet are below the ground, as they sink in, and the base is
+    as high as it is to be. A keyframe in which a robot falls, or is thrown up, was put there by
+    hand: its height says nothing.
+
+    Args:
+        model: The MJCF's, as it is.
+
+    Returns:
+        {keyframe: m}.
+    """
+    found, free = {}, free_joints(model)
+    for key in range(model.nkey) if len(free) == 1 else ():
+        if not model.key_ctrl[key].any():
+            continue
+        data, force = mujoco.MjData(model), np.zeros(6)
+        mujoco.mj_resetDataKeyframe(model, data, key)
+        mujoco.mj_forward(model, data)
+        base = int(model.jnt_bodyid[free[0]])
+        carried, depth = 0.0, 0.0
+        for number, touch in enumerate(data.contact):
+            if 0 in model.geom_bodyid[touch.geom]:
+                mujoco.mj_contactForce(model, data, number, force)
+                carried += float(force[0])
+                depth = max(depth, -float(touch.dist))
+        weight = float(model.body_subtreemass[base] * np.linalg.norm(model.opt.gravity))
+        level = float(data.xmat[base][8]) > 1 - _LEVEL
+        if level and abs(carried - weight) < _CARRIED * weight:
+            found[model.key(key).name or f"keyframe {key + 1}"] = depth
     return found
 
 

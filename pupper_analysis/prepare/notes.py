@@ -55,21 +55,24 @@ def named_feet(robot: Robot, feet: Sequence[Foot], *, given: bool) -> Diagnostic
     return diagnose("feet-named" if given else "feet-found", feet=told)
 
 
-def tell_balls(robot: Robot, feet: Sequence[Foot]) -> Iterator[Diagnostic]:
-    """Tells which meshes balls take the place of."""
+def tell_balls(robot: Robot, feet: Sequence[Foot]) -> dict[str, Diagnostic]:
+    """Tells of which feet balls take the place, {foot: why}; feet of a kind have one reason."""
     kinds: dict[str, list[str]] = {}
     for foot in feet:
         if any(is_ball(robot.mj_model, point) for point in foot.points):
             edgy = len(foot.points) == 1 and foot.points[0].radius == BALL
             kind = "soles" if len(foot.points) > 1 else "edges" if edgy else "round"
             kinds.setdefault(kind, []).append(foot.name)
+    told = {}
     for kind, names in kinds.items():
         if kind == "round":
-            yield diagnose("balls-for-round-meshes", feet=names)
+            why = diagnose("balls-for-round-meshes", feet=names)
         elif kind == "soles":
-            yield diagnose("balls-for-soles", feet=names)
+            why = diagnose("balls-for-soles", feet=names)
         else:
-            yield diagnose("balls-for-edges", feet=names)
+            why = diagnose("balls-for-edges", feet=names)
+        told.update(dict.fromkeys(names, why))
+    return told
 
 
 def tell_planar(robot: Robot) -> Iterator[Diagnostic]:

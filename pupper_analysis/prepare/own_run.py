@@ -63,9 +63,10 @@ def raw_model(robot: Robot) -> mujoco.MjModel | None:
     if robot.published.file is None:
         return robot.mj_model
     model = published_model(robot.published.file, robot)
-    if model is not None and robot.published.integrator is not None:
+    if model is not None and robot.published.options:
         model = copy.copy(model)
-        model.opt.integrator = robot.published.integrator
+        for name, value in robot.published.options:
+            setattr(model.opt, name, value)
     return model
 
 

@@ -6,6 +6,7 @@ the robot. A file that is ready needs none of it.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -13,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.errors import ModelError, PupperAnalysisError
 from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.mjcf import name_all
+from pupper_analysis.models.additions import GRIP, Addition, Floor, Options
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -29,13 +31,14 @@ from pupper_analysis.prepare.parts import with_parts
 from pupper_analysis.prepare.ready import Request
 from pupper_analysis.prepare.simulable import check_masses
 from pupper_analysis.prepare.solver import choose_exact_solver
-from pupper_analysis.prepare.start import find_start_pose
+from pupper_analysis.prepare.start import find_start_pose, start_of
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
-from pupper_analysis.robot.build import build_robot, with_knowledge_of
+from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowledge_of
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 Array = NDArray[np.float64]
 
@@ -195,7 +198,12 @@ def _build_held(draft: Draft) -> Made:
 def _level_ground(draft: Draft) -> Made:
     ready = draft.described.mjcf.copy()  # which the passes up to the building change in place
     told = level_ground(ready)
-    return replace(draft, description=replace(draft.described, mjcf=ready)), told
+    floors = tuple(Floor(note) for note in told if note.code == "ground-added")
+    described = replace(draft.described, mjcf=ready, added=(*draft.described.added, *floors))
+    if draft.mjcf.of_urdf:
+        grip = ground_of_urdf()[1]
+        described, told = described.given(grip), [*told, grip.reason]
+    return replace(draft, description=described), told
 
 
 @_pass(Term("takes dry friction off the free joint"), _stands)
@@ -254,8 +262,9 @@ def _put_feet(draft: Draft) -> Made:
     if apart[worst] > _AXIS_TOLERANCE:
         off = Quantity(apart[worst], "m")
         told.append(diagnose("last-joint-elsewhere", subject=("foot", worst), off=off))
-    told += notes.tell_balls(bare, feet)
-    return replace(draft, built=build_robot(with_feet(bare, feet))), told
+    balls = notes.tell_balls(bare, feet)
+    told += dict.fromkeys(balls.values())
+    return replace(draft, built=build_robot(with_feet(bare, feet, balls))), told
 
 
 @_pass(Term("adds motors to joints of loops that have none"), _altered)
@@ -266,7 +275,8 @@ def _add_motors(draft: Draft) -> Made:
 @_pass(Term("finds a pose in which it stands"), _on_feet)
 def _start_pose(draft: Draft) -> Made:
     told = list(notes.tell_planar(draft.robot))
-    robot, pose = find_start_pose(draft.robot, draft.keyframes)
+    sunk = keyframes.resting_depths(draft.mjcf.model)
+    robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk)
     return replace(draft, built=robot), told + pose
 
 
@@ -309,6 +319,20 @@ def _add_servos(draft: Draft) -> Made:
     return draft, () if advice is None else (advice,)
 
 
+@_pass(Term("has the start pose that was found as the robot rests in it"), _altered)
+def _rest_at_start(draft: Draft) -> Made:
+    told = (note for run in draft.runs for note in run.done)
+    found = next((note for note in told if note.code == "start-pose-found"), None)
+    if found is None:
+        return draft, ()
+    with contextlib.suppress(PupperAnalysisError):  # where it does not, no verdict will have it
+        stand = solve_stand_on_soft_ground(draft.robot, explain=False)
+        draft = replace(
+            draft, built=equipped_robot(draft.robot, start_of(draft.robot, stand, found))
+        )
+    return draft, ()
+
+
 @_pass(Term("builds the robot with all that is seen of it"), _any)
 def _build_whole(draft: Draft) -> Made:
     robot = draft.robot
@@ -331,6 +355,12 @@ def _hold_base(draft: Draft) -> Made:
             raise
         raise refused from None
     return held, (diagnose("base-kept-in-the-world", why=why),)
+
+
+def ground_of_urdf() -> tuple[Addition, ...]:
+    """Returns what a robot stands on of which a URDF is all that is known."""
+    held = Options(diagnose("contacts-made-to-hold"), GRIP)
+    return Floor(diagnose("ground-added")), held
 
 
 PASSES = tuple(_PASSES)

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.models.additions import Options
+from pupper_analysis.robot.build import equipped_robot
 from pupper_analysis.robot.robot import Robot
 
 INEXACT = 0.01
@@ -74,9 +75,8 @@ def choose_exact_solver(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
         return robot, []
     share = Quantity(part, "1")
     if mujoco.mj_isSparse(robot.mj_model):
-        spec = robot.description.mjcf.copy()
-        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-        dense = rebuild_robot(robot, mjcf=spec)
+        told = diagnose("solver-made-dense", share=share)
+        dense = equipped_robot(robot, Options(told, {"jacobian": "dense"}))
         if solver_error(dense) is None:
-            return dense, [diagnose("solver-made-dense", share=share)]
+            return dense, [told]
     return robot, [diagnose("solver-inexact", share=share)]

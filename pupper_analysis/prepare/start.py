@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.models.additions import Start
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.search import meet_constraints, search_from_joints
 from pupper_analysis.stance.seeds import make_seed
-from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]
@@ -50,6 +52,9 @@ _MARGINS = (0.2, 0.05, 0.0)
 _SPREAD, _INWARDS, _BENT = 0.6, 0.4, 0.5
 """Feet that are further aside from their hips than the first part of their distance are drawn in to
 the second, and stand below the hips by the third."""
+
+_KEY_DIGITS = 6
+"""Decimals of a keyframe's angles and height: a micrometre, which the servos make up for."""
 
 _LOWEST, _HIGHEST = 0.25, 0.98  # parts of a leg's length
 
@@ -296,7 +301,7 @@ def with_bare_feet(robot: Robot) -> Robot:
 
 
 def find_start_pose(
-    robot: Robot, known: Mapping[str, Mapping[str, float]]
+    robot: Robot, known: Mapping[str, Mapping[str, float]], sunk: Mapping[str, float]
 ) -> tuple[Robot, list[Diagnostic]]:
     """Gives a robot a start pose: a keyframe's in which it stands, or one that is found.
 
@@ -305,6 +310,7 @@ def find_start_pose(
     Args:
         robot: The robot with feet.
         known: {keyframe: {joint: position}}, those to be tried first.
+        sunk: {keyframe in which it rests: how deep}; see ``keyframes.resting_depths``.
 
     Returns:
         The robot, and which pose it is.
@@ -313,8 +319,8 @@ def find_start_pose(
     standing = {name: pose for name, pose in known.items() if stands_at(robot, pose)}
     for name, pose in standing.items():
         home = np.array([pose.get(joint, 0.0) for joint in robot.joint_names])
-        at_home = _at(robot, home)
-        for nominal in (np.zeros(robot.nu), home):
+        at_home = _at(robot, home, sunk.get(name, 0.0))
+        for nominal in (home,) if name in sunk else (np.zeros(robot.nu), home):
             tried = replace(at_home, nominal=nominal)
             if first_stand(tried) is not None:
                 notes = [diagnose("start-pose-is-keyframe", subject=("keyframe", name))]
@@ -335,12 +341,35 @@ def find_start_pose(
     return _kept(whole, found), [diagnose("start-pose-found", height=height, keyframes=bool(known))]
 
 
-def _at(robot: Robot, joints: Array) -> Robot:
-    """Returns the robot with a start pose whose lowest foot touches the ground."""
+def start_of(
+    robot: Robot, stand: Stand, reason: Diagnostic, kp: Array | None = None, kd: Array | None = None
+) -> Start:
+    """Returns the pose to start from: a stand, and the commands with which servos hold it.
+
+    Args:
+        robot: The robot, with servos.
+        stand: As it rests on soft ground.
+        reason: Why it starts there.
+        kp: (nu,) stiffness of the servos (N m/rad); the robot's own by default.
+        kd: (nu,) damping (N m s/rad); likewise.
+    """
+    qpos = stand.qpos.copy()
+    qpos[:2] = 0.0
+    qpos[2] = round(float(qpos[2]), _KEY_DIGITS)
+    qpos[-robot.nu :] = np.round(qpos[-robot.nu :], _KEY_DIGITS)
+    torques = stand_statics(robot, stand).joint_torques
+    drive, data = model_with_servos(robot, kp, kd), mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    ctrl = np.round(drive.command(robot, qpos[-robot.nu :], torques), _KEY_DIGITS)
+    return Start(reason, tuple(data.qpos.tolist()), tuple(ctrl.tolist()))
+
+
+def _at(robot: Robot, joints: Array, sunk: float) -> Robot:
+    """Returns the robot with a start pose whose lowest foot has sunk so far into the ground (m)."""
     qpos = robot.posed(joints)
     places = Configuration(robot, qpos).foot_positions()
     height = max(robot.contact_radius[foot] - float(place[2]) for foot, place in places.items())
-    return replace(robot, home=qpos, stand_height=height)
+    return replace(robot, home=qpos, stand_height=round(height - sunk, 9) if sunk else height)
 
 
 def _kept(whole: Robot, posed: Robot) -> Robot:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.additions import Apart, Untouching
 from pupper_analysis.posture.posture import find_posture
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.visuals import geoms_by_id
-from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.robot.build import equipped_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
@@ -38,14 +38,12 @@ def touch_with_feet_alone(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
     }
     if not beside:
         return robot, []
-    spec = robot.description.mjcf.copy()
-    for index, geom in geoms_by_id(spec).items():
-        if index in beside:
-            geom.contype = geom.conaffinity = 0
+    named = geoms_by_id(robot.description.mjcf)  # all have names since feet were looked for
+    geoms = tuple(geom.name for index, geom in named.items() if index in beside)
     bodies = sorted({model.body(int(model.geom_bodyid[geom])).name for geom in beside})
     depth = Quantity(max(stand.depths.values()), "m")
-    noted = [diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)]
-    return rebuild_robot(robot, mjcf=spec), noted
+    told = diagnose("shapes-beside-feet-do-not-touch", bodies=bodies, depth=depth)
+    return equipped_robot(robot, Untouching(told, geoms)), [told]
 
 
 def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
@@ -64,16 +62,12 @@ def exclude_overlaps(robot: Robot) -> tuple[Robot, list[Diagnostic]]:
             deep[one, two] = max(deep.get((one, two), 0.0), -float(touch.dist))
     if not deep:
         return robot, []
-    spec = robot.description.mjcf.copy()
-    for one, two in deep:
-        SpecTree(spec).exclude_contact(one, two)
     pairs = [
         diagnose("bodies-overlap", one=one, two=two, depth=Quantity(by, "m"))
         for (one, two), by in deep.items()
     ]
-    return rebuild_robot(robot, mjcf=spec), [
-        diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
-    ]
+    told = diagnose("overlapping-bodies-do-not-touch", pairs=pairs)
+    return equipped_robot(robot, *(Apart(told, *both) for both in deep)), [told]
 
 
 def _start_of(robot: Robot) -> Array | None:

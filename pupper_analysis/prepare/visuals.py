@@ -12,9 +12,11 @@ def leave_out_visuals(spec: mujoco.MjSpec) -> None:
     instead of 60. Compiling such a spec takes the shapes out of it: it is a copy that is compiled.
 
     Source: MuJoCo documentation, ``compiler/discardvisual``: exactly the same dynamics. In a fluid
-    shapes that nothing touches are kept all the same, since their bodies' drag may be theirs.
+    shapes that nothing touches are kept all the same, since their bodies' drag may be theirs; so
+    are they where bodies weigh what all their shapes do.
     """
-    if not (spec.option.density or spec.option.viscosity):
+    weighed = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if not (weighed or spec.option.density or spec.option.viscosity):
         spec.compiler.discardvisual = True
 
 

@@ -19,6 +19,7 @@ from pupper_analysis.arrays import placement_of
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError, UnknownNameError
 from pupper_analysis.models import mjcf as mjcf_description
+from pupper_analysis.models.additions import Addition
 from pupper_analysis.models.conversion import acting_gravity, joint_armature
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
@@ -128,6 +129,12 @@ def rebuild_robot(robot: Robot, **changes: Any) -> Robot:
     """
     described = replace(robot.description, **changes)
     return with_knowledge_of(build_robot(described, fixed_base=not robot.floating), robot)
+
+
+def equipped_robot(robot: Robot, *added: Addition) -> Robot:
+    """Builds a robot anew whose MJCF is given something; see ``rebuild_robot``."""
+    described = robot.description.given(*added)
+    return rebuild_robot(robot, mjcf=described.mjcf, added=described.added)
 
 
 def with_knowledge_of(built: Robot, robot: Robot) -> Robot:

@@ -49,14 +49,14 @@ class PublishedFile:
             file has it, with nothing made up.
         keyframe: The one that was asked for.
         imported: Whether it is of a URDF alone.
-        integrator: MuJoCo's, if another one was asked for.
+        options: MuJoCo's that were asked for in place of the file's: their names and values.
         loaded: The robot that was made of it, where this is of one that was changed since.
     """
 
     file: MjcfFile | None
     keyframe: str | None = None
     imported: bool = False
-    integrator: int | None = None
+    options: tuple[tuple[str, float], ...] = ()
     loaded: Robot | None = None
 
     def of_changed(self, robot: Robot) -> PublishedFile:

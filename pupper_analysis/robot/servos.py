@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import mujoco.rollout
@@ -26,6 +27,12 @@ INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
 """MuJoCo's integrators, as MJCF names them."""
+
+CONES = {
+    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+}
+"""Forms of MuJoCo's friction cones, likewise."""
 
 _HOLDING = (
     mujoco.mjtDyn.mjDYN_NONE.value,
@@ -367,27 +374,66 @@ def _unknown_integrator(name: str) -> ConfigurationError:
     return ConfigurationError("integrator", diagnose("integrator-unknown", name=name, known=known))
 
 
-def with_integrator(robot: Robot, integrator: str | None) -> Robot:
-    """Returns the robot with another integrator of MuJoCo's; as it is without one.
+def with_options(
+    robot: Robot,
+    integrator: str | None = None,
+    cone: str | None = None,
+    impratio: float | None = None,
+) -> Robot:
+    """Returns the robot with other options of MuJoCo's, said in its notes; as it is without any.
+
+    Its file is then simulated with these, too: it is they that are asked about.
+
+    Args:
+        robot: The robot.
+        integrator: ``Euler``, ``implicitfast``, ``implicit`` or ``RK4``.
+        cone: ``elliptic`` or ``pyramidal``: the friction cones' form.
+        impratio: How much stiffer friction is than the ground; more of it creeps less.
 
     Raises:
-        ConfigurationError: If the integrator is unknown.
+        ConfigurationError: If one is unknown, or no positive number.
     """
-    if integrator is None:
-        return robot
-    if integrator not in INTEGRATORS:
+    if integrator is not None and integrator not in INTEGRATORS:
         raise _unknown_integrator(integrator)
-    kind = INTEGRATORS[integrator]
+    if cone is not None and cone not in CONES:
+        problem = diagnose("cone-not-valid", cone=cone, known=CONES)
+        raise ConfigurationError("cone", problem)
+    if impratio is not None and not 0 < impratio < math.inf:
+        raise ConfigurationError("impratio", diagnose("impratio-not-valid", value=impratio))
+    asked: dict[str, Any] = {}
+    if integrator is not None:
+        asked["integrator"] = INTEGRATORS[integrator].value
+    if cone is not None:
+        asked["cone"] = CONES[cone].value
+    if impratio is not None:
+        asked["impratio"] = float(impratio)
+    if not asked:
+        return robot
     spec, model = robot.description.mjcf.copy(), copy.copy(robot.mj_model)
-    spec.option.integrator = model.opt.integrator = kind.value
+    for option in (spec.option, model.opt):
+        for name, value in asked.items():
+            setattr(option, name, value)
     published = robot.published
     if published is not None:
         loaded = published.loaded
-        loaded = None if loaded is None else with_integrator(loaded, integrator)
-        published = replace(published, integrator=kind.value, loaded=loaded)
+        loaded = None if loaded is None else with_options(loaded, integrator, cone, impratio)
+        options = {**dict(published.options), **asked}
+        published = replace(published, options=tuple(options.items()), loaded=loaded)
+    told = robot.notes
+    if cone is not None or impratio is not None:
+        file = ("pyramidal", "elliptic")[int(robot.mj_model.opt.cone)]
+        said = diagnose(
+            "contacts-as-asked",
+            cone=cone or file,
+            impratio=float(model.opt.impratio),
+            own_cone=file,
+            own_impratio=float(robot.mj_model.opt.impratio),
+        )
+        told = (*told, said)
     return replace(
         robot,
         description=replace(robot.description, mjcf=spec),
         mj_model=model,
+        notes=told,
         published=published,
     )

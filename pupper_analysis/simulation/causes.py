@@ -146,5 +146,14 @@ def find_creep(robot: Robot, stand: Stand, prediction: GravityCompensation) -> l
     foot = max(speeds, key=speeds.__getitem__)
     if not speeds[foot] > _CREEPING:
         return []
-    speed = Quantity(speeds[foot], "m/s")
-    return [diagnose("foot-creeps", subject=("foot", foot), speed=speed)]
+    option = robot.mj_model.opt
+    elliptic = option.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value
+    told = diagnose(
+        "foot-creeps",
+        subject=("foot", foot),
+        speed=Quantity(speeds[foot], "m/s"),
+        used=Quantity(max(prediction.friction_utilisation.values()), "1"),
+        cone="elliptic" if elliptic else "pyramidal",
+        impratio=float(option.impratio),
+    )
+    return [told]

@@ -212,7 +212,8 @@ class Solver:
         self.engine, self._shapes, self._robot = Wrapper(robot), shapes, robot
         self._size = _SIZE * robot.stand_height
         if robot.closure is not None:
-            placing = np.concatenate([limb.joints for limb in find_limbs(robot)])
+            joints = [limb.joints for limb in find_limbs(robot)]
+            placing = np.concatenate([*joints, np.zeros(0, dtype=np.int64)])  # no limb, none
             self._readiness = robot.closure.readiness(placing)
         self._kept: dict[bool, _Tasks] = {}  # by whether the base is put in its place
         self._limits: tuple[Array, Array] | None = None

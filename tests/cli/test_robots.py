@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import io
+import json
 import sys
 from pathlib import Path
 
 import pytest
 
-from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.cli.robots import RobotOptions, told_apart
 from pupper_analysis.convert.files import RobotFiles
 from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.commands import check_refusal, run_command
 
@@ -36,9 +38,49 @@ def test_words_name_a_robot(words: tuple[str, ...], meant: object) -> None:
     assert (found.models if isinstance(found, RobotFiles) else found) == meant
 
 
-def test_where_several_are_named_each_word_is_one() -> None:
-    found = NOTHING.all(("a.urdf", "b.xml", "v3", "c.urdf+c.xml"))
-    assert [str(robot) for robot in found] == ["a.urdf", "b.xml", "v3", "c.urdf+c.xml"]
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        ("a.urdf a.xml", ["a.urdf+a.xml"]),
+        ("a.xml a.urdf", ["a.urdf+a.xml"]),
+        ("a.urdf a.xml b.urdf b.xml", ["a.urdf+a.xml", "b.urdf+b.xml"]),
+        ("a.urdf b.urdf b.xml c.xml", ["a.urdf", "b.urdf+b.xml", "c.xml"]),
+        ("a.xml b.urdf v3", ["a.xml", "b.urdf", "v3"]),
+        ("v3 c.urdf+c.xml v3", ["v3", "c.urdf+c.xml"]),
+        ("a.urdf a.xml b.urdf a.xml", ["a.urdf+a.xml", "b.urdf+a.xml"]),
+    ],
+)
+def test_a_urdf_and_the_mjcf_after_it_are_one_robot(words: str, meant: list[str]) -> None:
+    found = NOTHING.all(tuple(words.split()))
+    assert [sorted(str(one).split("+")) for one in found] == [sorted(m.split("+")) for m in meant]
+    if len(meant) == 1:  # and by the commands of one robot
+        one = NOTHING.one(tuple(words.split()))
+        assert one == found[0]
+
+
+def test_an_xml_is_taken_by_what_is_in_it(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.xml", tmp_path / "b.xml"
+    first.write_text('<?xml version="1.0"?><robot name="a"/>')
+    second.write_text("<mujoco/>")
+    assert len(NOTHING.all((str(first), str(second)))) == 1
+    assert len(NOTHING.all((str(first), str(first.with_name("c.urdf")), "v3"))) == 3
+
+
+def test_robots_of_one_name_are_told_apart() -> None:
+    robot = load_variant("v3")
+    meant = [RobotFiles((name,), {}) for name in ("a.urdf", "b.xml", "b.xml")]
+    names = [one.name for one in told_apart([*meant, "v3"], [robot] * 4)]
+    assert names == ["v3 (a.urdf)", "v3 (b.xml)", "v3 (b.xml) 2", "v3"]
+
+
+def test_push_takes_a_urdf_and_its_mjcf_as_one_robot(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    page = tmp_path / "push.json"
+    options = ("--directions", "3", "--resolution", "0.5", "--json", str(page))
+    status, _, _ = run_command(capfd, "push", str(URDF), str(MJCF), *options)
+    assert status == 0
+    assert list(json.loads(page.read_text())) == ["pupper_v3"]
 
 
 @pytest.mark.parametrize(

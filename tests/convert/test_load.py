@@ -283,3 +283,70 @@ def test_a_servo_at_a_tendon_is_commanded_the_length_that_it_has(tmp_path: Path)
     lift = 0.3 * np.cos(0.2) + 0.1 * (0.4 * np.cos(0.2) + 0.03 * np.sin(0.2))
     torque = held.statics.joint_torques[arm.joint_names.index("lift")]
     assert torque == pytest.approx(-9.81 * lift, rel=1e-9)
+
+
+def _chain(first: str, second: str) -> str:
+    """Two hinges in a row; what the links weigh is given."""
+    joint = (
+        '<joint name="{0}" type="revolute"><parent link="{1}"/><child link="{2}"/>'
+        '<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="30" velocity="2"/></joint>'
+    )
+    return (
+        f'<robot name="chain"><link name="base"/><link name="a">{first}</link>'
+        f'<link name="b">{second}</link>{joint.format("one", "base", "a")}'
+        f"{joint.format('two', 'a', 'b')}</robot>"
+    )
+
+
+WEIGHT = (
+    '<inertial><mass value="0.5"/><inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" '
+    'iyz="0"/></inertial>'
+)
+
+
+def test_a_robot_whose_masses_would_all_be_made_up_is_refused(tmp_path: Path) -> None:
+    """A flange without mass is given a gram, and it is said."""
+    path = tmp_path / "chain.urdf"
+    path.write_text(_chain("", ""))
+    with pytest.raises(pa.ModelError, match="its links weigh 0 kg together"):
+        pa.load_robot(path)
+    path.write_text(_chain(WEIGHT, ""))
+    robot = pa.load_robot(path)
+    assert [note.subject.name for note in robot.notes if note.code == "mass-given"] == ["b"]
+
+
+def test_a_robot_that_weighs_what_all_its_shapes_do_is_loaded(tmp_path: Path) -> None:
+    """As Gym's Ant: MuJoCo does not leave out shapes that are only seen, as they have mass."""
+    leg = (
+        '<body pos="{0} {1} 0"><joint name="hip{2}" axis="0 1 0" range="-1 1" limited="true"/>'
+        '<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.01" contype="0" conaffinity="0"/>'
+        '<geom size="0.02" pos="0 0 -0.2"/></body>'
+    )
+    legs = "".join(leg.format(x, y, f"{x}{y}") for x in (-0.2, 0.2) for y in (-0.1, 0.1))
+    path = tmp_path / "ant.xml"
+    path.write_text(
+        '<mujoco><compiler inertiafromgeom="true" angle="radian"/><worldbody>'
+        f'<body name="trunk" pos="0 0 0.3"><freejoint/><geom type="box" size="0.2 0.1 0.05"/>{legs}'
+        "</body></worldbody></mujoco>"
+    )
+    whole = mujoco.MjModel.from_xml_path(str(path))
+    assert pa.load_robot(path).total_mass == pytest.approx(float(whole.body_mass.sum()))
+
+
+def test_a_gripper_on_an_arm_is_told_that_it_cannot_stand(tmp_path: Path) -> None:
+    """Two fingers, of which one follows the other: joints are bound, and no limb has a foot."""
+    finger = (
+        '<body pos="0 {0} 0.05"><joint name="{1}" type="slide" axis="0 {2} 0" range="0 0.04" '
+        'limited="true"/><geom type="box" size="0.01 0.005 0.02" pos="0 0 0.02"/></body>'
+    )
+    path = tmp_path / "hand.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="palm" pos="0 0 0.3"><joint name="wrist" axis="1 0 0" range="-1 1"/>'
+        '<geom type="box" size="0.05 0.05 0.03"/>'
+        f"{finger.format(0.02, 'left', 1)}{finger.format(-0.02, 'right', -1)}"
+        "</body></worldbody>"
+        '<equality><joint joint1="left" joint2="right"/></equality></mujoco>'
+    )
+    with pytest.raises(pa.ConfigurationError, match="fixed base and cannot stand"):
+        pa.solve_stand(pa.load_robot(path))

@@ -172,12 +172,14 @@ def test_motors_that_differ_by_direction() -> None:
 
 def test_found_and_named_feet_give_the_same_limits(tmp_path: object) -> None:
     """A preparation replaces motors by servos; whose limit it was is told by the file's own."""
-    from pupper_analysis.prepare.drives import spec_with_servos
+    from pupper_analysis.prepare.drives import servos_of
+    from pupper_analysis.robot.build import equipped_robot
 
     robot = limited("ctrlrange", 0.8)
     stated = {limit.joint: limit for limit in robot.efforts}
-    spec = spec_with_servos(robot.description.mjcf, robot, np.full(12, 20.0), np.full(12, 0.4))
-    made = rebuild_robot(robot, mjcf=spec, efforts=stated)
+    given = servos_of(robot, np.full(12, 20.0), np.full(12, 0.4), 0.002)
+    made = rebuild_robot(equipped_robot(robot, *given), efforts=stated)
+    spec = made.description.mjcf
     np.testing.assert_allclose(made.effort_limits, 0.8, rtol=1e-15)
     assert [limit.origin for limit in made.efforts] == [limit.origin for limit in robot.efforts]
     assert made.efforts[0].origin is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,8 +14,10 @@ from click.testing import CliRunner
 import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.diagnostics import Quantity
+from pupper_analysis.errors import ConfigurationError
 from pupper_analysis.models.efforts import effort_limit
-from pupper_analysis.robot.servos import own_servos
+from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.robot.servos import own_servos, with_options
 from tests.support.legged import Pair, quadruped
 
 MOTOR = re.compile(r'<motor joint="(\w+)" ctrlrange="-30 30"/>')
@@ -185,3 +188,23 @@ def test_motors_of_tendons_exert_nothing_and_are_told(
     plain = quadruped(tmp_path)
     notes = pa.load_robot(urdf=plain.urdf, mjcf=plain.mjcf).notes
     assert not [note for note in notes if note.code == "motors-commanded-zero"]
+
+
+def test_contacts_are_simulated_as_asked_and_it_is_said() -> None:
+    plain = load_variant("v3")
+    robot = with_options(plain, cone="elliptic", impratio=50.0)
+    assert robot.mj_model.opt.impratio == robot.description.mjcf.option.impratio == 50.0
+    assert robot.mj_model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC.value
+    assert plain.mj_model.opt.impratio != 50.0
+    [told] = [note for note in robot.notes if note.code == "contacts-as-asked"]
+    assert told.values["own_impratio"] == plain.mj_model.opt.impratio
+    assert with_options(plain) is plain
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [({"cone": "round"}, "known: elliptic, pyramidal"), ({"impratio": -1.0}, "must be positive")],
+)
+def test_contacts_that_mujoco_has_not_are_refused(asked: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        with_options(load_variant("v3"), **asked)

@@ -1,0 +1,133 @@
+"""What a lone URDF is given in memory is what `convert` writes: one floor, one set of servos."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+import pupper_analysis as pa
+from pupper_analysis.models.additions import Floor, Options, Servo, Start
+from pupper_analysis.stance.stand import stand_statics
+from pupper_analysis.stance.task import StandTask
+from tests.convert.test_model import standing_urdf
+from tests.support.legged import quadruped as legged
+from tests.support.repository import ROOT
+
+GEOM = (
+    *("friction", "solref", "solimp", "solmix", "condim", "contype", "conaffinity", "priority"),
+    *("margin", "gap", "type"),
+)
+OPTIONS = (
+    *("cone", "impratio", "timestep", "integrator", "solver", "jacobian", "iterations"),
+    *("noslip_iterations", "tolerance", "gravity", "disableflags", "o_solref", "o_solimp"),
+)
+MOTOR = ("gainprm", "biasprm", "forcerange", "forcelimited", "ctrllimited", "gear", "biastype")
+
+
+def drawn(folder: Path, seed: int) -> Path:
+    """A quadruped of random masses and feet, every second one's feet round meshes."""
+    random = np.random.default_rng(seed)
+    text = standing_urdf(folder).read_text()
+
+    def heavier(found: re.Match[str]) -> str:
+        return f'mass value="{float(found[1]) * random.uniform(0.8, 1.25):.4f}"'
+
+    text = re.sub(r'mass value="([^"]+)"', heavier, text)
+    radius = random.uniform(0.012, 0.03)
+    foot = f'<sphere radius="{radius:.4f}"/>'
+    if seed % 2:
+        trimesh.creation.icosphere(subdivisions=3, radius=radius).export(folder / "foot.stl")
+        foot = '<mesh filename="foot.stl"/>'
+    path = folder / "drawn.urdf"
+    path.write_text(text.replace('<sphere radius="0.02"/>', foot))
+    return path
+
+
+def both(urdf: Path, folder: Path) -> tuple[pa.Robot, mujoco.MjModel, Path]:
+    """A URDF's robot as it is loaded, and what is written of it."""
+    output = folder / f"{urdf.stem}_written.xml"
+    assert pa.convert_model(urdf, output).passed
+    return pa.load_robot(urdf), mujoco.MjModel.from_xml_path(str(output)), output
+
+
+def touching(model: mujoco.MjModel) -> list[int]:
+    """The geoms that touch, by body and place in it: names may differ."""
+    touch = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+    return sorted(touch, key=lambda geom: (model.body(model.geom_bodyid[geom]).name, geom))
+
+
+def same_world(memory: mujoco.MjModel, file: mujoco.MjModel) -> None:
+    for name in OPTIONS:
+        np.testing.assert_array_equal(
+            getattr(memory.opt, name), getattr(file.opt, name), err_msg=name
+        )
+    ours, theirs = touching(memory), touching(file)
+    assert len(ours) == len(theirs)
+    for name in GEOM:
+        one, two = (
+            getattr(model, f"geom_{name}")[some] for model, some in ((memory, ours), (file, theirs))
+        )
+        np.testing.assert_array_equal(one, two, err_msg=name)
+    np.testing.assert_allclose(memory.geom_rbound[ours], file.geom_rbound[theirs], atol=1e-9)
+    for name in MOTOR:
+        one, two = getattr(memory, f"actuator_{name}"), getattr(file, f"actuator_{name}")
+        np.testing.assert_allclose(one, two, rtol=1e-9, err_msg=name)
+    assert memory.nexclude == file.nexclude
+    assert memory.nkey == file.nkey == 1
+    np.testing.assert_allclose(memory.key_qpos, file.key_qpos, atol=1e-9)
+    np.testing.assert_allclose(memory.key_ctrl, file.key_ctrl, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [70201, 70208, 70209])
+def test_a_lone_urdf_stands_in_the_world_that_is_written(seed: int, tmp_path: Path) -> None:
+    urdf = drawn(tmp_path, seed)
+    robot, file, output = both(urdf, tmp_path)
+    same_world(robot.mj_model, file)
+    again = pa.load_robot(output)
+    assert again.stand_height == pytest.approx(robot.stand_height, abs=2e-6)
+    ground = pa.Ground(slope=0.14, uphill=1.0)
+    verdicts = []
+    for each in (robot, again):
+        stand = pa.solve_stand(each, StandTask(ground=ground))
+        seen = pa.verify_stand(each, stand)
+        verdicts.append((seen.passed, seen.collapses, tuple(f.code for f in seen.failures)))
+    assert verdicts[0] == verdicts[1]
+    np.testing.assert_allclose(
+        stand_statics(robot, pa.solve_stand(robot)).joint_torques,
+        stand_statics(again, pa.solve_stand(again)).joint_torques,
+        atol=1e-4 * robot.total_mass,
+    )
+
+
+def test_our_urdf_stands_in_the_world_that_is_written(tmp_path: Path) -> None:
+    robot, file, _ = both(ROOT / "urdf/pupper_v3.urdf", tmp_path)
+    same_world(robot.mj_model, file)
+
+
+def test_all_that_is_added_says_why(tmp_path: Path) -> None:
+    robot = pa.load_robot(drawn(tmp_path, 70201))
+    added = robot.description.added
+    kinds = [type(each) for each in added]
+    assert kinds.count(Servo) == robot.nu
+    assert kinds.count(Floor) == kinds.count(Start) == 1
+    said = {each.reason.code for each in added}
+    assert {"ground-added", "contacts-made-to-hold", "servos-made", "start-pose-found"} <= said
+    told = {note.code for note in robot.notes}
+    assert said - {"servos-made"} <= told
+    assert "servos-added" in told
+
+
+def test_what_an_mjcf_says_of_contacts_stays(tmp_path: Path) -> None:
+    """A floor is added; how contacts hold is the file's own: MuJoCo's default, if it says none."""
+    pair = legged(tmp_path)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    stated = mujoco.MjModel.from_xml_path(str(pair.mjcf)).opt
+    assert robot.mj_model.opt.cone == stated.cone
+    assert robot.mj_model.opt.impratio == stated.impratio
+    cones = [each for each in robot.description.added if isinstance(each, Options)]
+    assert not any("cone" in each.values for each in cones)
