@@ -268,7 +268,7 @@ def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Dia
     sure = not mjcf.touches
     sure |= bodies.floats or options.feet is not None or options.fixed_base is False
     try:
-        robot = robot_of(bare.urdf, bare.file(), feet=options.feet, self_check=False)
+        robot = robot_of(bare.urdf, bare.file(), feet=options.feet)
     except ModelError as error:
         if options.feet is not None:
             raise
