@@ -331,7 +331,7 @@ def test_a_robot_that_weighs_what_all_its_shapes_do_is_loaded(tmp_path: Path) ->
         "</body></worldbody></mujoco>"
     )
     whole = mujoco.MjModel.from_xml_path(str(path))
-    robot = pa.load_robot(path, as_is=True)
+    robot = pa.load_robot(path, fixed_base=True, as_is=True)
     assert robot.total_mass == pytest.approx(float(whole.body_mass.sum()))
 
 
