@@ -285,5 +285,4 @@ _ABOUT = {
     "base": "about-base",
     "refused": "about-refused",
     "stale": "about-stale",
-    "outdated": "about-outdated",
 }

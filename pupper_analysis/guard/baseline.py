@@ -18,9 +18,8 @@ from pupper_analysis.models.places import source_name
 from pupper_analysis.results import Result
 
 _IDENTITY: Final = ("check", "pair", "file", "kind", "element")
-_VALUES: Final = ("urdf", "mjcf", "code", "values", "message")
+_VALUES: Final = ("urdf", "mjcf", "code", "values")
 _VERSION: Final = 2
-_READ: Final = (1, _VERSION)
 
 _HEADER: Final = """\
 # What `pupper-analysis check` knows of the models: only what is not here, or has changed, fails.
@@ -46,21 +45,12 @@ class BaselineEntry(Result):
         note: Its message when it was written, as a comment for people.
     """
 
-    # Baselines of version 1 kept findings as sentences, as the values' "message".
-
     identity: tuple[str, ...]
     values: Mapping[str, Any]
     note: str = field(default="", compare=False)
 
-    @property
-    def outdated(self) -> bool:
-        """Whether it is kept as a sentence, which another wording makes another one."""
-        return "message" in self.values
-
     def is_of(self, remark: Remark) -> bool:
         """Whether it has the values of a remark of its identity."""
-        if self.outdated:
-            return bool(self.values["message"] == str(remark.diagnostic))
         return is_same(self.values, remark.values)
 
     def __str__(self) -> str:
@@ -81,8 +71,8 @@ def read_baseline(path: Path) -> tuple[BaselineEntry, ...]:
             return ()
         raise
     version = file.values.get("version")
-    if version not in _READ or isinstance(version, bool):
-        told = diagnose("baseline-version-unknown", version=repr(version), known=_READ)
+    if version != _VERSION or isinstance(version, bool):
+        told = diagnose("baseline-version-unknown", version=repr(version), known=_VERSION)
         raise ModelError(source_name(path, file.line_of(("version",))), told)
     for name in file.values.keys() - {"version", "known"}:
         raise file.error(
@@ -119,7 +109,7 @@ def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
     for entry in ordered:
         names = dict(zip(_IDENTITY, entry.identity, strict=True))
         values = {**{name: text for name, text in names.items() if text}, **entry.values}
-        notes = [entry.note] if entry.note and not entry.outdated else []
+        notes = [entry.note] if entry.note else []
         tables.append(toml_table("known", values, notes))
     with whole_file(path, EDITED) as file:
         file.write("\n".join(tables).encode())

@@ -69,7 +69,6 @@ class RepositoryCheck(Result):
         failures: How many of them fail: not known, and as bad as the configuration's ``fail-on``.
         stale: Entries of the baseline that do not occur any more; they were taken out if it was
             written anew.
-        outdated: How many entries of the baseline are sentences, as older versions wrote them.
         updated: Whether the baseline was written anew.
         passed: Whether nothing fails.
     """
@@ -80,7 +79,6 @@ class RepositoryCheck(Result):
     remarks: tuple[Remark, ...]
     failures: int
     stale: tuple[BaselineEntry, ...]
-    outdated: int
     updated: bool
     passed: bool
 
@@ -134,7 +132,6 @@ def check_repository(
         remarks=tuple(ordered),
         failures=failures,
         stale=tuple(entry for entry in left if entry not in unseen),
-        outdated=0 if update_baseline else sum(entry.outdated for entry in before),
         updated=update_baseline,
         passed=not failures,
     )

@@ -36,9 +36,6 @@ def summarise_check(check: RepositoryCheck) -> Text:
 def before_in_words(remark: Remark) -> Text:
     """Returns what the baseline has of a remark."""
     before = remark.before or {}
-    sentence = before.get("message")
-    if sentence is not None:  # of an older version
-        return text("the-baseline-has-values", values=sentence)
     known = before.get("values", before)
     if "code" in before:
         now = remark.values.get("values", {})
@@ -70,8 +67,6 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
         for place in (_places(remark) if in_a_change else [remark.place])
     ]
     found += [_of_baseline("stale", told, check) for told in stale_entries(check)]
-    if check.outdated:
-        found.append(_of_baseline("outdated", renewal_hint(check), check))
     return found
 
 
@@ -94,11 +89,6 @@ def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
         diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
         for entry in check.stale
     ]
-
-
-def renewal_hint(check: RepositoryCheck) -> Diagnostic:
-    """Returns how to renew a baseline that an older version wrote."""
-    return diagnose("baseline-outdated", count=check.outdated)
 
 
 def _places(remark: Remark) -> list[str | None]:

@@ -16,7 +16,6 @@ from pupper_analysis.report.documents.sources import quote_line
 from pupper_analysis.report.guard import (
     before_in_words,
     from_the_root,
-    renewal_hint,
     stale_entries,
     summarise_check,
 )
@@ -30,8 +29,6 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
     blocks: list[doc.Block] = [_group(group) for group in _groups(check.remarks)]
     if check.stale:
         blocks.append(doc.Lines(tuple(map(doc.tell, stale_entries(check))), "warn", text("stale")))
-    if check.outdated:
-        blocks.append(doc.Lines((doc.tell(renewal_hint(check)),), "warn", text("notes-title")))
     blocks.append(_pairs(check.pairs))
     notes = tuple(
         text("name-note", name=doc.Name(pair.name), note=doc.tell(note))
