@@ -387,8 +387,8 @@ def test_github_shows_what_is_not_known(folder: Path) -> None:
 
 REFUSED = {
     "version": ("version = 3", 1, "version = 3 is not 2, the one that is read"),
-    "a version that is a truth": ("version = true", 1, "version = True is not one"),
-    "no version": ("", None, "version = None is not one"),
+    "a version that is a truth": ("version = true", 1, "version = True is not 2"),
+    "no version": ("", None, "version = None is not 2"),
     "a key": ("version = 2\nknwon = 1", 2, "no key 'knwon'; valid: version, known"),
     "a key of an entry": ("version = 2\n[[known]]\nfiel = ''", 3, "no key 'fiel' in known"),
     "a number": ("version = 2\n[[known]]\nfile = 1", 3, "file = 1 is not valid; give a text"),
