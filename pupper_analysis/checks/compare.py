@@ -11,6 +11,7 @@ from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.armature import armature_notes, unstated_notes
 from pupper_analysis.checks.attribution import EXPLAINED, align_robot, explain_differences
 from pupper_analysis.checks.changes import convention_changes
+from pupper_analysis.checks.collisions import compare_collisions
 from pupper_analysis.checks.differences import CONVENTIONS, SERVO_GAINS, Difference, Explanation
 from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
 from pupper_analysis.checks.links import mass_shares
@@ -177,7 +178,9 @@ def compare_models(
         undamped=matched.unstated.get("damping", ()),
     )
     names_too = matched.guessed if strict_names else {}
-    differences = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file, tolerances))
+    placed = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file, tolerances))
+    touching, untold = _touching(matched, urdf_file, mjcf_file)
+    differences = tuple(sorted((*placed, *touching), key=lambda difference: difference.rank))
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
     if mount is not None and same_mount:
@@ -191,7 +194,12 @@ def compare_models(
         only_urdf=matched.only_urdf,
         only_mjcf=matched.only_mjcf,
         parts=matched.parts,
-        notes=(*matched.notes, *armature_notes(explanation), *unstated_notes(matched, explanation)),
+        notes=(
+            *matched.notes,
+            *armature_notes(explanation),
+            *unstated_notes(matched, explanation),
+            *untold,
+        ),
         check=check,
         differences=differences,
         causes=find_causes(robot, alignment.values, differences, tolerances),
@@ -205,6 +213,15 @@ def compare_models(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+
+
+def _touching(
+    matched: Match, urdf: UrdfFile, mjcf: MjcfFile
+) -> tuple[list[Difference], list[Diagnostic]]:
+    """Compares what the robot stands on; a USD's shapes are not read for that."""
+    if is_usd(urdf.path) or is_usd(mjcf.path):
+        return [], []
+    return compare_collisions(matched, urdf, mjcf)
 
 
 def _first(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:

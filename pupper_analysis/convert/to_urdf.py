@@ -31,6 +31,7 @@ from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml_layout import to_text
 from pupper_analysis.models.xml_text import DIGITS, add_element, free_name, write_numbers
 from pupper_analysis.prepare.notes import describe_span
+from pupper_analysis.robot_model.elements import stated_numbers, touching_geoms
 
 Array = NDArray[np.float64]
 
@@ -237,6 +238,7 @@ def urdf_draft(file: MjcfFile, output: Path, *, fix_balls: bool = False) -> Conv
     links.add_sites()
     left = [*links.left, *shapes.left, *_couplings(tree, model), *tell_other_elements(model)]
     left += tell_surroundings(model, set(links.links))
+    left += list_lost_numbers(model, set(links.links))
     if links.unlimited:
         left.append(diagnose("joints-without-effort-limit", count=links.unlimited))
     _add_transmissions(tree, model)
@@ -342,6 +344,23 @@ def tell_other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
     servos = int((model.actuator_biastype == affine).sum())
     if servos:
         some.append(diagnose("gains-not-in-urdf", count=servos))
+    return some
+
+
+def list_lost_numbers(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic]:
+    """Lists what an MJCF states of contacts and of MuJoCo's options, and a URDF cannot.
+
+    Args:
+        model: The model.
+        robot: The bodies that are links.
+    """
+    touching = [g for g in sorted(touching_geoms(model)) if int(model.geom_bodyid[g]) in robot]
+    some = []
+    for tag, rows in (("geom", touching), ("option", [0])):
+        for word, values in stated_numbers(model, tag, rows).items():
+            distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
+            code = "contact-number-not-in-urdf" if tag == "geom" else "option-not-in-urdf"
+            some.append(diagnose(code, what=word, values=tuple(distinct), count=len(values)))
     return some
 
 

@@ -6,7 +6,7 @@ numbers are those of `models.attributes.ELEMENT_ATTRIBUTES`, as MuJoCo compiles 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -60,15 +60,16 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
     model = file.model
     found: dict[Key, Element] = {}
     names, seen = geom_names(model), dict[int, int]()
-    paired = {*model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+    touching = touching_geoms(model)
     for geom, name in enumerate(names):
         body = int(model.geom_bodyid[geom])
         number = seen[body] = seen.get(body, -1) + 1
-        touches = model.geom_contype[geom] or model.geom_conaffinity[geom] or geom in paired
         values = _values(model, "geom", geom)
         values["friction"] = values["friction"][: _FRICTION_OF[int(model.geom_condim[geom])]]
         place = _place_of_geom(file, model.geom(geom).name, model.body(body).name, number)
-        found["geom", name] = Element(geom, values, place, read_shape(model, geom), bool(touches))
+        found["geom", name] = Element(
+            geom, values, place, read_shape(model, geom), geom in touching
+        )
     pairs, excludes = ([place for _, place in file.elements(tag)] for tag in ("pair", "exclude"))
     for pair in range(model.npair):
         ends = names[int(model.pair_geom1[pair])], names[int(model.pair_geom2[pair])]
@@ -80,13 +81,10 @@ def list_elements(file: MjcfFile) -> dict[Key, Element]:
         ends = model.body(signature >> 16).name, model.body(signature & 0xFFFF).name
         at = _at(_nth(excludes, exclude, model.nexclude, file))
         found["exclude", _both(ends)] = Element(exclude, {}, at)
-    options = {
-        one.word: _numbers(getattr(model.opt, one.mujoco))
-        for one in ELEMENT_ATTRIBUTES
-        if one.element == "option"
-    }
     stated = next((place for _, place in file.elements("option")), Place(file.path))
-    found["option", "option"] = Element(0, options, _stating(file, "option", stated))
+    found["option", "option"] = Element(
+        0, _values(model, "option", 0), _stating(file, "option", stated)
+    )
     flags = next((place for _, place in file.elements("flag")), stated)
     for bit in (*DISABLE_BITS, *ENABLE_BITS):
         enabled = {ENABLED: (float(has_flag(model, bit)),)}
@@ -156,6 +154,31 @@ def has_flag(model: mujoco.MjModel, bit: Any) -> bool:
     return bool(model.opt.enableflags & bit.value)
 
 
+def stated_numbers(model: mujoco.MjModel, tag: str, rows: Iterable[int]) -> dict[str, list[Value]]:
+    """Returns {word: the values that elements have of it} where they are not MuJoCo's defaults.
+
+    Args:
+        model: What MuJoCo compiles.
+        tag: ``geom`` or ``option``.
+        rows: Which geoms; of options, ``[0]``.
+    """
+    default = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><geom size='1'/></worldbody></mujoco>"
+    )
+    usual, found = _values(default, tag, 0), dict[str, list[Value]]()
+    for row in rows:
+        for word, value in _values(model, tag, row).items():
+            if value != usual[word]:
+                found.setdefault(word, []).append(value)
+    return found
+
+
+def touching_geoms(model: mujoco.MjModel) -> set[int]:
+    """Returns the geoms that can touch anything, by their bits or in a pair; others are seen."""
+    bits = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
+    return {*bits.tolist(), *model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
+
+
 def geom_names(model: mujoco.MjModel) -> list[str]:
     """Returns each geom's name; one without is called after its body and its place there."""
     names, seen = [], dict[int, int]()
@@ -181,11 +204,10 @@ def list_collisions(model: UrdfModel) -> dict[Key, Element]:
 
 def _values(model: mujoco.MjModel, element: str, row: int) -> dict[str, Value]:
     """Returns an element's numbers, those of a table's rows that it has."""
-    return {
-        one.word: _numbers(getattr(model, one.mujoco)[row])
-        for one in ELEMENT_ATTRIBUTES
-        if one.element == element
-    }
+    rows = [one for one in ELEMENT_ATTRIBUTES if one.element == element]
+    if element == "option":
+        return {one.word: _numbers(getattr(model.opt, one.mujoco)) for one in rows}
+    return {one.word: _numbers(getattr(model, one.mujoco)[row]) for one in rows}
 
 
 def _numbers(value: object) -> Value:

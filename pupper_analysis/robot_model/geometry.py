@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.places import one_line
 from pupper_analysis.robot_model.model import Array, Link, RobotModel, Shape
 
@@ -21,6 +21,24 @@ _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)
 _DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 _CIRCLE = np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0, 2 * np.pi, 17)[:-1]])
 _Z = np.array([0.0, 0.0, 1.0])
+
+
+_WAYS = np.concatenate([np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))])
+DIRECTIONS = _WAYS / np.linalg.norm(_WAYS, axis=1, keepdims=True)
+"""(66, 3) in which the extents of two shapes are compared: axes, and enough others that no turn of
+a box or a cylinder hides between them."""
+
+
+def describe_shape(shape: Shape) -> Diagnostic:
+    """Returns a shape as a fact: its kind, sizes and place."""
+    return diagnose(
+        "shape",
+        kind=Term(shape.kind),
+        sizes=tuple(Quantity(size, "m") for size in shape.size),
+        x=Quantity(float(shape.pose.position[0]), "m"),
+        y=Quantity(float(shape.pose.position[1]), "m"),
+        z=Quantity(float(shape.pose.position[2]), "m"),
+    )
 
 
 def mesh_vertices(path: Path) -> Array | None:

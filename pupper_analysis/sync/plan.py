@@ -39,6 +39,7 @@ _REASONS = {
     "velocity": diagnose("mjcf-without-velocity"),
     "armature": diagnose("urdf-without-armature"),
     "mimic": diagnose("mimic-unwritten"),
+    "collision": diagnose("collision-unwritten"),
 }
 
 

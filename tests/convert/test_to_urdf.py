@@ -59,3 +59,28 @@ def test_what_is_no_line_is_left_and_told(tmp_path: Path, equality: str) -> None
     mimics, left = converted(tmp_path, equality)
     assert mimics == []
     assert left == ["equality-not-in-urdf"]
+
+
+def test_numbers_of_contacts_and_options_that_a_urdf_cannot_state_are_listed(
+    tmp_path: Path,
+) -> None:
+    """Of what touches alone: a geom that is only seen has none."""
+    text = FINGERS.format("").replace(
+        "<default>",
+        '<option impratio="7" integrator="RK4"/><default><geom friction="0.6 0.1 0.2" condim="6"/>',
+    )
+    seen = '<geom size="0.01" friction="0.1" contype="0" conaffinity="0"/></body>\n</body>'
+    source, urdf = tmp_path / "r.xml", tmp_path / "r.urdf"
+    source.write_text(text.replace("</body>\n</body>", seen, 1))
+    listed = {
+        str(left.values["what"]): left.values["values"]
+        for left in pa.convert_model(source, urdf).not_converted
+        if left.code in ("contact-number-not-in-urdf", "option-not-in-urdf")
+    }
+    assert listed == {
+        "friction": ("0.6 0.1 0.2",),
+        "condim": ("6",),
+        "impratio": ("7",),
+        "integrator": ("1",),
+    }
+    assert not any(word in urdf.read_text() for word in listed)

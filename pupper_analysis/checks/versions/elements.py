@@ -32,7 +32,7 @@ from pupper_analysis.robot_model.elements import (
     Value,
     flag_name,
 )
-from pupper_analysis.robot_model.geometry import support_of
+from pupper_analysis.robot_model.geometry import DIRECTIONS, describe_shape, support_of
 from pupper_analysis.robot_model.model import Shape
 
 Array = NDArray[np.float64]
@@ -57,13 +57,6 @@ SAME_NUMBER = 1e-9
 SAME_SHAPE = 1e-6
 """m: shapes whose surfaces are no further apart are one."""
 
-_WAYS: Final = np.concatenate(
-    [np.eye(3), -np.eye(3), np.random.default_rng(0).normal(size=(60, 3))]
-)
-_DIRECTIONS: Final = _WAYS / np.linalg.norm(_WAYS, axis=1, keepdims=True)
-"""In which the extents of two shapes are compared: axes, and enough others that no turn of a box
-or cylinder hides between them."""
-
 SHAPE: Final = "shape"
 
 
@@ -86,7 +79,7 @@ def apart(one: Shape, two: Shape) -> float:
     Of shapes without extents (planes, missing meshes) their places and sizes are compared: infinite
     if they differ.
     """
-    first, second = (support_of(shape, _DIRECTIONS) for shape in (one, two))
+    first, second = (support_of(shape, DIRECTIONS) for shape in (one, two))
     if first is not None and second is not None:
         return float(np.abs(first - second).max())
     ends = [(shape.pose.position, shape.pose.rotation, shape.size) for shape in (one, two)]
@@ -95,18 +88,6 @@ def apart(one: Shape, two: Shape) -> float:
     )
     return (
         0.0 if one.kind == two.kind and len(one.size) == len(two.size) and all(near) else math.inf
-    )
-
-
-def describe_shape(shape: Shape) -> Diagnostic:
-    """Returns a shape as a fact: its kind, sizes and place."""
-    return diagnose(
-        "shape",
-        kind=Term(shape.kind),
-        sizes=tuple(Quantity(size, "m") for size in shape.size),
-        x=Quantity(float(shape.pose.position[0]), "m"),
-        y=Quantity(float(shape.pose.position[1]), "m"),
-        z=Quantity(float(shape.pose.position[2]), "m"),
     )
 
 

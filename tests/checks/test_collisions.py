@@ -1,0 +1,82 @@
+"""What a robot stands on, in a URDF and an MJCF: where both can state it, it is compared."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.diagnostics import Quantity
+from tests.support.repository import ROOT
+
+FOOT = '"collision" type="sphere" size="0.01995"'
+
+
+def edited(folder: Path, file: str, old: str, new: str) -> tuple[Path, Path]:
+    """Returns v3's two files with one edit."""
+    for name in ("urdf", "mjcf"):
+        shutil.copytree(ROOT / name, folder / name)
+    text = (folder / file).read_text()
+    assert old in text
+    (folder / file).write_text(text.replace(old, new))
+    return folder / "urdf/pupper_v3.urdf", folder / "mjcf/pupper_v3.xml"
+
+
+def test_feet_that_are_alike_agree() -> None:
+    found = pa.compare_models(ROOT / "urdf/pupper_v3.urdf", ROOT / "mjcf/pupper_v3.xml")
+    assert found.agree
+    assert not [note for note in found.notes if note.code.startswith("collisions")]
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "lower"),
+    [
+        ("mjcf/pupper_v3_body.xml", FOOT, FOOT.replace("0.01995", "0.02995"), 0.01),
+        ("urdf/pupper_v3.urdf", '<sphere radius="0.01995"', '<sphere radius="0.09"', -0.07005),
+    ],
+)
+def test_another_radius_is_a_difference_of_each_foot(
+    tmp_path: Path, file: str, old: str, new: str, lower: float
+) -> None:
+    found = pa.compare_models(*edited(tmp_path, file, old, new))
+    assert not found.agree
+    assert [one.kind for one in found.differences] == ["collision"] * 4
+    for one in found.differences:
+        stated = {key: one.diagnostic.values[key] for key in ("lower", "higher")}
+        told = stated["lower"] if lower > 0 else stated["higher"]
+        assert isinstance(told, Quantity)
+        assert told.value == pytest.approx(abs(lower), abs=1e-9)
+        assert stated["higher" if lower > 0 else "lower"] is None
+        assert one.urdf_place is not None
+        assert one.mjcf_place is not None
+        assert (
+            "collision"
+            in Path(one.urdf_place.rpartition(":")[0])
+            .read_text()
+            .splitlines()[int(one.urdf_place.rpartition(":")[2]) - 1]
+        )
+
+
+def test_feet_that_touch_nothing_are_a_difference(tmp_path: Path) -> None:
+    files = edited(tmp_path, "mjcf/pupper_v3_shared.xml", 'conaffinity="1"', 'conaffinity="0"')
+    found = pa.compare_models(*files)
+    assert not found.agree
+    codes = [one.diagnostic.code for one in found.differences]
+    assert codes == ["foot-touches-in-one-file"] * 4
+    assert {note.code for note in found.notes} >= {"collisions-in-one-file"}
+
+
+def test_what_is_no_foot_is_noted(tmp_path: Path) -> None:
+    """A box around the torso is chosen otherwise in most pairs of files, and moves no stand."""
+    text = (ROOT / "mjcf/pupper_v3_body.xml").read_text().splitlines()
+    line = next(line for line in text if "collision" in line and "box" in line)
+    files = edited(
+        tmp_path, "mjcf/pupper_v3_body.xml", line, line.replace('size="0.0', 'size="0.1')
+    )
+    found = pa.compare_models(*files)
+    assert found.agree
+    (note,) = (note for note in found.notes if note.code == "collisions-differ")
+    assert note.values["worst"] == found.base
+    assert note.values["off"].value == pytest.approx(0.1, abs=1e-3)
