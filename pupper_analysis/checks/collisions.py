@@ -8,7 +8,7 @@ most pairs of files, moves no stand, and is noted.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -57,7 +57,7 @@ class _Placed:
 
 
 def compare_collisions(
-    matched: Match, urdf: UrdfFile, mjcf: MjcfFile
+    matched: Match, urdf: UrdfFile, mjcf: MjcfFile, moved: Collection[str]
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compares what touches, in the pose in which the MJCF's robot begins.
 
@@ -65,6 +65,8 @@ def compare_collisions(
         matched: Both as one robot.
         urdf: The URDF.
         mjcf: The MJCF.
+        moved: Joints (or the base) that are placed otherwise in the two files: what they carry
+            touches elsewhere for that reason, and is not compared.
 
     Returns:
         Differences of feet, and notes on what else touches.
@@ -76,7 +78,12 @@ def compare_collisions(
     if meant.base is not None or meant.zeros:
         return [], [diagnose("collisions-not-compared")]
     data = _start(mjcf.model)
-    tried = {name: _of_limb(name, matched, one, two, data) for name in matched.mjcf_body}
+    elsewhere = {matched.mjcf_body[name] for name in moved if name in matched.mjcf_body}
+    tried = {
+        name: _of_limb(name, matched, one, two, data)
+        for name, body in matched.mjcf_body.items()
+        if body in two.links and elsewhere.isdisjoint((body, *two.ancestors(body)))
+    }
     limbs = {name: pair for name, pair in tried.items() if pair is not None}
     feet = _feet(limbs, matched, data) if matched.robot.floating else []
     return (

@@ -179,7 +179,7 @@ def compare_models(
     )
     names_too = matched.guessed if strict_names else {}
     placed = tuple(_placed(explanation, names_too, matched, urdf_file, mjcf_file, tolerances))
-    touching, untold = _touching(matched, urdf_file, mjcf_file)
+    touching, untold = _touching(matched, urdf_file, mjcf_file, placed)
     differences = tuple(sorted((*placed, *touching), key=lambda difference: difference.rank))
     unmatched = matched.only_urdf or matched.only_mjcf
     objections = tuple(_objections(explanation, tolerances))
@@ -216,12 +216,17 @@ def compare_models(
 
 
 def _touching(
-    matched: Match, urdf: UrdfFile, mjcf: MjcfFile
+    matched: Match, urdf: UrdfFile, mjcf: MjcfFile, found: Iterable[Difference]
 ) -> tuple[list[Difference], list[Diagnostic]]:
     """Compares what the robot stands on; a USD's shapes are not read for that."""
     if is_usd(urdf.path) or is_usd(mjcf.path):
         return [], []
-    return compare_collisions(matched, urdf, mjcf)
+    moved = {difference.element for difference in found if difference.kind in _PLACED}
+    return compare_collisions(matched, urdf, mjcf, moved)
+
+
+_PLACED = ("type", "parent", "base frame", "zero", "position", "rotation", "axis")
+"""Kinds of differences after which what a joint carries is elsewhere."""
 
 
 def _first(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:

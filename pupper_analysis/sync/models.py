@@ -257,7 +257,7 @@ def _unmended(
     """Yields what is not mended: not chosen, not to be written, new, or no number at all."""
     still = {(d.kind, d.element): d for d in after.differences}
     for key, name in labels.items():
-        if key in plan.left:
+        if key in plan.left and key in still:  # others may have mended it along with them
             yield Unmended(name, plan.left[key], plan.cause(key))
         elif key not in keys and key in still:
             yield Unmended(name, diagnose("nothing-chosen"), UnwrittenCause.NOT_CHOSEN)
