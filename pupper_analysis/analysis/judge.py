@@ -6,6 +6,7 @@ from numpy.typing import ArrayLike
 
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.prepare.self_check import as_published_in
+from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
@@ -58,6 +59,7 @@ def judge(
         own=own_run(robot),
         published=as_published_in(robot, stand, servos),
         converted=robot.description.converted,
+        remarks=(*limbs_without_feet(robot), *robot.description.replaced_soles()),
     )
 
 

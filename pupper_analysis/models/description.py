@@ -10,7 +10,8 @@ from typing import Any
 import mujoco
 
 from pupper_analysis.arrays import plain_state
-from pupper_analysis.models.additions import Addition, put_all
+from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.additions import Addition, Ball, put_all
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.spec_state import spec_from, state_of
 from pupper_analysis.models.spec_tree import SpecTree
@@ -72,6 +73,12 @@ class Description:
         spec = self.mjcf.copy()
         put_all(added, SpecTree(spec))
         return replace(self, mjcf=spec, added=(*self.added, *added))
+
+    def replaced_soles(self) -> tuple[Diagnostic, ...]:
+        """Tells on how many balls it stands in the place of its soles, if it does."""
+        balls = [one for one in self.added if isinstance(one, Ball)]
+        count = sum(ball.reason.code == "balls-for-soles" for ball in balls)
+        return (diagnose("on-balls-for-soles", count=count),) if count else ()
 
     def trees(self) -> tuple[UrdfTree, SpecTree]:
         """Returns both files' links and joints, to be changed: they are its own no more."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
 from pupper_analysis.models.transmission import MadeServo
 from pupper_analysis.report.document import Text
 from pupper_analysis.report.words import text
@@ -48,6 +48,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *(own if fails else ()),
         *_replaced(verdict.servos.replaced),
         *_computed(verdict),
+        *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
         *_published(verdict.published),
         *_beyond(verdict),
         *(() if fails else own),

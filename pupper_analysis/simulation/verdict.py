@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.diagnostics import Diagnostic, Severity
 from pupper_analysis.results import Result
 from pupper_analysis.robot.as_published import OwnRun, Published, ServoSource, ServosUsed
 from pupper_analysis.robot.stability import Stability
@@ -31,6 +31,7 @@ class VerdictCode(StrEnum):
     IN_BALANCE = "in balance, and not simulated"
     UNSTABLE = "in balance, not stable, and not simulated"
     OVERLOADED = "beyond the motors' limits"
+    LIMB_WITHOUT_FOOT = "holds on fewer feet than limbs that are alike"
     DIFFERS_AS_PUBLISHED = "holds as computed, and not as published"
     OWN_DRIVES_FAIL = "fails on the file's own servos or keyframe"
     FAILS = "fails"
@@ -144,6 +145,7 @@ class Verdict(Result):
             grows.
         converted: Which of the robot's models was made of the other one, ``"urdf"`` or ``"mjcf"``:
             both engines read one file then; empty if each read its own.
+        remarks: What else it rests on: balls in the place of soles, limbs without feet.
     """
 
     code: VerdictCode
@@ -162,6 +164,7 @@ class Verdict(Result):
     published: Published | None
     doubling_time: float
     converted: str = ""
+    remarks: tuple[Diagnostic, ...] = ()
 
 
 def judge_stance(
@@ -174,6 +177,7 @@ def judge_stance(
     own: OwnRun | None = None,
     published: Published | None = None,
     converted: str = "",
+    remarks: tuple[Diagnostic, ...] = (),
 ) -> Verdict:
     """Weighs what was simulated of a stance, of a posture, or of what is asked of them.
 
@@ -186,8 +190,9 @@ def judge_stance(
         own: What the file does by itself, from its keyframe.
         published: How the MJCF as it was published differs from what was simulated.
         converted: Which of the robot's models was made of the other one, if one was.
+        remarks: What else of the robot it rests on; an error lets it not pass.
     """
-    code = _code(fed, alone, servos, overloaded, own, published)
+    code = _code(fed, alone, servos, overloaded, own, published, remarks)
     return Verdict(
         code=code,
         asked=asked,
@@ -205,6 +210,7 @@ def judge_stance(
         published=published,
         doubling_time=(fed.stability and fed.stability.doubling_time) or math.inf,
         converted=converted,
+        remarks=remarks,
     )
 
 
@@ -262,6 +268,7 @@ def _code(
     overloaded: tuple[str, ...],
     own: OwnRun | None,
     published: Published | None,
+    remarks: tuple[Diagnostic, ...],
 ) -> VerdictCode:
     """Returns the worst that applies."""
     if not fed.passed:
@@ -273,6 +280,8 @@ def _code(
     off = published.worst if published is not None and differs else None
     if off is not None and (off.collapses or not off.torque_error <= CLOSE):
         return VerdictCode.DIFFERS_AS_PUBLISHED
+    if any(remark.severity is Severity.ERROR for remark in remarks):
+        return VerdictCode.LIMB_WITHOUT_FOOT
     if overloaded:
         return VerdictCode.OVERLOADED
     if alone is not None and not alone.passed:

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.report.verdict import in_words
 from pupper_analysis.robot.as_published import (
@@ -109,6 +110,29 @@ CASES: dict[str, tuple[dict[str, Any], VerdictCode, bool, str]] = {
         VerdictCode.DIFFERS_AS_PUBLISHED,
         False,
         "COLLAPSES as published, from the computed stand",
+    ),
+    "three of four": (
+        {
+            "remarks": (
+                diagnose(
+                    "limb-without-foot",
+                    subject=("body", "calf"),
+                    feet=3,
+                    alike=4,
+                    displaced="calf",
+                    gap=Quantity(0.18, "m"),
+                ),
+            )
+        },
+        VerdictCode.LIMB_WITHOUT_FOOT,
+        False,
+        "3 of 4 limbs that are alike have a foot, and calf has none: calf is 0.18 m from where",
+    ),
+    "on balls": (
+        {"remarks": (diagnose("on-balls-for-soles", count=8),)},
+        VerdictCode.HOLDS,
+        True,
+        "on 8 spheres in place of its soles",
     ),
     "too weak": ({"overloaded": ("hip",)}, VerdictCode.OVERLOADED, False, "OVERLOADED"),
     "falls": ({"fed": run(0.1, passed=False)}, VerdictCode.FAILS, False, "COLLAPSES in MuJoCo"),

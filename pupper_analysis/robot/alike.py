@@ -1,0 +1,127 @@
+"""Limbs that are alike: what some of them carry, and others do not.
+
+Structure is a witness that no number is. Limbs with the same joints and the same masses are made to
+do the same; where most end in a foot on the ground and one does not, a digit of its file is wrong,
+or a shape is missing.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+
+_MASS = 0.05
+"""Masses of links that are alike differ by no more than this part of them: left and right ones of
+published robots are within 1 %."""
+
+_APART = 2e-3
+"""Bodies that are further from the place of a mirror image are somewhere else (m)."""
+
+_IMAGES = tuple(np.array([x, y, 1.0]) for x, y in itertools.product((1.0, -1.0), repeat=2))
+"""Left and right, front and rear, both: where a limb's like may be, in the base's axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A limb, from the base outwards.
+
+    Attributes:
+        bodies: The ids of its moving bodies.
+        kinds: Its joints' kinds.
+        masses: What its bodies weigh, with what is fixed to them (kg).
+    """
+
+    bodies: tuple[int, ...]
+    kinds: tuple[int, ...]
+    masses: Array
+
+    def like(self, other: Limb) -> bool:
+        """Tells whether two limbs have the same joints and the same masses."""
+        if self.kinds != other.kinds or len(self.masses) != len(other.masses):
+            return False
+        most = np.maximum(self.masses, other.masses)
+        return bool((np.abs(self.masses - other.masses) <= _MASS * most).all())
+
+
+def limbs_of(robot: Robot) -> list[Limb]:
+    """Returns the limbs of a robot, each to an end that carries nothing that moves."""
+    model = robot.mj_model
+    weld, base = model.body_weldid, int(model.body_weldid[model.body(robot.mj_base).id])
+    found = []
+    for end in limb_ends(model):
+        bodies: list[int] = []
+        body = int(end)
+        while body not in (0, base):
+            if int(weld[body]) == body:
+                bodies.insert(0, body)
+            body = int(model.body_parentid[body])
+        if body != base or not bodies:
+            continue
+        kinds = [
+            int(kind)
+            for body in bodies
+            for kind in model.jnt_type[model.body_jntadr[body] :][: model.body_jntnum[body]]
+        ]
+        masses = [float(model.body_mass[weld == body].sum()) for body in bodies]
+        found.append(Limb(tuple(bodies), tuple(kinds), np.array(masses)))
+    return found
+
+
+def limbs_without_feet(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells of limbs that have no foot, where limbs that are alike have one.
+
+    Feet that were named are as they were named, and no limb is missed.
+    """
+    if not any(note.code == "feet-found" for note in robot.notes):
+        return ()
+    model = robot.mj_model
+    carrying = {int(model.body_weldid[body]) for body, _ in robot.contact_places.values()}
+    limbs, told = limbs_of(robot), []
+    footed = [limb for limb in limbs if limb.bodies[-1] in carrying]
+    for limb in limbs:
+        alike = [other for other in footed if other.like(limb)]
+        if limb in footed or not alike:
+            continue
+        every = [other for other in limbs if other.like(limb)]
+        if len(alike) * 2 < len(every):
+            continue
+        body, gap = _displaced(robot, limb, alike)
+        told.append(
+            diagnose(
+                "limb-without-foot",
+                subject=("body", model.body(limb.bodies[-1]).name),
+                feet=len(alike),
+                alike=len(every),
+                displaced=body,
+                gap=None if body is None else Quantity(gap, "m"),
+            )
+        )
+    return tuple(told)
+
+
+def _displaced(robot: Robot, limb: Limb, alike: list[Limb]) -> tuple[str | None, float]:
+    """Returns the first body of a limb that is not where those alike have theirs, and by how much.
+
+    Of all images of limbs that are alike the one that begins nearest counts.
+    """
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(model, data)
+    own = data.xpos[list(limb.bodies)]
+    images = [image * data.xpos[list(other.bodies)] for other in alike for image in _IMAGES]
+    gaps = [np.linalg.norm(own - image, axis=1) for image in images]
+    off = min(gaps, key=lambda gap: (float(np.round(gap[0], 3)), float(gap.max())))
+    first = next((number for number, gap in enumerate(off) if gap > _APART), None)
+    if first is None:
+        return None, 0.0
+    return str(model.body(limb.bodies[first]).name), float(off[first])

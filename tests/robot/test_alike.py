@@ -1,0 +1,52 @@
+"""A limb without a foot, where those that are alike have one, is in the verdict."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.judge import judge_stand
+from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.simulation.verdict import VerdictCode
+from tests.convert.test_model import standing_urdf
+
+
+def slipped(folder: Path, old: str, new: str) -> Path:
+    """The quadruped with something changed in its last leg alone."""
+    path = standing_urdf(folder)
+    text = path.read_text()
+    at = text.rindex(old)
+    path.write_text(text[:at] + new + text[at + len(old) :])
+    return path
+
+
+def test_four_legs_that_are_alike_are_no_news(tmp_path: Path) -> None:
+    assert limbs_without_feet(pa.load_robot(standing_urdf(tmp_path))) == ()
+
+
+def test_a_calf_that_is_elsewhere_is_named_with_its_gap(tmp_path: Path) -> None:
+    """One digit, -0.2 -> -0.02, and the robot stands on three feet: that is no HOLDS."""
+    path = slipped(tmp_path, 'xyz="0.0 0.0 -0.2"', 'xyz="0.0 0.0 -0.02"')
+    robot = pa.load_robot(path)
+    [told] = limbs_without_feet(robot)
+    assert (told.values["feet"], told.values["alike"]) == (3, 4)
+    assert told.values["gap"].value == pytest.approx(0.18, abs=1e-6)
+    verdict = judge_stand(robot, pa.solve_stand(robot))
+    assert verdict.code is VerdictCode.LIMB_WITHOUT_FOOT
+    assert not verdict.passed
+    assert verdict.remarks == (told,)
+
+
+def test_a_sole_without_a_shape_is_named(tmp_path: Path) -> None:
+    robot = pa.load_robot(slipped(tmp_path, '<sphere radius="0.02"/>', ""))
+    [told] = limbs_without_feet(robot)
+    assert told.values["gap"] is None
+    assert "no collision shape" in str(told)
+
+
+def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
+    robot = pa.load_robot(standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
+    assert len(robot.feet) == 3
+    assert limbs_without_feet(robot) == ()
