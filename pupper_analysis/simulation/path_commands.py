@@ -135,8 +135,8 @@ def _on_soft_ground(robot: Robot, path: StancePath) -> tuple[Array, Array]:
     The base stays, and each leg is longer by what its foot sinks under the force that it has in
     motion, a moment ago (``_depths``); joints resist as they then turn. With the rigid path's
     commands the robot would sink by those depths, and tilt where they are unequal: the lifts of the
-    variants would be off by 13 % of torque, and so they are by 4 % at most. That feet creep as they
-    roll, and the inertia of legs that sink, is left out.
+    variants would be off by 13 % of torque, and so they are by 2 to 4 % (v3-long-leg's: 7). That
+    feet creep as they roll, and the inertia of legs that sink, is left out.
 
     Args:
         robot: The robot on the path's ground.
