@@ -50,6 +50,7 @@ from . import (
     sync as sync,
 )
 from .analysis.hold import hold_posture as hold_posture
+from .analysis.judge import judge_stand as judge_stand
 from .analysis.robot import analyze_variant as analyze_variant
 from .checks.audit import audit_model as audit_model
 from .checks.compare import compare_models as compare_models

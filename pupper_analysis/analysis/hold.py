@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.analysis.judge import judge_held
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.diagnostics import Diagnostic
 from pupper_analysis.errors import NoEquilibriumError
@@ -25,9 +26,8 @@ from pupper_analysis.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.tool import Tool, find_tool
-from pupper_analysis.simulation.verdict import Verdict, beyond_limits, judge_stance
+from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
 
 Array = NDArray[np.float64]
@@ -163,13 +163,7 @@ def hold_posture(
         sagging=alone,
         sagged=sagged,
         unsettled=unsettled,
-        verdict=judge_stance(
-            fed,
-            alone,
-            servos_used(robot, kp, kd),
-            overloaded=beyond_limits(statics),
-            converted=robot.description.converted,
-        ),
+        verdict=judge_held(robot, posture, fed, alone, statics, kp=kp, kd=kd),
         worst=worst,
         payload=more,
         carried=float(payload),

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.prepare.self_check import as_published_in
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.posture.posture import Posture
+from pupper_analysis.prepare.own_run import as_loaded, own_run_held
+from pupper_analysis.prepare.self_check import (
+    as_published_held,
+    as_published_in,
+    own_run_explained,
+)
 from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
@@ -20,7 +27,7 @@ from pupper_analysis.simulation.verdict import (
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
-from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
 
 
 def judge(
@@ -56,13 +63,51 @@ def judge(
         servos,
         asked=asked,
         overloaded=() if statics is None else beyond_limits(statics),
-        own=own_run(robot),
+        own=own_run_explained(robot),
         published=as_published_in(robot, stand, servos),
         converted=robot.description.converted,
         remarks=(*limbs_without_feet(robot), *robot.description.replaced_soles()),
     )
 
 
+def judge_held(
+    robot: Robot,
+    posture: Posture,
+    fed: Simulated,
+    alone: Simulated | None,
+    statics: GravityCompensation,
+    *,
+    kp: ArrayLike | None = None,
+    kd: ArrayLike | None = None,
+) -> Verdict:
+    """Weighs what was simulated of a posture of a robot whose base is held, as ``judge`` does.
+
+    Args:
+        robot: The robot, with what it carries.
+        posture: Where it is told to be.
+        fed: The simulation with feed-forward.
+        alone: The simulation without.
+        statics: What its motors hold.
+        kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
+        kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
+
+    Raises:
+        ModelError: If the robot has no position servos, and kp and kd are not both given.
+    """
+    servos, empty = servos_used(robot, kp, kd), as_loaded(robot)
+    bare = gravity_compensation(Configuration(empty, posture.qpos), contacts=[])
+    return judge_stance(
+        fed,
+        alone,
+        servos,
+        overloaded=beyond_limits(statics),
+        own=own_run_held(robot, posture.qpos),
+        published=as_published_held(robot, posture.qpos, bare.joint_torques),
+        converted=robot.description.converted,
+    )
+
+
+@check_arguments
 def judge_stand(
     robot: Robot, stand: Stand, *, kp: ArrayLike | None = None, kd: ArrayLike | None = None
 ) -> Verdict:

@@ -72,14 +72,14 @@ class Bare:
         return int(self.model.body_dofnum[self.base]) >= 6
 
 
-def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
+def published_model(mjcf: MjcfFile, robot: Robot, *, floor: bool = True) -> mujoco.MjModel | None:
     """Returns the model of an MJCF as it was published; None if it lacks the robot's base.
 
-    It has a floor and names if it has none: nothing else is put into it. What is only seen stays:
-    the geoms of a body have the order that they have in the robot's.
+    It has names, and a floor if it is to stand, if it has none: nothing else is put into it. What
+    is only seen stays: the geoms of a body have the order that they have in the robot's.
     """
     model = mjcf.model
-    grounded = _ground(model) is not None or len(_fixed_geoms(model)) > 0
+    grounded = not floor or _ground(model) is not None or len(_fixed_geoms(model)) > 0
     if grounded and _has(model, robot):
         return mjcf.model
     spec = mjcf.spec.copy()
@@ -136,6 +136,14 @@ def place_published(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData | No
         known = same >= 0 and robot.mj_model.jnt_type[same] == model.jnt_type[joint]
         data.qpos[place] = there.qpos[robot.mj_model.jnt_qposadr[same]] if known else 0.0
     return data if _base_placed(bare, robot, there, data) else None
+
+
+def place_held(bare: Bare, robot: Robot, qpos: Array) -> mujoco.MjData:
+    """Returns the data of a published model whose base is held, at joint positions (nu,)."""
+    data = mujoco.MjData(bare.model)
+    for name, angle in zip(robot.joint_names, qpos.tolist(), strict=True):
+        data.qpos[bare.model.jnt_qposadr[bare.model.joint(name).id]] = angle
+    return data
 
 
 def _base_placed(bare: Bare, robot: Robot, there: mujoco.MjData, data: mujoco.MjData) -> bool:
@@ -207,7 +215,7 @@ def hold_of(
         joint, drive = model.joint(name).id, bare.drives[index]
         torque = 0.0 if torques is None else float(torques[index])
         goal = float(targets[index])
-        if drive in (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS):
+        if drive in _COMMANDED or _is_unequal(model, drives_of(model, joint), drive):
             _command(model, drives_of(model, joint), ctrl, goal, torque)
         elif name in made:
             dof = int(model.jnt_dofadr[joint])
@@ -220,19 +228,35 @@ def hold_of(
     return Hold(ctrl, _filters(model, ctrl), outside, motors)
 
 
+_COMMANDED = (Drive.SERVO, Drive.WRONG_SIGN, Drive.NO_STIFFNESS)
+"""Drives that are told a position."""
+
+
+def _is_unequal(model: mujoco.MjModel, motors: list[int], drive: Drive) -> bool:
+    """Tells whether a joint's one actuator is a servo but for a gain that is not its stiffness."""
+    if drive is not Drive.OTHER or len(motors) != 1:
+        return False
+    fixed = model.actuator_gaintype[motors[0]] == mujoco.mjtGain.mjGAIN_FIXED.value
+    law = law_of(model, motors[0])
+    return bool(fixed and law.gain > 0 and law.stiffness > 0)
+
+
 def _command(
     model: mujoco.MjModel, motors: list[int], ctrl: Array, goal: float, torque: float
 ) -> None:
-    """Tells the servos at a joint to hold it, each its part of the torque by its stiffness."""
+    """Tells the servos at a joint to hold it, each its part of the torque by its stiffness.
+
+    As whoever takes them for position servos does: ctrl = q* + tau / kp. A bias beside, or a gain
+    that is not the stiffness, is not made up for: it is what the file does.
+    """
     laws = {motor: law_of(model, motor) for motor in motors}
     whole = sum(law.at_joint[0] for law in laws.values())
     for motor, law in laws.items():
         if law.gain == 0 or law.at_joint[0] == 0:
             continue
         share = torque * law.at_joint[0] / whole if whole else 0.0
-        force = share / law.gear - float(model.actuator_biasprm[motor, 0])
-        ahead = force + law.stiffness * law.gear * goal
-        ctrl[int(model.actuator_ctrladr[motor])] = ahead / law.gain
+        ahead = law.gear * goal + share / (law.gear * law.stiffness)
+        ctrl[int(model.actuator_ctrladr[motor])] = ahead
 
 
 def _filters(model: mujoco.MjModel, ctrl: Array) -> Array:

@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 
 _OBJ = mujoco.mjtObj
 
+_FINE = 2e-3
+"""A step of the simulation (s) at which servos and contacts are what they are in time."""
+
+_ITERATIONS, _TOLERANCE = 100, 1e-10
+"""Of an exact solver of contacts: Newton's converges in ten."""
+
 _LOCKED = 1e6
 """Damping of a joint that is held (N m s/rad, N s/m): under a newton it goes a micrometre."""
 
@@ -48,10 +54,23 @@ _SECTIONS = {
     "ctrlrange": "actuator",
     "forcerange": "actuator",
     "timeconst": "actuator",
+    "bias": "actuator",
+    "gain": "actuator",
+    "delay": "actuator",
     "motors-elsewhere": "actuator",
     "actuatorfrcrange": "joint",
     "loose-joints": "joint",
 }
+
+
+_OPTIONS = {
+    "override": ("flag", {"override"}),
+    "actuatorgroupdisable": ("option", {"actuatorgroupdisable"}),
+    "solver": ("option", {"jacobian"}),
+    "timestep": ("option", {"timestep"}),
+    "iterations": ("option", {"solver", "iterations", "tolerance"}),
+}
+"""The elements of options, and their attributes."""
 
 
 def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
@@ -66,9 +85,10 @@ def with_line(cause: Cause, mjcf: MjcfFile) -> Cause:
         line = next(
             (place.line for words, place in mjcf.elements(tag) if ends <= set(words.values())), None
         )
-    elif cause.code in ("override", "actuatorgroupdisable", "solver"):
-        tag, word = ("flag", "override") if cause.code == "override" else ("option", cause.code)
-        line = next((place.line for words, place in mjcf.elements(tag) if word in words), None)
+    elif cause.code in _OPTIONS:
+        tag, stated = _OPTIONS[cause.code]
+        places = (place.line for words, place in mjcf.elements(tag) if stated & words.keys())
+        line = next(places, None)
     return replace(cause, line=line)
 
 
@@ -76,10 +96,12 @@ def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     """Returns what in an MJCF may make it differ from what is computed of its robot."""
     model = bare.model
     return [
+        *_numerics(model),
         *_excludes(model),
         *_options(model),
         *_equalities(model),
         *_limits(bare, robot),
+        *_servos(bare, robot),
         *_motors(bare),
         *_pairs(model),
         *_passive(bare, robot),
@@ -95,6 +117,71 @@ def _motor_name(model: mujoco.MjModel, motor: int) -> str:
     """Returns an actuator's name, or else its joint's."""
     named = mujoco.mj_id2name(model, _OBJ.mjOBJ_ACTUATOR, motor)
     return named or str(model.joint(int(model.actuator_trnid[motor, 0])).name)
+
+
+NUMERICS = ("timestep", "iterations")
+"""The codes of how MuJoCo integrates and solves."""
+
+
+def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
+    """How MuJoCo integrates, and how exactly it solves for constraint forces."""
+
+    def finer(other: mujoco.MjModel) -> None:
+        other.opt.timestep = min(model.opt.timestep / 2, _FINE)
+        other.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST.value
+
+    integrator = mujoco.mjtIntegrator(int(model.opt.integrator)).name.removeprefix("mjINT_")
+    if not model.actuator_delay.any():  # else its samples would last for less
+        yield Candidate("timestep", (f"{model.opt.timestep:g} s ({integrator})",), finer)
+    newton = mujoco.mjtSolver.mjSOL_NEWTON.value
+    rough = model.opt.iterations < _ITERATIONS or model.opt.tolerance > _TOLERANCE
+    if rough or model.opt.solver != newton:
+
+        def exact(other: mujoco.MjModel) -> None:
+            other.opt.solver = newton
+            other.opt.iterations = max(model.opt.iterations, _ITERATIONS)
+            other.opt.tolerance = min(model.opt.tolerance, _TOLERANCE)
+
+        kind = mujoco.mjtSolver(int(model.opt.solver)).name.removeprefix("mjSOL_")
+        yield Candidate("iterations", (f"{kind}, {model.opt.iterations} iterations",), exact)
+
+
+def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Forces beside the law of position servos: biases, gains that are no stiffness, delays."""
+    model = bare.model
+    motors = [m for name in robot.joint_names for m in drives_of(model, model.joint(name).id)]
+    affine = mujoco.mjtBias.mjBIAS_AFFINE.value
+    biased = [
+        m
+        for m in motors
+        if model.actuator_biastype[m] == affine and model.actuator_biasprm[m, 0] != 0
+    ]
+    if biased:
+
+        def unbiased(other: mujoco.MjModel) -> None:
+            other.actuator_biasprm[biased, 0] = 0.0
+
+        yield Candidate("bias", tuple(_motor_name(model, m) for m in biased), unbiased)
+    uneven = [
+        m
+        for m in motors
+        if model.actuator_biastype[m] == affine
+        and 0 < -model.actuator_biasprm[m, 1] != model.actuator_gainprm[m, 0] > 0
+    ]
+    if uneven:
+
+        def even(other: mujoco.MjModel) -> None:
+            other.actuator_gainprm[uneven, 0] = -model.actuator_biasprm[uneven, 1]
+
+        yield Candidate("gain", tuple(_motor_name(model, m) for m in uneven), even)
+    late = [m for m in motors if model.actuator_delay[model.actuator_ctrladr[m]] > 0]
+    if late:
+        controls = model.actuator_ctrladr[late]
+
+        def prompt(other: mujoco.MjModel) -> None:
+            other.actuator_delay[controls] = 0.0
+
+        yield Candidate("delay", tuple(_motor_name(model, m) for m in late), prompt)
 
 
 def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
@@ -260,7 +347,8 @@ def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     model = bare.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     kept = [geom for geom in _untouched(bare, robot) if not _replaced(bare, robot, geom)]
-    still = (model.body_weldid[model.geom_bodyid] == 0) & touch
+    by_hand = model.body_mocapid[model.body_weldid[model.geom_bodyid]] >= 0
+    still = ((model.body_weldid[model.geom_bodyid] == 0) | by_hand) & touch
     plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
     for code, geoms in (
         ("shapes-beside-feet", kept),

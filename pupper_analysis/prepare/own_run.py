@@ -19,6 +19,7 @@ from pupper_analysis.prepare.bare import (
     Bare,
     Hold,
     hold_of,
+    place_held,
     place_published,
     published_model,
     self_controlled,
@@ -31,7 +32,7 @@ from pupper_analysis.robot.as_published import (
     OwnCommands,
     OwnRun,
 )
-from pupper_analysis.robot.fall import own_motion
+from pupper_analysis.robot.fall import held_motion, own_motion
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -39,6 +40,13 @@ Array = NDArray[np.float64]
 ALIKE = 0.1
 """Of a keyframe's angles: a ctrl that is off by less, leads for the weight, is of angles. Torques
 of as many joints are not by chance."""
+
+
+NOTHING = (np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+"""No joints that a law from outside holds; see ``Hold``."""
+
+_THERE = 1e-6
+"""A posture that is so near to a keyframe's is its (rad, m)."""
 
 
 def as_loaded(robot: Robot) -> Robot:
@@ -62,7 +70,7 @@ def raw_model(robot: Robot) -> mujoco.MjModel | None:
         return None
     if robot.published.file is None:
         return robot.mj_model
-    model = published_model(robot.published.file, robot)
+    model = published_model(robot.published.file, robot, floor=robot.floating)
     if model is not None and robot.published.options:
         model = copy.copy(model)
         for name, value in robot.published.options:
@@ -76,10 +84,14 @@ def _own_run(robot: Robot) -> OwnRun | None:
     model = robot.once(raw_model)
     if model is None:
         return None
-    bare = Bare.of(model, robot)
-    if not bare.floating:
+    return own_run_of(Bare.of(model, robot), robot)
+
+
+def own_run_of(bare: Bare, robot: Robot) -> OwnRun | None:
+    """Returns what a robot's file does by itself, of a copy in which something may be changed."""
+    if robot.published is None or not bare.floating:
         return None
-    name = _keyframe(model, robot, robot.published.keyframe)
+    name = _keyframe(bare.model, robot, robot.published.keyframe)
     return _from_stand(bare, robot) if name is None else _from_keyframe(bare, robot, name)
 
 
@@ -105,12 +117,8 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     name = model.key(key).name or f"keyframe {key + 1}"
     assert robot.published is not None
     stated = bool(model.key_ctrl[key].any()) or _states_ctrl(robot, key)
-    holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
-    limp = 2 * holding < len(bare.drives)
-    nothing = np.zeros(0)
-    outside = (nothing.astype(int), nothing, nothing, nothing, nothing)
-    left = Hold(data.ctrl.copy(), data.act.copy(), outside, {})
-    run = _own(bare, robot, data, left)
+    limp = _limp(bare)
+    run = _own(bare, robot, data, Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {}))
     run = replace(
         run,
         keyframe=name,
@@ -120,7 +128,7 @@ def _from_keyframe(bare: Bare, robot: Robot, key: int) -> OwnRun:
     if stated or limp or self_controlled(bare, robot):
         return run
     pose = data.qpos[_places(bare, robot)].copy()
-    held = _own(bare, robot, data, hold_of(bare, robot, data, None, pose))
+    held = _own(bare, robot, data, _angles(bare, robot, data, pose))
     held = replace(held, keyframe=name, commands=OwnCommands.ANGLES)
     return replace(run, held=held)
 
@@ -140,9 +148,64 @@ def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
     if data is None or bare.ground is None or self_controlled(bare, robot):
         return None
     pose = data.qpos[_places(bare, robot)].copy()
-    run = _own(bare, robot, data, hold_of(bare, robot, data, None, pose))
+    run = _own(bare, robot, data, _angles(bare, robot, data, pose))
     assert robot.published is not None
     return replace(run, imported=robot.published.imported, commands=OwnCommands.ANGLES)
+
+
+def own_run_held(robot: Robot, qpos: Array) -> OwnRun | None:
+    """Returns what the file of a robot whose base is held does by itself in a posture.
+
+    With a keyframe's ctrl where it is that keyframe's posture, and the XML states one; else with
+    its servos told the posture.
+
+    Args:
+        robot: The robot.
+        qpos: (nu,) joint positions.
+
+    Returns:
+        What it does; None where its base is free in the file, or commands of its own control it.
+    """
+    robot = as_loaded(robot)
+    model = None if robot.floating else robot.once(raw_model)
+    if model is None:
+        return None
+    bare = Bare.of(model, robot)
+    if bare.floating or self_controlled(bare, robot):
+        return None
+    data, key = place_held(bare, robot, qpos), None
+    places = _places(bare, robot)
+    for number in range(model.nkey):
+        there = np.abs(model.key_qpos[number, places] - qpos).max(initial=0.0) < _THERE
+        if there and _states_ctrl(robot, number):
+            key = number
+            mujoco.mj_resetDataKeyframe(model, data, number)
+            break
+    told = _angles(bare, robot, data, qpos)
+    if key is not None:
+        told = Hold(data.ctrl.copy(), data.act.copy(), NOTHING, {})
+    run = _own(bare, robot, data, told, standing=False)
+    return replace(
+        run,
+        keyframe="" if key is None else model.key(key).name or f"keyframe {key + 1}",
+        commands=OwnCommands.ANGLES if key is None else OwnCommands.STATED,
+        limp=_limp(bare),
+    )
+
+
+def _limp(bare: Bare) -> bool:
+    """Tells whether fewer than half of the joints have what holds a position."""
+    holding = sum(drive not in (Drive.MOTOR, Drive.NONE) for drive in bare.drives)
+    return 2 * holding < len(bare.drives)
+
+
+def _angles(bare: Bare, robot: Robot, data: mujoco.MjData, pose: Array) -> Hold:
+    """Returns what holds a pose: its servos are told it.
+
+    Servos that were added help where most joints have none; a motor among servos holds nothing.
+    """
+    hold = hold_of(bare, robot, data, None, pose)
+    return hold if _limp(bare) else replace(hold, outside=NOTHING, motors={})
 
 
 def _places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
@@ -151,18 +214,21 @@ def _places(bare: Bare, robot: Robot) -> NDArray[np.intp]:
     return np.asarray(bare.model.jnt_qposadr[joints])
 
 
-def _own(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
+def _own(
+    bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold, *, standing: bool = True
+) -> OwnRun:
     """Simulates a file from some data on, told something; neither knows of a keyframe."""
     start = copy.copy(data)
     start.ctrl[:], start.act[:] = hold.ctrl, hold.act
     places = _places(bare, robot)
-    motion, end = own_motion(
-        bare.model,
-        start,
-        bare.base,
-        bare.ground or 0.0,
-        lambda run, time: simulate_published(bare, run, hold, time),
-    )
+
+    def advance(run: mujoco.MjData, time: float) -> None:
+        simulate_published(bare, run, hold, time)
+
+    if standing:
+        motion, end = own_motion(bare.model, start, bare.base, bare.ground or 0.0, advance)
+    else:
+        motion, end = held_motion(bare.model, start, advance)
     off = end.qpos[places] - start.qpos[places]
     joints = [
         JointOff(
@@ -175,12 +241,20 @@ def _own(bare: Bare, robot: Robot, data: mujoco.MjData, hold: Hold) -> OwnRun:
         for index, name in enumerate(robot.joint_names)
     ]
     whole = not motion.diverged
-    loose = [one for one in joints if one.drive is not Drive.SERVO and abs(one.off) > GIVES_WAY]
-    few = 2 * sum(one.drive is Drive.SERVO for one in joints) > len(joints)
+    made = {servo.joint for servo in robot.description.made_servos}
+    loose = [
+        one
+        for one in joints
+        if one.drive is not Drive.SERVO
+        and (one.drive is not Drive.NONE or one.joint in made)  # else it follows others
+        and abs(one.off) > GIVES_WAY
+    ]
+    most = 2 * sum(one.drive is Drive.SERVO for one in joints) > len(joints)
     return OwnRun(
         **asdict(motion),
         worst=max(joints, key=_far, default=None) if whole else None,
-        unheld=max(loose, key=_far, default=None) if whole and few else None,
+        unheld=max(loose, key=_far, default=None) if whole and most else None,
+        standing=standing,
     )
 
 

@@ -121,13 +121,14 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
         if run.diverged:
             yield Clause(False, diagnose("own-run-diverges", **how))
             continue
+        how["standing"] = run.standing
         joint = run.unheld or run.worst
         if joint is not None:
             how |= {"off": Quantity(abs(joint.off), "rad"), "drive": Term(joint.drive.value)}
         told = diagnose(
             "own-run",
             collapses=run.collapses,
-            gives=run.unheld is not None and not run.collapses,
+            gives=(run.left or run.unheld is not None) and not run.collapses,
             place=run.gone,
             duration=Quantity(run.duration, "s"),
             height=Quantity(run.height, "m"),
@@ -140,6 +141,8 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
             **how,
         )
         yield Clause(not run.falls, told)
+    for cause in () if own is None else own.causes:
+        yield Clause(False, told_cause(cause))
 
 
 def _replaced(replaced: tuple[MadeServo, ...]) -> Iterator[Clause]:
@@ -189,9 +192,11 @@ def _published(published: Published | None) -> Iterator[Clause]:
     if run is not None and run.collapses:
         yield Clause(False, diagnose("collapses-as-published"))
     elif run is not None:
-        height = Quantity(run.height_error, "m")
+        height = None if run.height_error is None else Quantity(run.height_error, "m")
         torque = Quantity(run.torque_error, "1")
-        yield Clause(False, diagnose("off-as-published", torque=torque, height=height))
+        joint = Quantity(run.joint_error, "rad")
+        told = diagnose("off-as-published", torque=torque, joint=joint, height=height)
+        yield Clause(False, told)
     for cause in published.causes:
         yield Clause(False, told_cause(cause))
 
@@ -241,7 +246,17 @@ def told_cause(cause: Cause) -> Diagnostic:  # noqa: C901 - one case for each ca
         case "other-drive":
             return diagnose("servos-for-actuators", **told)
         case "pair":
-            return diagnose("files-differ", **told)
+            return diagnose("files-differ", difference=cause.difference)
+        case "timestep":
+            return diagnose("timestep-too-long", **told)
+        case "iterations":
+            return diagnose("solver-too-rough", **told)
+        case "bias":
+            return diagnose("servos-are-biased", **told)
+        case "gain":
+            return diagnose("gain-is-no-stiffness", **told)
+        case "delay":
+            return diagnose("servos-are-late", **told)
         case "base-held":
             return diagnose("base-held-as-published", **told)
         case "ground":

@@ -131,6 +131,23 @@ def own_motion(
     return replace(moved, diverged=moved.diverged or diverged), data
 
 
+def held_motion(
+    model: mujoco.MjModel,
+    start: mujoco.MjData,
+    advance: Callable[[mujoco.MjData, float], object],
+) -> tuple[BodyMotion, mujoco.MjData]:
+    """Simulates what is held in the world, nudged, for ``own_seconds``: it cannot fall."""
+    data, seconds = copy.copy(start), own_seconds(model)
+    data.qvel[:] += nudge_velocity(model)
+    diverged = False
+    try:
+        advance(data, seconds)
+    except mujoco.FatalError:
+        diverged = True
+    whole = data.time - start.time > seconds - 1.5 * model.opt.timestep
+    return BodyMotion(seconds, 0.0, 0.0, 0.0, 0.0, diverged or not whole), data
+
+
 def _placed(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     """Returns a copy of data that knows where its bodies and their centres of mass are."""
     placed = copy.copy(data)

@@ -18,6 +18,10 @@ earlier on one side of a difference, and an element is off by 0.03. A copy of th
 meshes of a humanoid, takes longer than all else."""
 
 
+SLEEP = mujoco.mjtEnableBit.mjENBL_SLEEP.value
+"""``<flag sleep="enable"/>``."""
+
+
 def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     """Returns data of its own at the same state.
 
@@ -42,13 +46,18 @@ def step_derivative(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
     """
     size = 2 * model.nv + model.na
     matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
+    flags = int(model.opt.enableflags)
     model.opt.tolerance = min(tolerance, _TOLERANCE)
+    # What sleeps has no derivative: a change of its state wakes it, or is forgotten.
+    model.opt.enableflags = flags & ~SLEEP
+    if flags & SLEEP:
+        data = copy_data(model, data)
     try:
         if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
             return _differences(model, data, matrix)
         mujoco.mjd_transitionFD(model, data, STEP, True, matrix, None, None, None)
     finally:
-        model.opt.tolerance = tolerance
+        model.opt.tolerance, model.opt.enableflags = tolerance, flags
     return matrix
 
 

@@ -16,10 +16,6 @@ from pupper_analysis.robot.as_published import OwnRun, Published, ServoSource, S
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.statics.equilibrium import GravityCompensation
 
-CLOSE = 0.05
-"""Share of the largest torque within which the published robot is as the computed one, but for
-what was altered on loading (Solo 12's balls for mesh feet: 0.016). Paths are tracked as well."""
-
 
 class VerdictCode(StrEnum):
     """A verdict in one word, from the best to the worst."""
@@ -278,7 +274,7 @@ def _code(
         return VerdictCode.OWN_DRIVES_FAIL
     differs = published is not None and published.differs
     off = published.worst if published is not None and differs else None
-    if off is not None and (off.collapses or not off.torque_error <= CLOSE):
+    if off is not None and not off.close:
         return VerdictCode.DIFFERS_AS_PUBLISHED
     if any(remark.severity is Severity.ERROR for remark in remarks):
         return VerdictCode.LIMB_WITHOUT_FOOT

@@ -1,0 +1,258 @@
+"""What a file does by itself: nothing that is asked of its robot is answered better than that."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.analysis.hold import hold_posture
+from pupper_analysis.analysis.judge import judge_stand
+from pupper_analysis.analysis.path import study_path
+from pupper_analysis.analysis.push import study_pushes
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.models.transmission import Drive
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.report.verdict import in_words, verdict_clauses
+from pupper_analysis.robot.as_published import OwnCommands
+from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode
+from tests.support import arm
+from tests.support.slips import FALLS, by_itself, standing
+
+Slip = Callable[[str], str]
+
+_SERVO = r'<position joint="(\w+)" kp="150" kv="5"/>'
+_CTRL = r' ctrl="[^"]*"(?=/></keyframe>)'
+
+
+def _knee(other: str) -> Slip:
+    return lambda text: re.sub(_SERVO.replace(r"(\w+)", "FL_knee"), other, text)
+
+
+def _lying(text: str) -> str:
+    """Stands on bent legs: with the zeros of a reset it is thrown on its back."""
+    bent = text.replace(" ".join(["0 0.6 -1.2"] * 4), " ".join(["0 1.3 -2.5"] * 4))
+    return bent.replace('qpos="0 0 0.35 ', 'qpos="0 0 0.15 ')
+
+
+def _option(words: str) -> Slip:
+    return lambda text: text.replace('<option integrator="implicitfast"/>', f"<option {words}")
+
+
+# What is wrong: the slip, and the code of its cause if one is to be named.
+SLIPS: dict[str, tuple[Slip, str | None]] = {
+    "negative kp": (lambda text: text.replace('kp="150"', 'kp="-150"'), None),
+    "one velocity servo": (_knee('<velocity joint="FL_knee" kv="5"/>'), None),
+    "one motor": (_knee('<motor joint="FL_knee"/>'), None),
+    "one motor, and no ctrl": (
+        lambda text: re.sub(_CTRL, "", _knee('<motor joint="FL_knee"/>')(text)),
+        None,
+    ),
+    "a bias": (
+        lambda text: re.sub(
+            _SERVO,
+            r'<general joint="\1" gainprm="150" biastype="affine" biasprm="10 -150 -5"/>',
+            text,
+        ),
+        "servos-are-biased",
+    ),
+    "a gain that is no stiffness": (
+        lambda text: re.sub(
+            _SERVO,
+            r'<general joint="\1" gainprm="170" biastype="affine" biasprm="0 -150 -5"/>',
+            text,
+        ),
+        "gain-is-no-stiffness",
+    ),
+    "a bias under actuatorfrcrange": (
+        lambda text: SLIPS["a bias"][0](text).replace(
+            '<joint name="FL_knee"', '<joint actuatorfrcrange="-30 30" name="FL_knee"'
+        ),
+        "servos-are-biased",
+    ),
+    "a mocap body in the way": (
+        lambda text: text.replace(
+            "</worldbody>",
+            '<body name="step" mocap="true" pos="0.2 0.15 0">'
+            '<geom type="box" size="0.1 0.1 0.01"/></body></worldbody>',
+        ),
+        "obstacles-touch",
+    ),
+    "a delay": (
+        lambda text: text.replace('kp="150"', 'delay="0.1" nsample="51" kp="150"'),
+        "servos-are-late",
+    ),
+    "a long step": (_option('timestep="0.02"/>'), "timestep-too-long"),
+    "three rounds of PGS": (
+        _option('integrator="implicitfast" solver="PGS" iterations="3"/>'),
+        "solver-too-rough",
+    ),
+}
+_CAUSES = {
+    *("servos-are-biased", "gain-is-no-stiffness", "obstacles-touch", "servos-are-late"),
+    *("timestep-too-long", "solver-too-rough", "files-differ", "actuatorfrcrange-cuts-off"),
+}
+"""Of which none may be told but the right one."""
+
+
+def slipped(folder: Path, slip: Slip) -> pa.Robot:
+    pair = standing(folder)
+    text = pair.mjcf.read_text()
+    changed = slip(text)
+    assert changed != text
+    pair.mjcf.write_text(changed)
+    return pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
+
+
+def judged(robot: pa.Robot, asked: str) -> Verdict:
+    """Asks a robot, as a command of that name does."""
+    task = pa.StandTask()
+    match asked:
+        case "stand":
+            return study_stance(robot, task).verdict
+        case "push":
+            return study_pushes([robot], task, directions=3)[robot.name].verdict
+        case "path":
+            return study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
+        case _:
+            return judge_stand(robot, pa.solve_stand(robot, task))
+
+
+def codes(verdict: Verdict) -> list[str]:
+    return [clause.told.code for clause in verdict_clauses(verdict)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SLIPS)
+def test_a_slip_fails_and_its_own_cause_alone_is_told(tmp_path: Path, name: str) -> None:
+    slip, cause = SLIPS[name]
+    verdict = judged(slipped(tmp_path, slip), "stand")
+    assert not verdict.passed, in_words(verdict)
+    told = codes(verdict)
+    assert {"own-run", "own-run-diverges"} & set(told)
+    assert _CAUSES & set(told) == ({cause} if cause else set())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("asked", ["push", "path", "api"])
+@pytest.mark.parametrize("name", ["negative kp", "one motor", "a bias", "a mocap body in the way"])
+def test_no_question_is_answered_better_than_the_file_does(
+    tmp_path: Path, name: str, asked: str
+) -> None:
+    robot = slipped(tmp_path, SLIPS[name][0])
+    verdict = judged(robot, asked)
+    assert not verdict.passed, in_words(verdict)
+    assert verdict.own == judged(robot, "api").own
+    assert {"own-run", "own-run-diverges"} & set(codes(verdict))
+
+
+@pytest.mark.slow
+def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
+    verdict = judged(slipped(tmp_path, lambda text: text + "\n"), "path")
+    assert verdict.asked is Asked.TRACKED
+    assert verdict.passed
+    assert codes(verdict) == ["own-run"]
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_zeros_that_are_stated_count_and_a_resets_are_told(tmp_path: Path, stated: bool) -> None:
+    """From deep knees both throw it on to its back; nobody wrote the zeros of a reset."""
+    zeros = f' ctrl="{" ".join(["0"] * 12)}"' if stated else ""
+
+    def slip(text: str) -> str:
+        return re.sub(_CTRL, zeros, _lying(text))
+
+    robot = slipped(tmp_path, slip)
+    assert by_itself(tmp_path / "robot.xml") > FALLS
+    own = own_run(robot)
+    assert own is not None
+    assert own.falls
+    assert own.commands is (OwnCommands.STATED if stated else OwnCommands.ABSENT)
+    assert own.fails is stated
+    if stated:
+        assert own.held is None
+    else:
+        assert own.held is not None
+        assert not own.held.falls
+
+
+@pytest.mark.parametrize("kind", ["velocity", "motor"])
+def test_a_joint_of_another_drive_stands_in_the_first_line(tmp_path: Path, kind: str) -> None:
+    gain = ' kv="5"' if kind == "velocity" else ""
+    verdict = judged(slipped(tmp_path, _knee(f'<{kind} joint="FL_knee"{gain}/>')), "api")
+    assert verdict.code is VerdictCode.OWN_DRIVES_FAIL
+    drive = {"velocity": Drive.VELOCITY, "motor": Drive.MOTOR}[kind]
+    assert verdict.own is not None
+    assert verdict.own.unheld is not None
+    assert (verdict.own.unheld.joint, verdict.own.unheld.drive) == ("FL_knee", drive)
+    first = str(verdict_clauses(verdict)[0])
+    assert "FL_knee" in first
+    assert drive.value in first
+
+
+@pytest.mark.parametrize("below", [0.0, 0.6])
+def test_a_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) -> None:
+    """The base's body is where it was; its frame, which nothing rests on, is elsewhere."""
+    pair = standing(tmp_path)
+    text = pair.mjcf.read_text()
+    text = re.sub(r'(<body name="\w+_hip" pos="\S+ \S+) \S+"', rf'\g<1> {below}"', text)
+    text = text.replace('<inertial pos="0 0 0" mass="4"', f'<inertial pos="0 0 {below}" mass="4"')
+    text = text.replace('size="0.2 0.1 0.04"', f'size="0.2 0.1 0.04" pos="0 0 {below}"')
+    text = text.replace('qpos="0 0 0.35 ', f'qpos="0 0 {0.35 - below} ')
+    pair.mjcf.write_text(text)
+    own = own_run(pa.load_robot(pair.mjcf))
+    assert own is not None
+    assert not own.falls
+    assert own.height == pytest.approx(0.305, abs=0.01)
+    assert own.end_height == pytest.approx(0.304, abs=0.01)
+
+
+def test_what_sleeps_is_judged(tmp_path: Path) -> None:
+    """MuJoCo does not differentiate a step of what may sleep."""
+    asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')
+    assert judged(slipped(tmp_path, asleep), "api").code is VerdictCode.HOLDS
+
+
+def _servos(gain: float, bias: float) -> str:
+    return "".join(
+        f'<general joint="{name}" gainprm="{gain * kp}" biastype="affine" '
+        f'biasprm="{bias} -{kp} -20"/>'
+        for name, kp in arm.STIFFNESS.items()
+    )
+
+
+_ELBOW = '<position joint="elbow" kp="300.0" kv="20"/>'
+
+
+@pytest.mark.parametrize(
+    ("servos", "code", "joint"),
+    [
+        (arm._SERVOS, VerdictCode.HOLDS, None),
+        (_servos(1.0, 5.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
+        (_servos(1.1, 0.0), VerdictCode.DIFFERS_AS_PUBLISHED, None),
+        (
+            arm._SERVOS.replace(_ELBOW, '<velocity joint="elbow" kv="20"/>'),
+            VerdictCode.OWN_DRIVES_FAIL,
+            "elbow",
+        ),
+        (
+            arm._SERVOS.replace(_ELBOW, '<motor joint="elbow"/>'),
+            VerdictCode.OWN_DRIVES_FAIL,
+            "elbow",
+        ),
+        (arm._SERVOS.replace(_ELBOW, ""), VerdictCode.OWN_DRIVES_FAIL, "elbow"),
+    ],
+    ids=["sound", "a bias", "a gain", "velocity", "motor", "none"],
+)
+def test_a_posture_is_judged_by_what_its_file_does(
+    tmp_path: Path, servos: str, code: VerdictCode, joint: str | None
+) -> None:
+    robot = arm.load_arm(tmp_path, mjcf=arm.MJCF.replace(arm._SERVOS, servos))
+    verdict = hold_posture(robot, {"shoulder": -0.5, "elbow": 1.0}).verdict
+    assert verdict.code is code, in_words(verdict)
+    assert "own-run" in codes(verdict)
+    assert verdict.own is not None
+    assert (verdict.own.unheld and verdict.own.unheld.joint) == joint
