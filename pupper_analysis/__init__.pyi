@@ -49,8 +49,10 @@ from . import (
 from . import (
     sync as sync,
 )
+from .analysis.best import best_stance as best_stance
 from .analysis.hold import hold_posture as hold_posture
 from .analysis.judge import judge_stand as judge_stand
+from .analysis.payload import payload_limit as payload_limit
 from .analysis.robot import analyze_variant as analyze_variant
 from .checks.audit import audit_model as audit_model
 from .checks.compare import compare_models as compare_models
@@ -112,8 +114,6 @@ from .robot.robot import Robot as Robot
 from .simulation.push import push_recovery as push_recovery
 from .simulation.verify import verify_stand as verify_stand
 from .stance.judge import Stand as Stand
-from .stance.optimize.best import best_stance as best_stance
-from .stance.payload.limit import payload_limit as payload_limit
 from .stance.sag.steady_state import steady_state as steady_state
 from .stance.stand import solve_stand as solve_stand
 from .stance.stands import solve_stands as solve_stands

@@ -175,7 +175,7 @@ def verification(robot: pa.Robot, stand: pa.Stand) -> dict[str, Any]:
     return {name: value for name, value in found.items() if name != "stability"}
 
 
-def payload(robot: pa.Robot, stand: pa.Stand) -> pa.stance.PayloadLimit:
+def payload(robot: pa.Robot, stand: pa.Stand) -> pa.analysis.PayloadLimit:
     """What a stand carries; which legs relieve which is a vertex that symmetry leaves open."""
     return replace(pa.payload_limit(robot, stand, (0.01, 0.0, 0.05)), shared=None)
 

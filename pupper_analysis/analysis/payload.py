@@ -1,154 +1,420 @@
-"""What a stance can carry, and whether it does in the simulation."""
+"""What a stance can carry: the greatest mass with which it still holds, and what fails beyond."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache, cached_property, lru_cache
 
-from numpy.typing import ArrayLike
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import ServosUsed
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.robot.tool import Place, find_tool
-from pupper_analysis.simulation.payload import (
-    Buckling,
-    PayloadTrial,
-    payload_buckling,
-    simulate_payload,
+from pupper_analysis.analysis.judge import judge_stand
+from pupper_analysis.arguments import check_arguments
+from pupper_analysis.errors import (
+    NotSettlingError,
+    StanceUnreachableError,
+    StaticsInfeasibleError,
 )
-from pupper_analysis.stance.payload.limit import PayloadLimit, payload_limit
-from pupper_analysis.stance.payload.servo_limit import Failure
-from pupper_analysis.stance.stand import Stand, solve_stand
+from pupper_analysis.results import Result
+from pupper_analysis.robot.compliance import GroundLaw
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
+from pupper_analysis.robot.tool import Place, Tool, find_place
+from pupper_analysis.simulation.payload import Failure, PayloadTrial, simulate_payload
+from pupper_analysis.simulation.rollout import begin_stand
+from pupper_analysis.simulation.stability import evaluate_stability
+from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
+from pupper_analysis.stance.context import Context
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
-TRIED = 0.95
-"""The part of the payload's limit with which the loaded robot is simulated: below it, as no servo,
-floor or hand is exact to a percent."""
+Array = NDArray[np.float64]
 
+UNLIMITED = 1e4
+"""A payload above this many times the robot's mass is as good as unlimited."""
+
+FURTHER = 10.0
+"""Bounds of more than so many times the least are not looked for."""
+
+TRIED = 0.97
+"""The part of the limit with which the loaded stance is judged, and simulated nudged: just below
+it, as no servo, floor or hand is exact to a percent."""
+
+BEYOND = 1.05
+"""The part of the limit with which it is simulated to see what then fails."""
 
 FINE = 0.02
-"""To what part a mass is found that bears nudges, where that of the equilibrium does not."""
+"""To what part a mass is found that holds in simulation, where that of the equilibrium does not."""
 
-NEAR = (0.8, 0.95, 1.0, 1.05, 1.2)
-"""Parts of the servos' limit for which it is told how fast the stand buckles: friction that creeps
-leaves no sharp edge there."""
+EXACT, NEAR = 1e-6, 1e-3
+"""To what part of itself a bound of motors or of the stance is found that binds, rounded down, and
+others."""
+
+_FIRST = 0.25  # the first mass tried, in parts of the robot's
+_GROWTH = 1.5
+"""Factor from one mass tried to the next: a window of failure narrower than this may be missed."""
+
+_FASTER = 3.0  # factor beyond the mass at which the first bound gives way
+_GRIPLESS = 10.0
+"""A friction coefficient that no foot has: where more is needed, it is not friction that lacks."""
 
 
 @dataclass(frozen=True, eq=False)
-class LoadedStance(Result):
-    """The greatest payload of a stance, and the simulation of almost that.
+class Bound(Result):
+    """One of the limits of a payload.
+
+    Attributes:
+        mass: kg; infinite if there is none, or only one far above the least (``FURTHER``).
+        failure: What gives way just above.
+        where: The motors, joints, feet or bodies concerned.
+    """
+
+    mass: float
+    failure: Failure
+    where: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadLimit(Result):
+    """The greatest mass with which a stance holds, and what that rests on.
+
+    All is of the loaded stand: the robot with the mass on it, its com where the task says, its feet
+    sunk into the ground that is simulated (``solve_loaded_stand``).
 
     Attributes:
         name: The robot's name.
-        stand: The solved stand, without payload.
-        payload: The greatest mass in equilibrium.
-        mass: The greatest that bears nudges, too: that of ``payload``, or less where ``TRIED`` of
-            that falls (kg).
-        trial: The simulation with ``TRIED`` of ``mass`` on the robot; None where that is nothing,
-            or without limit.
-        fell: The simulation with ``TRIED`` of the ``payload`` where a nudge made it fall; None
-            where it did not.
-        buckling: How fast it buckles with ``NEAR`` of what the servos' stiffness holds; empty where
-            something else gives way there.
-        servos: The servos that all are of.
-        converted: Which of the robot's models was made of the other one, if one was.
+        mass: kg; the least of the four bounds, infinite if none binds.
+        binding: Which of them it is: ``stance``, ``motors``, ``servos`` or ``simulation``.
+        stance: Up to where there is a loaded stand: the base comes where the load asks for it, and
+            the contacts bear it.
+        motors: Up to where no motor is beyond its effort limit, with the contact forces that last.
+        servos: Up to where the servos can be commanded so far, and no deviation grows within 12 s
+            by the spectrum of MuJoCo's step, without the help of dry friction, however strong the
+            motors are.
+        simulation: Up to where ``TRIED`` of it holds in simulation, where that is less; 0 where the
+            stance does not hold without payload.
+        point: (3,) where the mass is attached, in the frame of ``link`` (m).
+        link: Of the URDF, that carries it.
+        unlimited: The motors without an effort limit: they say nothing about a payload.
+        stand: The loaded stand with ``mass``; without, if that is infinite.
+        offset: (2,) of the base from the centre of the feet in it, as ``StandTask.offset`` (m).
+        joint_torques: (nu,) in it (N m).
+        contact_forces: {foot: (3,)} in it, in world axes (N).
+        verdict: The one judge's, of the stance with ``TRIED`` of ``mass``; without payload, if
+            that is nothing or infinite.
+        trial: The simulation of the same nudged from all sides; None without one.
+        beyond: The same with ``BEYOND`` of ``mass``; None where that stand is out of reach.
     """
 
     name: str
-    stand: Stand
-    payload: PayloadLimit
     mass: float
+    binding: str
+    stance: Bound
+    motors: Bound
+    servos: Bound
+    simulation: Bound
+    point: Array
+    link: str
+    unlimited: tuple[str, ...]
+    stand: Stand
+    offset: Array
+    joint_torques: Array
+    contact_forces: dict[str, Array]
+    verdict: Verdict
     trial: PayloadTrial | None
-    fell: PayloadTrial | None
-    buckling: tuple[Buckling, ...]
-    servos: ServosUsed
-    converted: str = ""
+    beyond: PayloadTrial | None
+
+    @property
+    def bounds(self) -> dict[str, Bound]:
+        """The four bounds, the least first."""
+        names = ("stance", "motors", "servos", "simulation")
+        bounds: dict[str, Bound] = {name: getattr(self, name) for name in names}
+        return dict(sorted(bounds.items(), key=lambda item: item[1].mass))
+
+    @property
+    def failure(self) -> Failure:
+        """What gives way first."""
+        return self.bounds[self.binding].failure
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The motors, joints, feet or bodies concerned."""
+        return self.bounds[self.binding].where
 
     @property
     def passed(self) -> bool:
-        """Whether it carries anything, and stays up with it."""
-        return self.mass > 0 and (self.trial is None or self.trial.held)
+        """Whether it carries anything, and holds with it."""
+        return self.mass > 0 and self.verdict.passed and (self.trial is None or self.trial.held)
 
 
-def study_payload(
+@check_arguments
+def payload_limit(
     robot: Robot,
-    task: StandTask,
+    stance: StandTask | Stand | None = None,
     point: Place = (0.0, 0.0, 0.0),
     *,
     kp: ArrayLike | None = None,
     kd: ArrayLike | None = None,
-) -> LoadedStance:
-    """Solves a stance, and finds out what it can carry.
+) -> PayloadLimit:
+    """Finds the greatest point mass that a robot can carry in a stance.
+
+    It is the greatest with which ``stand --payload`` holds. Each mass that is tried is put on the
+    robot, and the stance solved anew, so that the base moves from under the load if the com shall
+    be over the feet; on the ground that is simulated. Servos are commanded the pose with the
+    feed-forward torques of the loaded robot. What holds by that is then judged as ``stand`` does,
+    and simulated nudged from all sides; where either fails, less is looked for.
 
     Args:
         robot: The robot.
-        task: The stance.
-        point: Where the payload is, as in ``with_payload``.
+        stance: The stance; of a stand, its task. The nominal stand by default.
+        point: Where the mass is, as in ``with_payload``.
         kp: Servo stiffness (N m/rad), one or (nu,); the model's own by default.
         kd: Servo damping (N m s/rad), one or (nu,); the model's own by default.
 
+    Returns:
+        The limit, and what it rests on.
+
     Raises:
-        StanceUnreachableError: If it is out of reach.
-        StaticsInfeasibleError: If it is reached, but slides or tips without payload.
-        ConfigurationError: If the task, or another argument, makes no sense for the robot.
-        ModelError: If the robot has no position servos, and kp and kd are not both given.
+        StanceUnreachableError: If the stance is out of reach without payload.
+        StaticsInfeasibleError: If it slides or tips without payload.
+        ConfigurationError: If an argument is out of its range, or makes no sense for the robot.
+        ModelError: If the model has no position servos, and kp and kd are not both given.
     """
-    stand = solve_stand(robot, task)
-    return try_payload(robot, stand, payload_limit(robot, stand, point, kp=kp, kd=kd), kp=kp, kd=kd)
+    place = find_place(robot, point)
+    if isinstance(stance, Stand):
+        stance.check(robot)
+        task = stance.task
+    else:
+        task = stance or StandTask()
+        solve_stand(robot, task)  # a refusal explains itself
+    search = _Search(robot, task, place, kp, kd)
+    bounds = search.bounds()
+    binding = min(bounds, key=lambda name: bounds[name].mass)
+    most = bounds[binding].mass
+
+    @cache
+    def judged(mass: float) -> Verdict:
+        loaded = with_payload(robot, mass, place)
+        found = judge_stand(loaded, solve_stand(loaded, task), kp=kp, kd=kd)
+        return replace(found, asked=Asked.CARRIES)
+
+    @cache
+    def tried(mass: float) -> PayloadTrial:
+        return simulate_payload(robot, task, mass, place, kp=kp, kd=kd)
+
+    simulation = Bound(math.inf, Failure.NOTHING, ())
+    if 0 < most < math.inf:
+        simulation = _simulated(most, judged, tried)
+    bounds["simulation"] = simulation
+    if simulation.mass < most:
+        binding, most = "simulation", simulation.mass
+    carries = 0 < most < math.inf
+    held = search.at(most if math.isfinite(most) else 0.0)
+    assert held.stand is not None
+    assert held.statics is not None
+    feet = np.mean(list(held.stand.contact_points.values()), axis=0)
+    return PayloadLimit(
+        name=robot.name,
+        mass=most,
+        binding=binding,
+        **bounds,
+        point=place.offset,
+        link=place.link,
+        unlimited=tuple(
+            name
+            for name, limit in zip(robot.joint_names, robot.effort_limits, strict=True)
+            if not math.isfinite(limit)
+        ),
+        stand=held.stand,
+        offset=held.stand.qpos[:2] - feet[:2],
+        joint_torques=held.statics.joint_torques,
+        contact_forces=held.statics.contact_forces,
+        verdict=judged(TRIED * most if carries else 0.0),
+        trial=tried(TRIED * most) if carries else None,
+        beyond=tried(BEYOND * most) if carries and search.stance(BEYOND * most) is None else None,
+    )
 
 
-def try_payload(
-    robot: Robot,
-    stand: Stand,
-    payload: PayloadLimit,
-    *,
-    kp: ArrayLike | None = None,
-    kd: ArrayLike | None = None,
-) -> LoadedStance:
-    """Simulates a stand with almost the greatest payload; see ``study_payload``."""
-    mass, trial, fell = payload.mass, None, None
-    point = find_tool(robot, payload.link).moved(payload.point)
-    if 0 < mass < math.inf:
-
-        def tried(mass: float) -> PayloadTrial:
-            return simulate_payload(robot, stand, TRIED * mass, point, kp=kp, kd=kd)
-
-        trial = tried(mass)
-        if not trial.held:
-            fell, (mass, trial) = trial, _bisected(tried, trial, mass)
-    buckling: tuple[Buckling, ...] = ()
-    if payload.servos.failure is Failure.BUCKLING and payload.servos.mass > 0:
-        masses = (share * payload.servos.mass for share in NEAR)
-        buckling = tuple(
-            payload_buckling(robot, stand, mass, point, kp=kp, kd=kd) for mass in masses
-        )
-    used = servos_used(robot, kp, kd)
-    made = robot.description.converted
-    return LoadedStance(robot.name, stand, payload, mass, trial, fell, buckling, used, made)
+Trouble = tuple[Failure, tuple[str, ...]] | None
+"""What fails, and where: the motors, joints, feet or bodies concerned; None if nothing does."""
 
 
-def _bisected(
-    tried: Callable[[float], PayloadTrial], trial: PayloadTrial, high: float
-) -> tuple[float, PayloadTrial]:
-    """Returns the greatest mass (kg) whose trial holds, to ``FINE``, and that trial.
+def _simulated(
+    most: float, judged: Callable[[float], Verdict], tried: Callable[[float], PayloadTrial]
+) -> Bound:
+    """Returns up to where ``TRIED`` of a mass holds in simulation; no bound if that is ``most``.
 
     What equilibria say is exact for a stand that is let alone; how far a nudge takes feet that
-    lift, soles that pivot and motors that saturate, simulation alone tells.
+    lift, soles that pivot and motors that saturate, and what else is wrong with a file, simulation
+    alone tells.
+    """
+
+    def trouble(mass: float) -> Trouble:
+        if not judged(TRIED * mass).passed:
+            return Failure.SIMULATED, ()
+        trial = tried(TRIED * mass)
+        return None if trial.failure is None else (trial.failure, trial.where)
+
+    found = trouble(most)
+    if found is None:
+        return Bound(math.inf, Failure.NOTHING, ())
+    if not judged(0.0).passed:
+        return Bound(0.0, Failure.UNLOADED, ())
+    return _bisect(trouble, 0.0, most, found, FINE * most)
+
+
+def _bisect(
+    trouble: Callable[[float], Trouble], low: float, high: float, found: Trouble, least: float
+) -> Bound:
+    """Returns the greatest mass without trouble, to ``least`` (kg), and what is above.
 
     Args:
-        tried: Makes a mass's trial.
-        trial: That of ``high``, which falls.
-        high: A mass.
+        trouble: Of a mass (kg).
+        low: A mass without.
+        high: A mass with trouble.
+        found: That trouble.
+        least: How near is near enough (kg).
     """
-    low, least = 0.0, FINE * high
+    assert found is not None
     while high - low > least:
         middle = (low + high) / 2
-        found = tried(middle)
-        if found.held:
-            low, trial = middle, found
+        if (other := trouble(middle)) is None:
+            low = middle
         else:
-            high, trial = middle, trial if low else found
-    return low, trial
+            high, found = middle, other
+    return Bound(low, *found)
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A loaded stand, or why there is none."""
+
+    robot: Robot
+    stand: Stand | None
+    trouble: Trouble
+
+    @cached_property
+    def statics(self) -> GravityCompensation | None:
+        """What its motors hold."""
+        return None if self.stand is None else stand_statics(self.robot, self.stand)
+
+
+class _Search:
+    """The search for the mass at which each bound gives way."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        task: StandTask,
+        point: Tool,
+        kp: ArrayLike | None,
+        kd: ArrayLike | None,
+    ) -> None:
+        self._robot, self._task, self._point = robot, task, point
+        self._kp, self._kd = kp, kd
+        model_with_servos(robot, kp, kd)  # refuses what cannot be driven
+        self.at = lru_cache(maxsize=None)(self._at)
+
+    def bounds(self) -> dict[str, Bound]:
+        """Returns the bounds {name: bound} by the stand, the motors and the servos."""
+        asked = {"stance": self.stance, "motors": self.motors, "servos": self.servos}
+        low = dict.fromkeys(asked, 0.0)
+        high: dict[str, tuple[float, Trouble]] = {}
+        mass, ceiling = 0.0, UNLIMITED * self._robot.total_mass
+        while len(high) < len(asked) and "stance" not in high and mass < ceiling:
+            for name in [name for name in asked if name not in high]:
+                found = asked[name](mass)
+                if found is None:
+                    low[name] = mass
+                else:
+                    high[name] = mass, found
+                    if name == "stance":
+                        break
+            if high:
+                ceiling = min(ceiling, FURTHER * max(mass, self._robot.total_mass))
+            step = _GROWTH if not high else _FASTER
+            mass = max(step * mass, _FIRST * self._robot.total_mass)
+        none = Bound(math.inf, Failure.NOTHING, ())
+        bounds = {
+            name: _bisect(asked[name], low[name], *high[name], NEAR * high[name][0])
+            if name in high
+            else none
+            for name in asked
+        }
+        first = min(bounds, key=lambda name: bounds[name].mass)
+        near = bounds[first].mass
+        if 0 < near < math.inf and first != "servos":  # whose edge is a doubling time
+            above = min(high[first][0], near * (1 + 2 * NEAR))
+            found = asked[first](above) or (bounds[first].failure, bounds[first].where)
+            bounds[first] = _bisect(asked[first], near, above, found, EXACT * near)
+        return bounds
+
+    def _at(self, mass: float) -> _Held:
+        """Puts a mass on the robot (kg)."""
+        try:
+            return _Held(*solve_loaded_stand(self._robot, self._task, mass, self._point), None)
+        except StanceUnreachableError as error:
+            where = [*error.shortfall, *(one.subject.name for one in error.blocked if one.subject)]
+            return _Held(self._robot, None, (Failure.REACH, tuple(where)))
+        except StaticsInfeasibleError as error:
+            needed = error.friction_needed
+            slides = needed is not None and needed <= _GRIPLESS
+            failure = Failure.SLIDING if slides else Failure.TIPPING
+            return _Held(self._robot, None, (failure, error.feet))
+        except NotSettlingError:  # it almost tips
+            return _Held(self._robot, None, (Failure.TIPPING, ()))
+
+    def stance(self, mass: float) -> Trouble:
+        """Tells why there is no loaded stand with a mass (kg)."""
+        held = self.at(mass)
+        if held.stand is None or held.statics is None:
+            return held.trouble
+        stand, forces = held.stand, held.statics.contact_forces
+        with lend(held.robot, Context) as context:
+            shapes = context.shapes
+            # As the parts are, which in reach may sink as their own feet do.
+            there = shapes.at(stand.qpos), stand.task.ground, stand.foot_targets
+            lowest = shapes.above_ground(*there, {})
+        if lowest is None:
+            return None
+        whole = 0.0
+        if not any(stand.depths.values()):  # legs that do not follow: it sinks as a whole
+            whole = max(
+                GroundLaw.of(held.robot, foot).depth(max(0.0, float(forces[foot] @ normal)))
+                for foot, normal in stand.normals.items()
+            )
+        return None if lowest.distance > whole else (Failure.GROUND, lowest.links)
+
+    def motors(self, mass: float) -> Trouble:
+        """Tells which motors are beyond their limits with a mass (kg)."""
+        statics = self.at(mass).statics
+        over = () if statics is None else beyond_limits(statics)
+        return (Failure.MOTOR, over) if over else None
+
+    def servos(self, mass: float) -> Trouble:
+        """Tells whether servos cannot be commanded so far, or do not hold still, with a mass (kg).
+
+        With motors as strong as need be: what saturates has no stiffness, and is their own bound.
+        """
+        held = self.at(mass)
+        if held.stand is None or held.statics is None:
+            return None
+        begun = begin_stand(held.robot, held.stand, kp=self._kp, kd=self._kd)
+        drive, names = begun.drive, held.robot.joint_names
+        lead = command_lead(held.statics.joint_torques, drive.kp)
+        target = held.stand.joint_positions(held.robot) + lead
+        low, high = command_ranges(held.robot).T
+        if (beyond := (target < low) | (target > high)).any():
+            return Failure.COMMAND, tuple(names[index] for index in np.flatnonzero(beyond))
+        drive.model.actuator_forcelimited[:] = 0
+        drive.model.jnt_actfrclimited[:] = 0
+        leaving = evaluate_stability(drive, begun.start, begun.ctrl).leaving()
+        if not leaving:
+            return None
+        failure = Failure.SHAKING if leaving[0].shakes else Failure.BUCKLING
+        return failure, leaving[0].joints

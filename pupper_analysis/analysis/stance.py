@@ -39,12 +39,12 @@ class Stance(Result):
 
     Attributes:
         name: The robot's name.
-        joint_positions: (nu,) of ``sunk``, or else of ``stand``, in actuator order (rad).
+        joint_positions: (nu,) of ``stand``, in actuator order (rad).
         limits: (nu,) of the motors' torques, the least that both files state (N m).
         limit_origins: (nu,) which statement of which file each is; None without a limit.
-        stand: How it stands on rigid ground.
-        sunk: How it stands with its feet sunk into MuJoCo's ground, which all that follows is of;
-            None where that is out of reach: then it is of ``stand``.
+        stand: How it stands, its feet sunk into MuJoCo's ground, which all that is told is of; on
+            rigid ground, without ``depths``, where that is out of reach.
+        rigid: How it would stand on rigid ground.
         statics: Torques and contact forces: those that last.
         min_max_torque: The same of least peak motor utilisation.
         verification: The simulation, with feed-forward.
@@ -63,7 +63,7 @@ class Stance(Result):
     limits: Array
     limit_origins: tuple[EffortStatement | None, ...]
     stand: Stand
-    sunk: Stand | None
+    rigid: Stand
     statics: GravityCompensation
     min_max_torque: GravityCompensation
     verification: StandVerification
@@ -126,8 +126,8 @@ def study_stance(
         joint_positions=held.joint_positions(robot),
         limits=robot.effort_limits,
         limit_origins=tuple(limit.origin for limit in robot.efforts),
-        stand=stand,
-        sunk=held if any(held.depths.values()) else None,
+        stand=held,
+        rigid=stand,
         statics=statics,
         min_max_torque=stand_statics(robot, held, distribution=ForceDistribution.MIN_MAX_TORQUE),
         verification=fed,

@@ -130,9 +130,10 @@ def workspace(
 def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Path | None) -> None:
     """Find the largest payload of a stance, and what fails beyond it.
 
-    Motor torques, servo stiffness and contacts each set a limit; the lowest one is the payload. The
-    robot is then simulated with 95 % of it while it is nudged from all sides. Robot and stance are
-    given as for `stand`.
+    It is the largest mass with which `stand --payload` holds: reach and contacts, motor torques and
+    servo stiffness each set a limit. The base moves from under the load where the CoM shall be over
+    the feet. The robot is then judged as by `stand` with 97 % of it, and simulated with that and
+    with 105 % while it is nudged from all sides. Robot and stance are given as for `stand`.
 
     \b
     Examples:
@@ -144,13 +145,13 @@ def payload(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Pat
     Exit status: 0 it carries something, 1 nothing, or it falls in simulation,
     2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.analysis.payload import study_payload
+    from pupper_analysis.analysis.payload import payload_limit
 
     task, place = asked.task(), shared.parse_place("at", at)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)
     with shared.show_progress("searching for the payload, and simulating it"):
-        result = study_payload(robot, task, place, kp=kp, kd=kd)
+        result = payload_limit(robot, task, place, kp=kp, kd=kd)
     asked.show(result, robot)
     shared.finish_command(json_path, result, passed=result.passed)
 

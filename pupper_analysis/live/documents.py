@@ -202,7 +202,7 @@ def simulation_document(stance: Stance, *, feedforward: bool) -> doc.Document:
         feedforward: Which of its simulations is told.
     """
     run = stance.verification if feedforward else stance.sagging
-    expected: float | None = float((stance.sunk or stance.stand).qpos[2])
+    expected: float | None = float(stance.stand.qpos[2])
     if not feedforward:
         expected = None if stance.settled is None else stance.settled.base_height
     title = "simulation-with-feed-forward" if feedforward else "simulation-without-feed-forward"

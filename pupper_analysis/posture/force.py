@@ -29,14 +29,15 @@ class ToolForce(Tabular):
 
     With l what the motors hold in the posture, and J the tool's Jacobian, a force f from outside
     leaves l - J^T f to the motors: the forces that they withstand, |l - J^T f| <= limits, are a
-    polytope. Along a unit vector d its edge is where the first motor is at its limit.
+    polytope. Along a unit vector d its edge is where the first motor is at its limit. Where gravity
+    alone is beyond a motor's limit nothing is withstood: all is 0, by that motor.
 
     Attributes:
         directions: (6, 3) of the force: along +x, -x, +y, -y, +z, -z of the world.
         forces: (6,) the greatest (N); infinite where no motor with a limit feels it.
         joints: (6,) whose motor then is at its limit; "" if none is.
         weakest: The least force of all directions that is not withstood (N).
-        weakest_direction: (3,) a unit vector; zero if every force is withstood.
+        weakest_direction: (3,) a unit vector; zero if every force is withstood, or none.
         weakest_joint: Whose motor gives in.
         angles: (n,) about the sections' normals, from their first axis to their second (rad).
         horizontal: (n,) the greatest forces in the section of x and y (N).
@@ -111,6 +112,8 @@ def withstood(
     along = directions @ rows.T
     with np.errstate(divide="ignore", invalid="ignore"):
         edges = np.where(along > _IDLE, room / along, np.inf)
+    if room.min() < 0:  # a force that would relieve that motor is none that is withstood from rest
+        edges[:, room < 0] = 0.0
     nearest = edges.argmin(axis=1)
     forces = edges[np.arange(len(edges)), nearest]
     return forces, np.where(np.isfinite(forces), nearest % robot.nu, -1)
@@ -122,11 +125,13 @@ def _constraints(robot: Robot, posture: Posture, tool: Tool) -> tuple[Array, Arr
     load = config.by_motors(config.load())
     rows = config.by_motors(tool.jacobian(config).T)
     room = np.concatenate([limits + load, limits - load])
-    return np.concatenate([rows, -rows]), np.maximum(room, 0.0)
+    return np.concatenate([rows, -rows]), room
 
 
 def _weakest(rows: Array, room: Array) -> tuple[float, Array, int]:
     """Returns the distance of the nearest face of a polytope, the way to it, and which it is."""
+    if room.min() < 0:
+        return 0.0, np.zeros(3), int(room.argmin()) % (len(rows) // 2)
     lengths = np.linalg.norm(rows, axis=1)
     distances = np.where(lengths > _IDLE, room / np.maximum(lengths, _IDLE), np.inf)
     nearest = int(distances.argmin())

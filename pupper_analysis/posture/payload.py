@@ -18,10 +18,12 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.payload.first_order import borne_by_motors
-from pupper_analysis.stance.payload.limit import UNLIMITED
+from pupper_analysis.stance.optimize.first_order import IDLE, borne_by_motors
 
 Array = NDArray[np.float64]
+
+UNLIMITED = 1e4
+"""A payload above this many times the robot's mass is as good as unlimited."""
 
 _ROUNDS = 6
 """Worst postures for lesser and lesser payloads: two or three mostly suffice."""
@@ -156,7 +158,8 @@ def servo_payload(
     # What is left of a mass that stiffens it everywhere is rounding.
     stable = 1 / softening if softening > _SOFTENS / robot.total_mass else math.inf
     lead = command_lead(config.by_motors(config.load()), gains)
-    rates = command_lead(config.by_motors(tool.load_per_mass(config)), gains)
+    borne = config.by_motors(tool.load_per_mass(config))
+    rates = command_lead(np.where(np.abs(borne) > IDLE, borne, 0.0), gains)
     low, high = command_ranges(robot).T - posture.qpos
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.where(rates > 0, high, low) - lead) / rates

@@ -58,6 +58,12 @@ where it began, nothing is: v3 half way down on soft servos told 1.5 to 25 s for
 _NAMED_SHARE = 0.5
 """Of the greatest share in a mode: what moves by less is not named."""
 
+_RUBBING = ("dof_frictionloss", "tendon_frictionloss", "geom_condim", "pair_dim")
+"""What of a model has the dry friction that hides what is not stable."""
+
+SLIDING_CONDIM = 3
+"""Of a contact without torsional and rolling friction."""
+
 _MOST_NAMED_JOINTS = 4  # joints and contacts that are named
 
 
@@ -184,8 +190,9 @@ def step_stability(
     A is beyond the unit circle, the deviation grows: by swinging if it is complex (the robot
     shakes), without if it is real (it buckles). In a time step h, its rate is ln|eigenvalue| / h.
 
-    Dry friction of joints, which MuJoCo makes viscous where nothing slides, hides what shakes until
-    a push overcomes it: so what shakes without it counts, too (``Mode.freed``), and what swings.
+    Dry friction of joints and of feet that roll, which MuJoCo makes viscous where nothing slides,
+    hides what shakes or buckles until a push overcomes it: so what leaves within ``LASTING``
+    without it counts, too (``Mode.freed``), and what swings.
 
     Only what is at rest can be judged so (``Stability.speed``), and only what is near: whether a
     state survives a harder push, a simulation tells.
@@ -230,23 +237,32 @@ def step_stability(
 
 
 def _judged(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Stability:
-    """Judges a state with the joints' dry friction, and what shakes or swings without."""
+    """Judges a state with the joints' dry friction, and what grows or swings without."""
     found = _judged_at_limits(model, data, settled=settled)
     rubs = model.dof_frictionloss.any() or model.tendon_frictionloss.any()
-    if not rubs or any(mode.shakes for mode in found.unstable):
+    rolls = (np.append(model.geom_condim, model.pair_dim) > SLIDING_CONDIM).any()
+    if not (rubs or rolls) or any(mode.shakes for mode in found.unstable):
         return found
-    joints, tendons = model.dof_frictionloss.copy(), model.tendon_frictionloss.copy()
-    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
+    kept = {name: getattr(model, name).copy() for name in _RUBBING}
+    free_of_friction(model)
     try:
         free = _judged_at_limits(model, copy_data(model, data), settled=settled)
     finally:
-        model.dof_frictionloss[:], model.tendon_frictionloss[:] = joints, tendons
-    freed = [replace(mode, freed=True) for mode in free.unstable if mode.shakes]
+        for name, values in kept.items():
+            getattr(model, name)[:] = values
+    freed = [replace(mode, freed=True) for mode in free.unstable if mode.grows_within(LASTING)]
     unstable = sorted([*found.unstable, *freed], key=lambda mode: -mode.growth)
     damped = [found.least_damped] if found.least_damped is not None else []
     damped += [replace(free.least_damped, freed=True)] if free.least_damped is not None else []
     least = min(damped, key=lambda mode: mode.damping_ratio, default=None)
     return replace(found, unstable=tuple(unstable), least_damped=least)
+
+
+def free_of_friction(model: mujoco.MjModel) -> None:
+    """Takes away the dry friction of joints, tendons and of feet that turn or roll."""
+    model.dof_frictionloss[:] = model.tendon_frictionloss[:] = 0.0
+    for name in ("geom_condim", "pair_dim"):
+        getattr(model, name)[:] = np.minimum(getattr(model, name), SLIDING_CONDIM)
 
 
 def _judged_at_limits(model: mujoco.MjModel, data: mujoco.MjData, *, settled: bool) -> Stability:

@@ -1,9 +1,6 @@
-from .optimize.best import BestStance as BestStance
 from .optimize.search import Objective as Objective
 from .path.stance_path import StancePath as StancePath
 from .path.stance_path import stance_path as stance_path
-from .payload.limit import PayloadLimit as PayloadLimit
-from .payload.servo_limit import PayloadCommand as PayloadCommand
 from .sag.band import SteadyStateBand as SteadyStateBand
 from .sag.band import steady_state_band as steady_state_band
 from .sag.steady_state import SteadyState as SteadyState

@@ -236,12 +236,5 @@ def _field(name: str, facts: dict[str, Any]) -> Field:
 FIELDS = read_table("pupper_analysis.stance", "fields.toml")
 """{name: field} of all that can be asked of a stand."""
 
-NO_MARGINS = {
-    name: field.usual
-    for name, field in FIELDS.items()
-    if field.part == "task" and not field.per and field.gives == "less"
-}
-"""{name: value} of a stand that keeps off nothing: neither from limits nor from the ground."""
-
 ROBOT_FIELDS = read_table("pupper_analysis.stance", "robot_fields.toml")
 """{name: field} of what can be asked of the robot that shall stand: its load, its servos."""

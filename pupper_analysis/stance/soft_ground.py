@@ -13,9 +13,10 @@ from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot, lend
+from pupper_analysis.robot.tool import Place
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.fields import NO_MARGINS
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.stand import Stand, solve_goal, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
@@ -23,42 +24,6 @@ from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution
 
 Array = NDArray[np.float64]
-
-
-def solve_loaded_stand(loaded: Robot, stand: Stand) -> Stand:
-    """Returns a stand of the unloaded robot as the loaded one has it on MuJoCo's soft ground.
-
-    The base stays where it is, and the feet where they are seen from above: each leg is longer by
-    what its foot sinks in under the load. The com is where the load takes it. Where the legs do not
-    follow (they are straight, or an ankle does not turn as its sole would have to, or it almost
-    tips, and depths do not settle), they are as they were, and the robot sinks as a whole.
-
-    Args:
-        loaded: The robot with its payload.
-        stand: The unloaded robot's.
-
-    Raises:
-        StanceUnreachableError: If something comes into the way; with ``blocked``.
-        StaticsInfeasibleError: If no contact forces balance it.
-    """
-    centre = np.mean(list(stand.contact_points.values()), axis=0)
-    x, y = (stand.qpos[:2] - centre[:2]).tolist()
-    task = replace(
-        stand.task,
-        offset=(x, y),
-        com="centre",
-        # Margins are demands of the unloaded stance; what a load breaks is judged elsewhere.
-        **NO_MARGINS,
-        ik_seed=tuple(stand.joint_positions(loaded).tolist()),
-    )
-    try:
-        return solve_stand_on_soft_ground(loaded, task, explain=False)
-    except StanceUnreachableError as error:
-        if error.blocked:
-            raise
-        return stand
-    except NotSettlingError:
-        return stand
 
 
 DEPTH_TOLERANCE = 1e-9
@@ -162,6 +127,35 @@ def solve_stand_as_simulated(robot: Robot, task: StandTask | Stand | None = None
         if robot.closure is None:
             raise
         return stand  # loops that are very soft open further and further: a simulation says so
+
+
+def solve_loaded_stand(
+    robot: Robot, stance: StandTask | Stand, mass: float, point: Place
+) -> tuple[Robot, Stand]:
+    """Puts a payload on a robot, and finds how it stands with it.
+
+    This is the one loaded stand: of ``payload_limit`` and its simulations as of ``stand
+    --payload``. Whatever the task says is said of the loaded robot: its com, which by default is
+    over the centre of the feet, so that the base moves from under the load.
+
+    Args:
+        robot: The robot.
+        stance: The stance; of a stand, its task.
+        mass: Of the payload (kg).
+        point: Where it is, as in ``with_payload``.
+
+    Returns:
+        The loaded robot, and its stand as simulated (``solve_stand_as_simulated``).
+
+    Raises:
+        ConfigurationError: If an argument makes no sense for the robot.
+        StanceUnreachableError: If it is out of reach with that load; not explained.
+        StaticsInfeasibleError: If no contact forces balance it.
+        NotSettlingError: If the feet's depths do not settle.
+    """
+    loaded = with_payload(robot, mass, point)
+    task = stance.task if isinstance(stance, Stand) else stance
+    return loaded, solve_stand_as_simulated(loaded, task)
 
 
 def open_loops(robot: Robot, stand: Stand, forces: Mapping[str, Array]) -> Array:

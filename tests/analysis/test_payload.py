@@ -1,34 +1,319 @@
-"""What a stance is said to carry: what bears the trial's nudges."""
+"""What a stance carries: typed back into ``stand``, closed forms, and bare MuJoCo."""
 
 from __future__ import annotations
 
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import mujoco
+import numpy as np
 import pytest
 
-from pupper_analysis.analysis.payload import FINE, _bisected
+import pupper_analysis as pa
+from pupper_analysis.analysis import payload
+from pupper_analysis.analysis.payload import BEYOND, FINE, TRIED, Bound, payload_limit
+from pupper_analysis.analysis.stance import study_stance
+from pupper_analysis.robot.stability import free_of_friction
+from pupper_analysis.robot.tool import Place, find_tool
+from pupper_analysis.simulation.payload import Failure
+from pupper_analysis.simulation.rollout import STATE, begin_stand
+from pupper_analysis.simulation.stability import evaluate_stability, stand_stability
+from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from tests.support.engines import with_efforts
+from tests.support.random_legged import drawn, ring, written
+from tests.support.variants import NAMES, load, stand_of
+
+ON_TOP = (0.0, 0.0, 0.05)
+STIFF = {"kp": 60.0, "kd": 0.8}
 
 
-@pytest.mark.parametrize("high", [9.0, 3.3])
-def test_where_the_trial_falls_what_it_bears_is_bisected(high: float) -> None:
-    seen: list[float] = []
+# ----------------------------------------------------------------------------- typed into stand
+
+
+def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analysis.PayloadLimit:
+    """With 0.97 of a payload ``stand`` holds, and with 1.03 it does not."""
+    limit = payload_limit(robot, None, point, **gains)
+    if not limit.passed:
+        empty = study_stance(robot, pa.StandTask(), **gains)
+        assert not empty.passed or limit.mass == 0
+        return limit
+    assert limit.verdict.passed
+    if math.isinf(limit.mass):
+        return limit
+    loaded = pa.robot.with_payload(robot, 0.97 * limit.mass, point)
+    assert study_stance(loaded, pa.StandTask(), **gains).passed
+    assert limit.trial is not None
+    assert limit.trial.held
+    if limit.binding != "simulation":  # which a nudge from all sides may set, and stand has one
+        try:
+            heavy = pa.robot.with_payload(robot, 1.03 * limit.mass, point)
+            assert not study_stance(heavy, pa.StandTask(), **gains).passed
+        except (pa.StanceUnreachableError, pa.StaticsInfeasibleError):
+            assert limit.binding == "stance"
+    return limit
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["v3", "original"])
+def test_a_payload_typed_into_stand_holds_and_more_does_not(name: str) -> None:
+    check_typed_back(load(name), ON_TOP)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 5])
+def test_so_do_those_of_random_robots(seed: int, tmp_path: Path) -> None:
+    check_typed_back(*random_load(seed, tmp_path))
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("seed", range(20, 32))
+def test_so_do_those_of_more_random_robots(seed: int, tmp_path: Path) -> None:
+    check_typed_back(*random_load(seed, tmp_path))
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize(("seed", "legs"), [(0, 3), (1, 5), (2, 6)])
+def test_so_do_those_of_any_number_of_legs(seed: int, legs: int, tmp_path: Path) -> None:
+    pair = written(ring(seed, legs), tmp_path)
+    check_typed_back(pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf), (0.03, 0.02, 0.05))
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("v3", "original")])
+def test_so_do_those_of_the_other_variants(name: str) -> None:
+    check_typed_back(load(name), (0.02, 0.01, 0.06))
+
+
+def random_load(seed: int, folder: Path) -> tuple[pa.Robot, tuple[float, ...]]:
+    """A random robot, and a point somewhere about its base."""
+    pair = written(drawn(seed), folder)
+    robot = pa.load_robot(pair.urdf, pair.mjcf)
+    place = np.random.default_rng(seed).uniform((-0.1, -0.1, 0.0), (0.1, 0.1, 0.2))
+    return robot, tuple((place * robot.stand_height).tolist())
+
+
+# -------------------------------------------------------------------------------------- bounds
+
+
+@pytest.mark.slow
+def test_the_base_moves_from_under_the_load() -> None:
+    robot, point = load("v3"), (0.05, 0.01, 0.05)
+    limit = payload_limit(robot, stand_of("v3"), point)
+    loaded, stand = solve_loaded_stand(robot, pa.StandTask(), limit.mass, point)
+    np.testing.assert_array_equal(limit.stand.qpos, stand.qpos)
+    feet = np.mean(list(stand.contact_points.values()), axis=0)
+    com = pa.Configuration(loaded, stand.qpos).center_of_mass()
+    np.testing.assert_allclose(com[:2], feet[:2], atol=1e-9)
+    np.testing.assert_allclose(limit.offset, stand.qpos[:2] - feet[:2], atol=1e-12)
+    assert limit.offset[0] < -0.02
+    assert limit.contact_forces.keys() == set(stand.stance_feet)
+
+
+@pytest.mark.slow
+def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
+    """Ahead of the front feet: m (a - d) = M d, with d and a from the com to edge and mass."""
+    robot = with_efforts(load("v3"), 1e3)
+    task = pa.StandTask(offset=(0.0, 0.0))
+    stand = pa.solve_stand(robot, task)
+    com = pa.Configuration(robot, stand.qpos).center_of_mass()[0]
+    edge = max(place[0] for place in stand.contact_points.values()) - com
+    arm = stand.qpos[0] + 0.2 - com
+    limit = payload_limit(robot, task, (0.2, 0.0, 0.05), kp=300.0, kd=3.0)
+    assert limit.stance.failure is Failure.TIPPING
+    assert limit.stance.mass == pytest.approx(robot.total_mass * edge / (arm - edge), rel=5e-3)
+
+
+@pytest.mark.slow
+def test_at_the_motors_limit_one_is_at_its_end_on_the_ground_that_is_simulated() -> None:
+    robot = load("v3")
+    limit = payload_limit(robot, None, ON_TOP, **STIFF)
+    assert limit.binding == "motors"
+    assert limit.failure is Failure.MOTOR
+    loaded, stand = solve_loaded_stand(robot, pa.StandTask(), limit.mass, ON_TOP)
+    assert max(stand.depths.values()) > 5e-3
+    held = pa.stance.stand_statics(loaded, stand)
+    assert 1 - 5e-6 < held.motor_utilisation.max() <= 1
+    assert robot.joint_names[int(held.motor_utilisation.argmax())] in limit.where
+    rigid = pa.stance.stand_statics(loaded, pa.solve_stand(loaded))
+    assert rigid.motor_utilisation.max() > 1.03  # on rigid ground it would not be the limit
+
+
+@pytest.mark.slow
+def test_more_torque_carries_more_in_proportion() -> None:
+    """The knees' limit doubled carries twice the total weight, but for the legs' own."""
+    robot = load("v3")
+    weak, strong = (
+        payload_limit(with_efforts(robot, share * robot.effort_limits), None, ON_TOP, **STIFF)
+        for share in (0.4, 0.8)
+    )
+    ratio = (strong.motors.mass + robot.total_mass) / (weak.motors.mass + robot.total_mass)
+    assert ratio == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.slow
+def test_stiffer_servos_carry_more() -> None:
+    robot = load("v3")
+    soft, stiff = (payload_limit(robot, None, ON_TOP, kp=kp, kd=0.1) for kp in (4.0, 8.0))
+    assert soft.servos.mass < 0.7 * stiff.servos.mass
+    assert soft.binding == stiff.binding == "servos"
+    assert soft.motors.mass == pytest.approx(stiff.motors.mass, rel=2e-3)  # of torques alone
+
+
+@pytest.mark.slow
+def test_feet_that_sink_bring_the_calves_down() -> None:
+    """The calves of the skeleton are 7 mm above the ground, and MuJoCo's gives way by that."""
+    robot = load("original")
+    limit = payload_limit(robot, None, ON_TOP, kp=60.0, kd=1.0)
+    assert limit.stance.failure is Failure.GROUND
+    assert any(name.endswith("calf") for name in limit.stance.where)
+    _, stand = solve_loaded_stand(robot, pa.StandTask(), limit.stance.mass, ON_TOP)
+    unloaded = pa.solve_stand(robot).ground_clearance
+    assert unloaded is not None
+    assert max(stand.depths.values()) == pytest.approx(unloaded.distance, rel=0.02)
+    assert not study_stance(
+        pa.robot.with_payload(robot, 1.03 * limit.stance.mass, ON_TOP),
+        pa.StandTask(),
+        kp=60.0,
+        kd=1.0,
+    ).passed
+
+
+@pytest.mark.slow
+def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
+    robot = with_efforts(load("v3"), np.inf)
+    limit = payload_limit(robot)
+    assert limit.motors.mass == math.inf
+    assert limit.motors.failure is Failure.NOTHING
+    assert limit.unlimited == robot.joint_names
+    assert limit.binding == "servos"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weak", [0.0, 0.5])
+def test_motors_too_weak_for_the_robot_itself_carry_nothing(weak: float) -> None:
+    robot = load("v3")
+    held = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
+    limits = robot.effort_limits.copy()
+    limits[2] = weak * abs(held.joint_torques[2])
+    limit = payload_limit(with_efforts(robot, limits))
+    assert limit.mass == limit.motors.mass == 0.0
+    assert limit.where == (robot.joint_names[2],)
+    assert limit.trial is None
+    assert not limit.passed
+    np.testing.assert_allclose(limit.joint_torques, held.joint_torques, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
+    robot = load("v3")
+    tool = find_tool(robot, "leg_front_l_2").moved((0.0, 0.02, 0.06))
+    limit = check_typed_back(robot, tool)
+    assert limit.link == "leg_front_l_2"
+
+
+def test_how_fast_it_buckles_is_what_bare_mujoco_does() -> None:
+    """Above the limit, without dry friction: from one that is nudged, by bare MuJoCo."""
+    loaded, stand = solve_loaded_stand(load("v3"), pa.StandTask(), 6.2, (0.0, 0.0, 0.08))
+    begun = begin_stand(loaded, stand)
+    rubbing = stand_stability(loaded, stand)
+    assert rubbing.unstable[0].freed
+    model = begun.drive.model
+    free_of_friction(model)
+    free = evaluate_stability(begun.drive, begun.start, begun.ctrl)
+    assert free.doubling_time == pytest.approx(rubbing.doubling_time or 0.0, rel=0.02)
+    still, nudged = mujoco.MjData(model), mujoco.MjData(model)
+    mujoco.mj_setState(model, still, begun.start, STATE)
+    still.ctrl[:] = begun.ctrl
+    mujoco.mj_copyData(nudged, model, still)
+    nudged.qvel[0] += 1e-6
+    passed = []
+    for way in (3e-5, 3e-4):
+        while np.abs(nudged.qpos - still.qpos)[7:].max() < way:
+            mujoco.mj_step(model, still)
+            mujoco.mj_step(model, nudged)
+        passed.append(still.time)
+    doubling = (passed[1] - passed[0]) * np.log(2) / np.log(10)
+    assert free.doubling_time == pytest.approx(doubling, rel=0.02)
+
+
+# ---------------------------------------------------------------------------- as the command says
+
+
+@pytest.mark.slow
+def test_beyond_it_fails_in_the_simulation_as_is_said() -> None:
+    limit = payload_limit(load("v3"), None, ON_TOP)
+    assert limit.failure is Failure.BUCKLING
+    assert limit.trial is not None
+    assert limit.beyond is not None
+    assert limit.trial.mass == TRIED * limit.mass
+    assert limit.beyond.mass == BEYOND * limit.mass
+    assert limit.beyond.failure is Failure.BUCKLING
+    assert limit.passed
+
+
+@pytest.mark.slow
+def test_a_stand_is_taken_by_its_task() -> None:
+    robot = load("v3")
+    task = pa.StandTask(height=0.12, pitch=0.05)
+    by_task, by_stand = (
+        payload_limit(robot, one, ON_TOP) for one in (task, pa.solve_stand(robot, task))
+    )
+    assert json.loads(by_task.to_json())["mass"] == json.loads(by_stand.to_json())["mass"]
+    with pytest.raises(pa.ConfigurationError, match="stand"):
+        payload_limit(load("original"), stand_of("v3"))
+
+
+@pytest.mark.parametrize("point", [(0, 0), (0, 0, np.nan), "top"])
+def test_payload_limit_refuses_bad_points(point: object) -> None:
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_what_does_not_hold_without_payload_carries_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A file that fails as published fails with a payload: the word is the one judge's."""
+
+    def judged(robot: pa.Robot, stand: pa.Stand, **gains: Any) -> Any:
+        return replace(judge_stand(robot, stand, **gains), passed=False)
+
+    judge_stand = payload.judge_stand
+    monkeypatch.setattr(payload, "judge_stand", judged)
+    limit = payload_limit(load("v3"), None, ON_TOP)
+    assert (limit.mass, limit.failure, limit.passed) == (0.0, Failure.UNLOADED, False)
+    assert limit.servos.mass > 5  # what servos would bear is told all the same
+
+
+# ----------------------------------------------------------------------------------- simulation
+
+
+def simulated(most: float, *, verdict: float = math.inf, nudged: float = math.inf) -> Bound:
+    def judged(mass: float) -> Any:
+        return SimpleNamespace(passed=mass <= verdict)
 
     def tried(mass: float) -> Any:
-        seen.append(mass)
-        return SimpleNamespace(tried=mass, held=mass <= 3.0)
+        falls = mass > nudged
+        return SimpleNamespace(failure=Failure.TIPPING if falls else None, where=("FL",))
 
-    mass, trial = _bisected(tried, tried(high), high)
-    assert 3.0 - FINE * high <= mass <= 3.0
-    assert trial.held
-    assert trial.tried == mass
-    assert len(seen) < 8
+    return payload._simulated(most, judged, tried)
 
 
-def test_a_robot_that_bears_nothing_is_said_to_fall() -> None:
-    def tried(mass: float) -> Any:
-        return SimpleNamespace(held=False)
+@pytest.mark.parametrize("most", [9.0, 3.3])
+def test_where_the_trial_falls_what_it_bears_is_bisected(most: float) -> None:
+    found = simulated(most, nudged=3.0)
+    assert 3.0 - FINE * most <= TRIED * found.mass <= 3.0
+    assert (found.failure, found.where) == (Failure.TIPPING, ("FL",))
+    found = simulated(most, verdict=3.0)
+    assert 3.0 - FINE * most <= TRIED * found.mass <= 3.0
+    assert found.failure is Failure.SIMULATED
 
-    mass, trial = _bisected(tried, tried(2.0), 2.0)
-    assert mass == 0.0
-    assert not trial.held
+
+def test_what_holds_is_no_bound_and_what_never_does_is_nothing() -> None:
+    assert simulated(5.0).mass == math.inf
+    assert simulated(5.0, verdict=-1.0).mass == 0.0
+    assert simulated(5.0, verdict=-1.0).failure is Failure.UNLOADED

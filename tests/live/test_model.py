@@ -302,7 +302,7 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     done = run_command(*words[1:], "--json", "stance.json", folder=tmp_path)
     assert done.returncode in (0, 1), done.stderr
     saved = json.loads((tmp_path / "stance.json").read_text())
-    assert saved["sunk"]["qpos"] == pytest.approx(qpos, abs=1e-12)
+    assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
     whole = json.loads(export.write_answer(source, found, predict_sag(found)))
     assert whole["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)

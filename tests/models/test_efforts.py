@@ -13,7 +13,6 @@ from pupper_analysis.models.efforts import EffortStatement, effort_of, gear_left
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.efforts import effort_notes
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.stance.payload.limit import motor_limit
 from tests.support.engines import changed
 from tests.support.variants import load, stand_of
 
@@ -67,13 +66,14 @@ def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: st
         np.abs(held.joint_torques).max() / 0.3, rel=1e-12
     )
     assert held.motor_utilisation.max() > 1
-    assert motor_limit(weak, stand, (0, 0, 0)).mass == 0
+    assert pa.payload_limit(weak, stand, kp=KP, kd=KD).motors.mass == 0
     assert not pa.verify_stand(weak, stand, kp=KP, kd=KD, duration=2.0).passed
     with pytest.raises(pa.NoEquilibriumError):
         pa.steady_state(weak, stand, kp=KP)
     assert pa.verify_stand(strong, stand, kp=KP, kd=KD, duration=2.0).passed
 
 
+@pytest.mark.slow
 def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
     """The payload of the same motors, said in three ways, and once by the URDF alone."""
     stand, masses = stand_of("v3"), []

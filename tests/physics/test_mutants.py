@@ -28,15 +28,13 @@ from pupper_analysis.robot.floor import floor_of, level_ground
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import tracking
-from pupper_analysis.simulation.payload import _start
 from pupper_analysis.simulation.push import tipping_impulses
 from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
-from pupper_analysis.stance.payload.servo_limit import Failure, PayloadCommand
 from pupper_analysis.statics.dynamics import rolling_levers
 from pupper_analysis.study.estimate import Estimate
-from tests.support.engines import changed, mujoco_at, with_efforts
+from tests.support.engines import changed, mujoco_at
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 from tests.support.variants import BASES, load, stand_of
@@ -287,22 +285,6 @@ def test_a_push_is_judged_by_where_it_ends(word: str) -> None:
     else:
         ends[-1, place[2]] = 0.02
     assert bench._unsettled(ends)
-
-
-def test_a_load_beyond_the_motors_begins_with_its_own_command() -> None:
-    """Its servos are told to hold that load, not the greatest one that they can hold."""
-    robot, stand, mass = load("v3"), stand_of("v3"), 2.0
-    held = pa.stance.stand_statics(
-        pa.robot.with_payload(robot, mass),
-        stand,
-        distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL,
-    ).joint_torques
-    weak = with_efforts(robot, 0.8 * float(np.abs(held).max()))
-    found = _start(weak, stand, mass, np.zeros(3), PayloadCommand.LOADED, None)
-    assert found.pose is None
-    assert found.failure is Failure.MOTOR
-    asked = model_with_servos(found.robot).kp * (found.target - found.start[7:])
-    np.testing.assert_allclose(asked, held, atol=0.05 * np.abs(held).max())
 
 
 def test_a_tolerance_needs_samples_enough_to_tell_its_probability(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_commands_page_and_interface_tell_the_same_of_a_stance(tmp_path: Path) -
 
     angles = stand.joint_positions(robot)
     assert one["joint_positions"] == pytest.approx(angles, abs=1e-12)
-    for qpos in (one["sunk"]["qpos"], other["stand"]["qpos"], live.stand.qpos):
+    for qpos in (one["stand"]["qpos"], other["stand"]["qpos"], live.stand.qpos):
         assert qpos == pytest.approx(stand.qpos, abs=1e-12)
     for torques in (one["statics"]["joint_torques"], other["statics"]["joint_torques"],
                     live.statics.joint_torques):  # fmt: skip

@@ -21,6 +21,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.balance import load_by_mujoco
+from pupper_analysis.stance.optimize.first_order import borne_by_motors
 from tests.support import arm as by_hand
 from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
 
@@ -194,6 +195,32 @@ def test_forces_at_the_tool_are_the_polytopes() -> None:
     pushed = load - rows @ (force.weakest * force.weakest_direction)
     assert (np.abs(pushed) / limits).max() == pytest.approx(1.0, rel=1e-6)
     assert force.weakest_joint == ORDER[int((np.abs(pushed) / limits).argmax())]
+
+
+def test_an_overloaded_posture_withstands_no_force_from_any_side() -> None:
+    """A force that happens to relieve the motor was told as withstood, by 26.9 N."""
+    robot = arm()
+    posture, tool = find_posture(robot, POSTURE), find_tool(robot)
+    load = np.abs(Configuration(robot, posture.qpos).load())
+    busiest = int(load.argmax())
+    weak = replace(robot)
+    limits = robot.effort_limits.copy()
+    limits[busiest] = 0.9 * load[busiest]
+    vars(weak)["effort_limits"] = limits
+    force = tool_force(weak, posture, tool)
+    assert force.weakest == 0.0
+    assert force.weakest_joint == weak.joint_names[busiest]
+    np.testing.assert_array_equal(force.forces, 0.0)
+    assert set(force.joints) == {weak.joint_names[busiest]}
+    for section in (force.horizontal, force.sagittal, force.frontal):
+        np.testing.assert_array_equal(section, 0.0)
+
+
+def test_a_mass_without_a_lever_but_rounding_is_unlimited() -> None:
+    """2.02e+16 kg were said to be held where the lever was zero but for its last digit."""
+    limits = np.array([3.0, 4.0])
+    assert borne_by_motors(np.array([0.5, -1.0]), np.array([1e-16, -1e-14]), limits) == math.inf
+    assert borne_by_motors(np.array([0.5, -1.0]), np.array([1e-16, -0.5]), limits) == 6.0
 
 
 def test_soft_servos_are_turned_over_by_less_than_motors_hold() -> None:

@@ -174,9 +174,9 @@ FIELDS: tuple[tuple[str, str, str, str, float | str, float], ...] = (
        getattr(pushed("one", 0.0, 0.0).recovery, field)[1], 1) for field, column in (
         ("impulses", "impulse (N s)"), ("velocity_steps", "step of velocity (m/s)"),
         ("tipping_estimate", "a rigid robot tips at (N s)"))),
-    ("payload", "What bounds the payload", "motors", "payload", loaded().payload.motors.mass, 1),
+    ("payload", "What bounds the payload", "motors", "payload", loaded().bounds["motors"].mass, 1),
     ("payload", "What bounds the payload", "servos' stiffness", "payload",
-     loaded().payload.servos.mass, 1),
+     loaded().bounds["servos"].mass, 1),
     ("workspace", "Range of the base in each direction, each alone", "height", "from",
      workspace().intervals["height"].low, 1e3),
     ("workspace", "Range of the base in each direction, each alone", "roll", "to",

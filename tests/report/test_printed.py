@@ -15,20 +15,20 @@ from pupper_analysis.report.document import Document, Table
 from pupper_analysis.report.documents.analysis import analysis_document
 from pupper_analysis.report.documents.best_study import best_document
 from pupper_analysis.report.documents.comparison import comparison_document
-from pupper_analysis.report.documents.loaded_stance import payload_document
 from pupper_analysis.report.documents.path_there import path_document
+from pupper_analysis.report.documents.payload_limit import payload_document
 from pupper_analysis.report.documents.pushed_stance import push_document
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.plots import LinePlot
 from pupper_analysis.report.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
-from pupper_analysis.stance.optimize.best import Objective
-from pupper_analysis.stance.payload.sharing import Sharing
+from pupper_analysis.stance.optimize.search import Objective
 from tests.support import printing
 from tests.support.stubs import (
     ANALYSIS,
     SERVOS,
+    STAND,
     best,
     files,
     loaded,
@@ -95,7 +95,7 @@ def test_a_stance_that_fails() -> None:
     failing = stance(
         passed=False,
         verification=run(0.0, passed=False),
-        sunk=None,
+        stand=STAND,
         settled=None,
         unsettled=problem("why"),
         verdict=judge_stance(run(0.0, passed=False), None, SERVOS),
@@ -118,9 +118,9 @@ def test_a_stance_that_fails() -> None:
 def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
     best = Stub(
         objective=Objective.PAYLOAD, value=2.349, nominal_value=1.118, evaluations=5,
-        coordinates={"yaw": math.radians(-3.3)}, active=(),
+        coordinates={"yaw": math.radians(-3.3)}, active=(), payload=loaded(),
     )  # fmt: skip
-    study: Any = Stub(best=best, stance=stance(), loaded=loaded(), passed=True)
+    study: Any = Stub(best=best, stance=stance(), passed=True)
     text = " ".join(printed(best_document(study)))
     assert "best of 5 stances: payload 2.34 kg, against 1.11 kg as asked height 0.1044 m" in text
     assert "yaw -3.3 °" in text
@@ -141,7 +141,7 @@ def test_limits_say_that_their_servos_were_made_up() -> None:
     made = MadeServo("knee", 320.0, 16.0, Drive.MOTOR)
     own = ServosUsed(ServoSource.ADDED, (320.0, 320.0), (16.0, 16.0), (made,))
     one = loaded()
-    one.servos = own
+    one.verdict = judge_stance(run(0.0, passed=True), None, own, asked=Asked.CARRIES)
     said = "on servos that were added to 1 joints: knee (in the file: torque motor) (kp 320 N m/rad"
     assert said in " ".join(printed(payload_document(one)))
     push = pushed("one", 0.0, 0.00311)
@@ -164,18 +164,12 @@ def test_pushes_of_what_fails_are_told_with_its_verdict() -> None:
     assert "weakest" not in text
 
 
-def test_what_motors_bear_if_legs_share_it_is_told_where_it_is_more() -> None:
-    assert "share" not in " ".join(printed(payload_document(loaded())))
-    more = loaded()
-    more.payload.shared = Sharing(5.678, np.zeros(12), {})
-    text = " ".join(printed(payload_document(more)))
-    assert "motors, with the best sharing of load among the legs 5.67 kg servos' stiffness" in text
-
-
 def test_motors_without_a_limit_are_named() -> None:
     text = " ".join(printed(payload_document(loaded("hip", "knee"))))
     assert "Motors without effort limit, which set no payload: 2 (hip, knee)." in text
-    assert "contacts no limit Static," in " ".join(printed(payload_document(loaded())))
+    assert "reach and contacts no limit - Of the loaded" in " ".join(
+        printed(payload_document(loaded()))
+    )
     assert "Motors without" not in " ".join(printed(payload_document(loaded())))
 
 

@@ -356,7 +356,6 @@ def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     stand = pa.solve_stand(robot)
     config = pa.Configuration(robot, stand.qpos)
     asked = {
-        "a payload": lambda: pa.payload_limit(robot, stand),
         "a path": lambda: pa.stance.stance_path(robot, [pa.StandTask(), pa.StandTask()], 1.0),
         "inverse dynamics": lambda: pa.statics.inverse_dynamics(config, np.zeros(robot.nv)),
         "the best stance": lambda: pa.best_stance(robot),

@@ -14,7 +14,7 @@ from pupper_analysis.stance.sag.solution import integrate_step
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
 from tests.support.engines import mujoco_at
 from tests.support.states import random_state
-from tests.support.variants import NAMES, load, stand_of
+from tests.support.variants import NAMES, load
 
 POINT = (0.05, -0.02, 0.08)
 
@@ -76,18 +76,19 @@ def test_a_payload_keeps_changed_effort_limits() -> None:
     )
 
 
-def test_the_base_stays_as_the_feet_sink() -> None:
-    robot, stand = load("v3"), pa.solve_stand(load("v3"), pa.StandTask(pitch=0.1, roll=-0.05))
-    loaded = with_payload(robot, 2.0, (0.08, 0.0, 0.05))
-    sunk = solve_loaded_stand(loaded, stand)
-    np.testing.assert_allclose(sunk.qpos[:7], stand.qpos[:7], atol=1e-9)
-    statics = pa.stance.stand_statics(
-        loaded, sunk, distribution=pa.statics.ForceDistribution.MIN_TANGENTIAL
-    )
+def test_the_base_moves_from_under_the_load_and_the_feet_sink() -> None:
+    robot, point, task = load("v3"), (0.08, 0.0, 0.05), pa.StandTask(pitch=0.1, roll=-0.05)
+    loaded, sunk = solve_loaded_stand(robot, task, 2.0, point)
+    feet = np.mean(list(sunk.contact_points.values()), axis=0)
+    com = pa.Configuration(loaded, sunk.qpos).center_of_mass()
+    np.testing.assert_allclose(com[:2], feet[:2], atol=1e-9)
+    assert sunk.qpos[2] == pytest.approx(robot.stand_height, abs=1e-9)
+    statics = pa.stance.stand_statics(loaded, sunk)
     assert sum(f[2] for f in statics.contact_forces.values()) == pytest.approx(
         9.81 * (robot.total_mass + 2.0)
     )
-    assert sunk.depths["FR"] > sunk.depths["RR"] + 1e-4  # the load is in front
+    _, ahead = solve_loaded_stand(robot, pa.StandTask(offset=(0.0, 0.0)), 2.0, point)
+    assert ahead.depths["FR"] > ahead.depths["RR"] + 1e-4  # the base stays, the load is in front
     report = pa.verify_stand(loaded, sunk)
     assert report.passed, report.failures
 
@@ -111,7 +112,7 @@ def test_contacts_are_as_soft_as_mujoco_has_them_under_the_load() -> None:
     foot = robot.contact_places["FR"][0]
     light, heavy = (float(one.mj_model.body_invweight0[foot, 0]) for one in (robot, loaded))
     assert heavy < light
-    stand = solve_loaded_stand(loaded, stand_of("v3"))
+    _, stand = solve_loaded_stand(robot, pa.StandTask(), 5.0, (0.0, 0.0, 0.0))
     data = mujoco_at(loaded, stand.qpos)
     total = np.zeros(3)
     for number in range(data.ncon):

@@ -582,6 +582,7 @@ def test_the_com_with_its_payload_is_over_the_feet() -> None:
 @pytest.mark.longest
 def test_measures_that_simulate_are_what_their_names_say() -> None:
     robot, stand = load("v3"), stand_of("v3")
+    held = pa.stance.solve_stand_as_simulated(robot)  # as `push` and `stand` have it
     design = Maker(study({"kp": [5.0]}).source, pa.StandTask(), (0, 0, 0)).design({})
     reach = pa.stance.base_workspace(robot).intervals
     expected = {
@@ -590,9 +591,9 @@ def test_measures_that_simulate_are_what_their_names_say() -> None:
         "height_range": reach["height"].high - reach["height"].low,
         "pitch_range": reach["pitch"].high - reach["pitch"].low,
         "roll_range": reach["roll"].high - reach["roll"].low,
-        "verified": pa.verify_stand(robot, stand).passed,
-        "simulated_height": pa.verify_stand(robot, stand, feedforward=False).base_height,
-        "push_recovery": pa.push_recovery(robot, stand).weakest_impulse,
+        "verified": pa.verify_stand(robot, held).passed,
+        "simulated_height": pa.verify_stand(robot, held, feedforward=False).base_height,
+        "push_recovery": pa.push_recovery(robot, held).weakest_impulse,
     }
     for name, value in expected.items():
         assert METRICS[name].function(design) == pytest.approx(float(value), rel=1e-6), name

@@ -18,11 +18,17 @@ def with_efforts(robot: pa.Robot, efforts: float | Sequence[float] | np.ndarray)
     limits = np.array(urdf.effortLimit)
     limits[robot.pin_convention.v_index] = efforts
     urdf.effortLimit = limits
+    spec = robot.description.mjcf.copy()  # which a payload is welded to
     for name, limit in zip(robot.joint_names, limits[robot.pin_convention.v_index], strict=True):
+        for actuator in spec.actuators:
+            if actuator.target == name and limit > 0:  # of zero the URDF's counts alone
+                actuator.forcelimited = mujoco.mjtLimited(int(np.isfinite(limit)))
+                actuator.forcerange = (-limit, limit) if np.isfinite(limit) else (0.0, 0.0)
         drives = mjcf.actuator_trnid[:, 0] == mjcf.joint(name).id
         mjcf.actuator_forcelimited[drives] = np.isfinite(limit)
         mjcf.actuator_forcerange[drives] = (-limit, limit) if np.isfinite(limit) else 0.0
-    return replace(robot, pin_model=urdf, mj_model=mjcf)
+    description = replace(robot.description, mjcf=spec)
+    return replace(robot, pin_model=urdf, mj_model=mjcf, description=description)
 
 
 def changed(robot: pa.Robot, change: Callable[[mujoco.MjModel], None]) -> pa.Robot:

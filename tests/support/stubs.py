@@ -20,16 +20,15 @@ from pupper_analysis.report.documents.analysis import analysis_document
 from pupper_analysis.report.documents.base_workspace import workspace_document
 from pupper_analysis.report.documents.best_study import best_document
 from pupper_analysis.report.documents.comparison import comparison_document
-from pupper_analysis.report.documents.loaded_stance import payload_document
 from pupper_analysis.report.documents.path_there import path_document
+from pupper_analysis.report.documents.payload_limit import payload_document
 from pupper_analysis.report.documents.pushed_stance import compare_pushes, push_document
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
+from pupper_analysis.simulation.payload import Failure
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
-from pupper_analysis.stance.optimize.best import Objective
-from pupper_analysis.stance.payload.servo_limit import Failure
-from pupper_analysis.stance.payload.sharing import Sharing
+from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.task import StandTask
 
 
@@ -262,12 +261,14 @@ STAND: Any = Stub(
     ground_clearance=Stub(distance=0.0111, links=("calf",)),
     self_clearance=Stub(distance=0.0222, links=("thigh", "base")),
 )
+SUNK = {"depths": {"FR": 0.00311, "RL": 0.00422}, "qpos": np.array([0.0, 0.0, 0.1031])}
 
 
 def stance(**changes: Any) -> Any:
     fields: dict[str, Any] = {
         "name": "stub",
-        "stand": STAND,
+        "stand": Stub(**{**vars(STAND), **SUNK}),
+        "rigid": STAND,
         "verification": run(0.0, passed=True),
         "joint_positions": np.array([0.6543, -0.7654]),
         "statics": loads(0.0),
@@ -276,7 +277,7 @@ def stance(**changes: Any) -> Any:
         "limit_origins": ORIGINS,
         "verdict": judge_stance(run(0.0, passed=True), None, SERVOS, overloaded=("knee",)),
         "settled": Stub(
-            base_height=0.11223,
+            height_loss=-0.00783,
             servo_sag=0.00789,
             contact_sag=0.00421,
             release_margin=0.5,
@@ -284,7 +285,6 @@ def stance(**changes: Any) -> Any:
         ),
         "unsettled": None,
         "minimum_stiffness": 4.567,
-        "sunk": Stub(depths={"FR": 0.00311, "RL": 0.00422}, qpos=np.array([0.0, 0.0, 0.1031])),
         "passed": False,
         "loops_open": 2.34e-5,
     }
@@ -292,31 +292,30 @@ def stance(**changes: Any) -> Any:
 
 
 def loaded(*unlimited: str) -> Any:
-    payload = Stub(
+    none = Stub(mass=math.inf, failure=Failure.NOTHING, where=())
+    bounds = {
+        "servos": Stub(mass=1.239, failure=Failure.BUCKLING, where=("knee",)),
+        "motors": Stub(mass=4.569, failure=Failure.MOTOR, where=("hip",)),
+        "stance": none,
+        "simulation": none,
+    }
+    trial = Stub(mass=1.177, duration=12.0, failure=None)
+    beyond = Stub(mass=1.305, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
+    return Stub(
+        name="stub",
+        passed=True,
+        stand=Stub(**{**vars(STAND), **SUNK}),
+        offset=np.array([-0.0123, 0.0045]),
         point=np.array([0.011, -0.022, 0.083]),
         link="base_link",
         mass=1.239,
         where=("knee",),
         failure=Failure.BUCKLING,
-        motors=Stub(mass=4.569),
-        servos=Stub(mass=1.239),
-        contacts=Stub(mass=math.inf),
+        bounds=bounds,
         unlimited=unlimited,
-        shared=Sharing(3.5, np.zeros(12), {}),
-    )
-    trial = Stub(mass=1.177, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
-    buckling = (Stub(mass=0.991, doubling_time=161.6, free_doubling_time=math.inf),)
-    return Stub(
-        name="stub",
-        passed=True,
-        stand=STAND,
-        payload=payload,
-        mass=payload.mass,
         trial=trial,
-        fell=None,
-        buckling=buckling,
-        servos=SERVOS,
-        converted="",
+        beyond=beyond,
+        verdict=judge_stance(run(0.0, passed=True), None, SERVOS, asked=Asked.CARRIES),
     )
 
 
@@ -352,13 +351,14 @@ def best() -> Any:
     """The best stance of a search."""
     found = Stub(
         objective=Objective.MARGIN,
+        payload=None,
         value=0.0456,
         nominal_value=0.0345,
         evaluations=321,
         coordinates={"height": 0.1567, "pitch": math.radians(2.5), "FR x": -0.0123},
         active=("height high",),
     )
-    return Stub(best=found, stance=stance(), loaded=None, passed=False)
+    return Stub(best=found, stance=stance(), passed=False)
 
 
 def workspace() -> Any:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from pupper_analysis.analysis.best import BestStudy
+from pupper_analysis.analysis.best import BestStance, BestStudy
 from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loaded_stance import (
+from pupper_analysis.report.documents.payload_limit import (
     mass_text,
     payload_document,
     payload_table,
@@ -17,7 +17,6 @@ from pupper_analysis.report.documents.registry import build_document
 from pupper_analysis.report.documents.stance import stance_document
 from pupper_analysis.report.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.optimize.best import BestStance
 from pupper_analysis.stance.optimize.search import Objective
 
 _WHAT = {
@@ -34,9 +33,9 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     blocks: tuple[doc.Block, ...] = (_coordinates(study.best), *found.blocks)
     told: tuple[doc.Words, ...] = (_search(study.best), *found.told)
     failures, verdict = found.failures, found.verdict
-    if study.loaded is not None:
-        loaded = payload_document(study.loaded)
-        blocks = (payload_table(study.loaded), *blocks)
+    if study.best.payload is not None:
+        loaded = payload_document(study.best.payload)
+        blocks = (payload_table(study.best.payload), *blocks)
         # The stance of both is the same, and told once.
         told += tuple(line for line in loaded.told if line not in found.told)
         failures += loaded.failures

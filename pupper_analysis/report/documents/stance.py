@@ -25,7 +25,7 @@ DISAGREEMENT = 1e-4
 def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
     """Returns a stance, what it costs, and whether it holds; see ``build``."""
     run = stance.verification
-    stand = stance.sunk or stance.stand
+    stand = stance.stand
     blocks = [
         view_block(robot, stand, stance.statics, motions_of([run])),
         *load_blocks(
@@ -36,7 +36,7 @@ def stance_document(stance: Stance, robot: Robot | None = None) -> doc.Document:
             stance.limit_origins,
             {doc.Column(text("position"), "rad"): stance.joint_positions.tolist()},
         ),
-        stand_table(stance.stand, stance.statics),
+        stand_table(stand, stance.statics),
         simulated_table(run),
         height_plot([run], float(stand.qpos[2])),
     ]
@@ -73,7 +73,8 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
     if settled is not None:
         settles = text(
             "settles-at",
-            height=f"{settled.base_height:.5f}",
+            # Above the ground where the task has its height, which on a slope is not the world's z.
+            height=f"{(stance.stand.task.height or 0.0) - settled.height_loss:.5f}",
             servo=f"{1e3 * settled.servo_sag:z.2f}",
             contact=f"{1e3 * settled.contact_sag:z.2f}",
         )
@@ -109,4 +110,4 @@ def _told(stance: Stance) -> Iterable[doc.Words]:
             "the-mjcfs-loops-and-couplings",
             most=f"{stance.loops_open:.2g}",
         )
-    yield ground_text(stance.sunk.depths.values() if stance.sunk else ())
+    yield ground_text(stance.stand.depths.values())

@@ -9,9 +9,7 @@ from pupper_analysis.report import document as doc
 from pupper_analysis.report.document import Text, Words, tell
 from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.sources import files_text
-from pupper_analysis.report.verdict import clause_text, on_servos
 from pupper_analysis.report.words import text
-from pupper_analysis.robot.as_published import ServosUsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -62,8 +60,3 @@ def stand_table(stand: Stand, statics: GravityCompensation | None) -> doc.Table:
     )
     columns = quantity_columns()
     return doc.Table(text("stance"), columns, rows, detail=True)
-
-
-def made_up(servos: ServosUsed) -> tuple[Text, ...]:
-    """Says that a limit rests on servos that were made up; nothing where the file has them."""
-    return (clause_text(on_servos(servos, good=True)),) if servos.made else ()

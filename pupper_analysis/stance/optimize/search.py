@@ -18,8 +18,8 @@ from pupper_analysis.errors import (
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.tool import Place, find_place
+from pupper_analysis.stance.optimize.first_order import SmallPayload
 from pupper_analysis.stance.optimize.space import STEP_OVER, Room, StanceSpace
-from pupper_analysis.stance.payload.first_order import SmallPayload
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import ForceDistribution

@@ -1,19 +1,27 @@
-"""A payload to first order: what motors, contacts, servos and ground bear, in closed form."""
+"""A payload to first order: what motors, contacts, servos and ground bear, in closed form.
+
+It guides the search for the best stance alone, smoothly and in a millisecond; what a stance carries
+says ``payload_limit``.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
+from scipy import linalg
 
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.payload.buckling import find_buckling_modes
+from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
+from pupper_analysis.stance.sag.solution import Anchor
 from pupper_analysis.stance.stand import Stand, stand_contacts
 from pupper_analysis.statics.equilibrium import hold_loads
 
@@ -23,8 +31,13 @@ SMALL = 0.1
 """A payload, in parts of the robot's mass: with one that tips it there is no line to follow."""
 
 
+IDLE = 1e-9
+"""N m/kg: what bears less of a mass has no lever to it but rounding."""
+
+
 def borne_by_motors(torques: Array, rates: Array, limits: Array) -> float:
     """Returns the greatest mass m with |torques + m rates| <= limits; 0 if none has (kg, N m)."""
+    rates = np.where(np.abs(rates) > IDLE, rates, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.copysign(limits, rates) - torques) / rates
     return float(np.min(np.where(np.isfinite(room), np.maximum(room, 0.0), math.inf)))
@@ -142,7 +155,7 @@ class SmallPayload:
         pressed = np.maximum(loads.normals + self.mass * loads.normal_rates, 0.0)
         near = [self._usual[foot] for foot in stand.stance_feet]
         deep = np.array([law.depth(*at) for law, *at in zip(laws, pressed, near, strict=True)])
-        modes = find_buckling_modes(
+        modes = _buckling_modes(
             config, stand, self._kp, (loads.forces, loads.force_rates), self._point, laws, deep
         )
         if modes is None:
@@ -152,3 +165,64 @@ class SmallPayload:
             depths = [max(0.0, lowest.distance) + stand.depths[foot] for foot in stand.stance_feet]
             strongest = np.array([law.force(d) for law, d in zip(laws, depths, strict=True)])
         return FirstOrder(loads, strongest, modes)
+
+
+def _buckling_modes(
+    config: Configuration,
+    stand: Stand,
+    kp: Array,
+    lines: tuple[Array, Array],
+    point: Tool,
+    laws: Sequence[GroundLaw],
+    deep: Array,
+) -> Array | None:
+    """Finds at which payloads a stand held with feed-forward for the load loses its stability.
+
+    In the stand, gravity and the contact forces that last are linear in the payload's mass m, and
+    so is the stiffness: K(m) = K_0 + m G, with K_0 that of servos, ground, and the robot's own
+    weight, on all motions for which the material contact points do not slip. The stand buckles in
+    a mode v where K(m) v = 0, that is, -G v = mu K_0 v with mu = 1 / m. The
+    payload's weight is a force at its point that keeps its direction.
+
+    On level ground this is exact for the configuration, but that the ground is as stiff as it is
+    ``deep``; on a slope K is made symmetric.
+
+    Args:
+        config: Where the robot is: in the stand.
+        stand: How it stands.
+        kp: (nu,) servo stiffness at the joints (N m/rad).
+        lines: (n, 3) contact forces without payload (N), and how they grow with it (N/kg).
+        point: Where it is.
+        laws: The ground's, of each foot that carries.
+        deep: (n,) how deep these are in the ground (m).
+
+    Returns:
+        The mu of all modes, the greatest first (1/kg): none buckles below a mass of 1 / mu[0] if
+        that is positive, and none at all if not. None if the stand is not stable without payload.
+    """
+    robot, feet = config.robot, stand.stance_feet
+    frame = pin.Quaternion.FromTwoVectors(stand.task.ground.normal(), UP).matrix()
+    centres = config.foot_places(feet)
+    held = zip(feet, centres, config.foot_rotations(feet), strict=True)
+    anchors = {foot: Anchor(place, turned) for foot, place, turned in held}
+    depths = dict(zip(feet, deep.tolist(), strict=True))
+    touch = ContactKinematics(config, anchors, centres, frame, depths)
+    across = touch.jacobians[:, :2].reshape(-1, robot.nv)
+    along = touch.jacobians[:, 2]
+    rates = np.array([law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)])
+    forces, more = (line @ frame.T for line in lines)
+    bare = touch.balance_rates(forces, None)
+    softer = bare - touch.balance_rates(forces + more, None)  # by a payload of 1 kg
+    twists, weight = point.twist_jacobian(config)[None], np.zeros((1, 6))
+    softer += config.pushed_rates(twists, weight)
+    weight[0, :3] = robot.gravity
+    softer -= config.pushed_rates(twists, weight)
+    stiff = bare + along.T @ (rates[:, None] * along)
+    stiff[6:, 6:] += np.diag(kp)
+    free = linalg.null_space(across)
+    one, other = (free.T @ matrix @ free for matrix in (stiff, softer))
+    try:
+        modes: Array = linalg.eigh((other + other.T) / 2, (one + one.T) / 2, eigvals_only=True)
+    except np.linalg.LinAlgError:
+        return None
+    return modes[::-1]

@@ -1,0 +1,131 @@
+"""The document of a payload: what a stance can carry, and what the simulation makes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+from pupper_analysis.analysis.payload import Bound, PayloadLimit
+from pupper_analysis.report import document as doc
+from pupper_analysis.report.documents.loads import view_block
+from pupper_analysis.report.documents.registry import build_document
+from pupper_analysis.report.documents.standing import ground_text, robot_notes
+from pupper_analysis.report.documents.tasks import task_text
+from pupper_analysis.report.verdict import verdict_lines, verdict_of_files
+from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.payload import Failure, PayloadTrial
+
+
+@build_document.register(PayloadLimit)
+def payload_document(limit: PayloadLimit, robot: Robot | None = None) -> doc.Document:
+    """Returns what a stance can carry; see ``build``."""
+    found = tuple(_found(limit))
+    lines = verdict_lines(limit.verdict)
+    return doc.Document(
+        text("payload-title"),
+        doc.Name(limit.name),
+        (view_block(robot, limit.stand, None), payload_table(limit)),
+        passed=limit.passed,
+        verdict=verdict_of_files("carries" if limit.passed else "FAILS", limit.verdict.converted),
+        failures=() if limit.passed else (*lines, *found),
+        told=(
+            payload_text(limit),
+            *(found if limit.passed else ()),
+            task_text(limit.stand.task),
+            text(
+                "base-of-the-loaded-stand",
+                place=", ".join(f"{1e3 * value:z.1f}" for value in limit.offset),
+            ),
+            ground_text(limit.stand.depths.values()),
+            *(lines if limit.passed else ()),
+        ),
+        notes=robot_notes(robot),
+    )
+
+
+def payload_text(limit: PayloadLimit) -> doc.Text:
+    """Returns the greatest mass, where it is, and what gives way beyond it."""
+    return text(
+        "payload-at-place",
+        place=", ".join(f"{1e3 * value:.0f}" for value in limit.point),
+        link=limit.link,
+        mass=mass_text(limit.mass),
+        failure=_failure(limit.failure, limit.where),
+    )
+
+
+def payload_table(limit: PayloadLimit) -> doc.Table:
+    """Returns what each bound lets it carry, and what gives way there, the least first."""
+    rows: list[tuple[doc.Cell, ...]] = [
+        (text(_BOUNDS[name]), mass_text(bound.mass), _then(bound))
+        for name, bound in limit.bounds.items()
+        if name != "simulation" or math.isfinite(bound.mass)
+    ]
+    notes: list[doc.Words] = [text("payload-is-static")]
+    if limit.unlimited:
+        notes.append(
+            text(
+                "motors-without-effort-limit",
+                count=len(limit.unlimited),
+                joints=join_words(map(doc.Name, limit.unlimited)),
+            )
+        )
+    return doc.Table(
+        text("what-bounds-the-payload"),
+        (
+            doc.Column(text("bound"), left=True),
+            doc.Column(text("payload")),
+            doc.Column(text("what-then-fails"), left=True),
+        ),
+        tuple(rows),
+        tuple(notes),
+    )
+
+
+_BOUNDS = {
+    "stance": "loaded-stance",
+    "motors": "motors",
+    "servos": "servos-stiffness",
+    "simulation": "payload-nudged",
+}
+
+
+def mass_text(mass: float) -> doc.Words:
+    """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
+    if math.isinf(mass):
+        return text("no-limit")
+    return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
+
+
+def _then(bound: Bound) -> doc.Words:
+    """Says what gives way beyond a bound; a dash where there is none."""
+    if math.isinf(bound.mass):
+        return doc.Name("-")
+    return _failure(bound.failure, bound.where)
+
+
+def _failure(failure: Failure, where: Iterable[str]) -> doc.Words:
+    """Says what gives way, and where."""
+    failed, named = word(failure.value), ", ".join(where)
+    return text("failure-where", failure=failed, where=named) if named else failed
+
+
+def _found(limit: PayloadLimit) -> Iterable[doc.Words]:
+    """Says what became of it in simulation, with nearly its payload on it, and with more."""
+    for trial in (limit.trial, limit.beyond):
+        if trial is not None:
+            yield _trial(trial)
+
+
+def _trial(trial: PayloadTrial) -> doc.Text:
+    mass, seconds = mass_text(trial.mass), f"{trial.duration:g}"
+    if trial.failure is None:
+        return text("simulated-with-mass", mass=mass, seconds=seconds)
+    return text(
+        "simulated-with-mass-on-it-seconds",
+        mass=mass,
+        seconds=seconds,
+        time=f"{trial.time:.2f}",
+        failure=_failure(trial.failure, trial.where),
+    )

@@ -1,0 +1,57 @@
+"""A payload's trial: how it is nudged, and that dry friction does not hold up what it tries."""
+
+from __future__ import annotations
+
+from unittest import mock
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.simulation import payload
+from pupper_analysis.simulation.payload import NUDGE, nudge_velocities, simulate_payload
+from tests.support.variants import load, stand_of
+
+
+def test_a_base_is_nudged_to_all_sides_and_each_trial_elsewhere() -> None:
+    robot, stand = load("v3"), stand_of("v3")
+    speeds = nudge_velocities(robot, stand, 0.3)
+    np.testing.assert_allclose(np.linalg.norm(speeds[:10, :3], axis=1), NUDGE)
+    assert speeds[0, 1] / speeds[0, 0] == pytest.approx(np.tan(0.3))
+    np.testing.assert_allclose(speeds.sum(axis=0), 0.0, atol=1e-15)
+    angles = np.sort(np.arctan2(speeds[:8, 1], speeds[:8, 0]))
+    np.testing.assert_allclose(np.diff(angles), np.pi / 4)
+    turns = [simulate_payload(robot, stand, mass, duration=2).turn for mass in (1.0, 1.1, 1.0)]
+    assert turns[0] == turns[2] != turns[1]
+
+
+def test_each_nudge_is_simulated_from_the_stand_that_is_judged() -> None:
+    robot, stand, seen = load("v3"), stand_of("v3"), []
+
+    def watched(model: object, workers: object, starts: np.ndarray, control: np.ndarray) -> object:
+        seen.append(starts)
+        return roll_out(model, workers, starts, control)  # type: ignore[arg-type]
+
+    roll_out = payload.roll_out
+    with mock.patch.object(payload, "roll_out", watched):
+        trial = simulate_payload(robot, stand, 2.0, (0.05, 0.0, 0.05), duration=2)
+    assert trial.nudges == len(seen[0]) == 12
+    loaded = pa.robot.with_payload(robot, 2.0, (0.05, 0.0, 0.05))
+    held = pa.stance.solve_stand_as_simulated(loaded, pa.StandTask())
+    places = 1 + robot.mj_convention.qpos_index
+    np.testing.assert_allclose(seen[0][:, places], np.tile(held.qpos, (12, 1)), atol=1e-6)
+    assert held.qpos[0] < stand.qpos[0] - 0.01  # the base moved from under the load
+
+
+def test_dry_friction_holds_up_what_is_not_stable() -> None:
+    """So that a robot which nobody touches proves nothing."""
+    robot, stand = load("v3"), stand_of("v3")
+    assert simulate_payload(robot, stand, 7.0, dry_friction=True, duration=6).held
+    assert not simulate_payload(robot, stand, 7.0, duration=6).held
+
+
+def test_what_is_out_of_reach_is_not_simulated() -> None:
+    with pytest.raises(pa.StanceUnreachableError):
+        simulate_payload(load("v3"), stand_of("v3"), 50.0, (0.4, 0.0, 0.0))
+    with pytest.raises(pa.ConfigurationError, match="point"):
+        simulate_payload(load("v3"), stand_of("v3"), 1.0, "top")  # type: ignore[arg-type]
