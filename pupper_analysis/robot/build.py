@@ -152,7 +152,7 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
 
     MuJoCo counts it as the motors' torque; here it is what they are relieved of.
     """
-    notes = []
+    notes = _limited_tendons(mj_model)
     if acts_at_rest(mj_model):
         notes.append(diagnose("springs-are-the-mjcfs"))
     if mj_model.body_gravcomp.any() and mj_model.jnt_actgravcomp.any():
@@ -162,6 +162,28 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
         mj_model.jnt_actgravcomp[:] = 0
         notes.append(diagnose("gravity-compensation-passive", joints=names))
     return notes
+
+
+def _limited_tendons(mj_model: mujoco.MjModel) -> list[Diagnostic]:
+    """Tells which tendons have a range: MuJoCo keeps joints within it, and no stand knows of it."""
+    told = []
+    for tendon in np.flatnonzero(mj_model.tendon_limited):
+        first, count = int(mj_model.tendon_adr[tendon]), int(mj_model.tendon_num[tendon])
+        wraps = range(first, first + count)
+        at_joints = mujoco.mjtWrap.mjWRAP_JOINT.value
+        joints = [
+            mj_model.joint(int(mj_model.wrap_objid[wrap])).name
+            for wrap in wraps
+            if mj_model.wrap_type[wrap] == at_joints
+        ]
+        low, high = mj_model.tendon_range[tendon].tolist()
+        name = mj_model.tendon(int(tendon)).name or f"#{tendon}"
+        told.append(
+            diagnose(
+                "tendon-with-range", subject=("tendon", name), lower=low, upper=high, joints=joints
+            )
+        )
+    return [diagnose("tendon-ranges-not-kept", tendons=told)] if told else []
 
 
 def _take_armature(
