@@ -90,7 +90,9 @@ class JointOff:
     @property
     def told_away(self) -> bool:
         """Whether its own servo was told to go there: what is commanded is another pose."""
-        return self.commanded is not None and abs(self.commanded) > abs(self.off) / 2
+        if self.commanded is None or abs(self.off) <= GIVES_WAY:
+            return False
+        return abs(self.commanded) > abs(self.off) / 2
 
 
 @dataclass(frozen=True)
