@@ -72,6 +72,7 @@ class ConversionDraft:
         stands: Whether it is a robot that shall stand.
         failure: Why it does not, if that is known already.
         lost: What it cannot do without, and lacks.
+        on_balls: The joints whose feet touch with balls in the place of their meshes, as is told.
     """
 
     text: str
@@ -83,6 +84,7 @@ class ConversionDraft:
     stands: bool = False
     failure: Diagnostic | None = None
     lost: tuple[Diagnostic, ...] = ()
+    on_balls: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)

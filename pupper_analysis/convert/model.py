@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
 
 from pupper_analysis.arguments import check_arguments
 from pupper_analysis.checks.compare import Comparison, compare_models
 from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.convert.conversion import Conversion, keyframe_run
+from pupper_analysis.convert.conversion import Conversion, ConversionDraft, keyframe_run
 from pupper_analysis.convert.from_urdf import check_joints
-from pupper_analysis.convert.repair import Repair
 from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.convert.to_urdf import urdf_draft
 from pupper_analysis.diagnostics import Diagnostic, diagnose
@@ -118,7 +117,7 @@ def convert_model(
     write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     comparison = compare_models(urdf, mjcf, packages=packages, tolerances=FINE)
     verification, kept = None, None
-    failures = list(_disagreements(comparison, draft.repairs))
+    failures = list(_disagreements(comparison, draft))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
     failures += draft.lost
     if draft.failure is not None:
@@ -153,14 +152,17 @@ def _refuse_given(options: MjcfOptions, source: Path) -> None:
             raise ConfigurationError(field.name, diagnose("not-of-an-mjcf", source=source))
 
 
-def _disagreements(comparison: Comparison, repairs: Sequence[Repair]) -> Iterator[Diagnostic]:
-    """Yields what makes the files disagree, but for the inertials that were repaired.
+def _disagreements(comparison: Comparison, draft: ConversionDraft) -> Iterator[Diagnostic]:
+    """Yields what makes the files disagree, but for what the notes tell.
 
-    Of these the comparison proves that they explain all that is left.
+    Inertials that were repaired, of which the comparison proves that they explain all that is left,
+    and feet on balls in the place of their meshes.
     """
-    repaired = {repair.body for repair in repairs}
+    repaired = {repair.body for repair in draft.repairs}
     for difference in comparison.differences:
-        if not (difference.kind in OF_INERTIALS and difference.element in repaired):
+        mended = difference.kind in OF_INERTIALS and difference.element in repaired
+        on_ball = difference.kind == "collision" and difference.element in draft.on_balls
+        if not (mended or on_ball):
             yield difference.diagnostic
     yield from comparison.objections
 

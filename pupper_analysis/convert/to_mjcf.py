@@ -23,7 +23,7 @@ from pupper_analysis.convert.repair import (
 )
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
-from pupper_analysis.models.additions import Servo, put_all
+from pupper_analysis.models.additions import Ball, Servo, put_all
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
@@ -199,10 +199,10 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
     bare = _Bare.of(urdf, output, options, free=said)
     mjcf, meshes = bare.mjcf, bare.meshes
     left = [*bare.bodies.notes, *meshes.notes, *_unsaid(urdf)]
-    notes, failure = list(bare.notes), None
+    notes, failure, on_balls = list(bare.notes), None, frozenset[str]()
     if bare.free:
         notes += [diagnose("free-joint-added", subject=("body", bare.bodies.root))]
-        found, failure = _put_stand(bare, options)
+        found, failure, on_balls = _put_stand(bare, options)
         notes = [*dict.fromkeys((*notes, *found)), equip.add_imu(mjcf, bare.bodies)]
     else:
         notes.append(diagnose("base-fixed-in-the-world"))
@@ -223,6 +223,7 @@ def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft
         stands=bare.free,
         failure=failure,
         lost=tuple(meshes.lost),
+        on_balls=on_balls,
     )
 
 
@@ -257,11 +258,13 @@ def _is_free(urdf: UrdfFile, bodies: UrdfBodies) -> bool:
     return sum(not joint.is_fixed for joint in carried) >= _LIMBS
 
 
-def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Diagnostic | None]:
+def _put_stand(
+    bare: _Bare, options: MjcfOptions
+) -> tuple[list[Diagnostic], Diagnostic | None, frozenset[str]]:
     """Adds what `load_robot` finds out: feet, servos, start pose.
 
     Returns:
-        Its notes, and why the robot does not stand, if so.
+        Its notes, why the robot does not stand, if so, and the joints whose feet are balls now.
     """
     mjcf, meshes, bodies = bare.mjcf, bare.meshes, bare.bodies
     # Without shapes nothing can stand, which is no sign of a hand.
@@ -279,7 +282,8 @@ def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Dia
         put_all(ground_of_urdf(), mjcf)
         told = [each.reason for each in ground_of_urdf()] + _put_held(bare, options)
         equip.lift_base(mjcf, bodies, model)
-        return told, diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        problem = diagnose("does-not-stand", missing=meshes.missing, problem=problem)
+        return told, problem, frozenset()
     if len(robot.contact_points) < _LIMBS and not sure:
         raise _LeglessError(diagnose("lowest-limbs", limbs=robot.contact_points))
     told = [note for note in robot.notes if note.code != "armature-from-mjcf"]
@@ -302,7 +306,17 @@ def _put_stand(bare: _Bare, options: MjcfOptions) -> tuple[list[Diagnostic], Dia
         added = drives.retuned(robot, *gains)
     put_all(added, mjcf)
     equip.lift_base(mjcf, bodies, robot.mj_model)
-    return told, failure
+    return told, failure, _joints_on_balls(robot)
+
+
+def _joints_on_balls(robot: Robot) -> frozenset[str]:
+    """Returns the joints that move the bodies to which balls were added in the place of shapes."""
+    model = robot.mj_model
+    balls = [each for each in robot.description.added if isinstance(each, Ball)]
+    bodies = {int(model.body_weldid[model.body(ball.body).id]) for ball in balls}
+    return frozenset(
+        name for name in robot.joint_names if int(model.jnt_bodyid[model.joint(name).id]) in bodies
+    )
 
 
 def _reaches_no_ground(robot: Robot, error: PupperAnalysisError) -> bool:
