@@ -42,7 +42,7 @@ def test_a_pipe_that_takes_a_files_place_does_not_hold_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(tmp_path / "pipe")
-    monkeypatch.setattr("pupper_analysis.inputs.check_input", lambda *_: None)
+    monkeypatch.setattr("pupper_analysis.inputs.check_input", lambda *_, **__: None)
     assert read_input(tmp_path / "pipe", 10) == b""
 
 

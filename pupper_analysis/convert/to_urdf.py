@@ -359,8 +359,11 @@ def list_lost_numbers(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic
     for tag, rows in (("geom", touching), ("option", [0])):
         for word, values in stated_numbers(model, tag, rows).items():
             distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
-            code = "contact-number-not-in-urdf" if tag == "geom" else "option-not-in-urdf"
-            some.append(diagnose(code, what=word, values=tuple(distinct), count=len(values)))
+            told = {"what": word, "values": tuple(distinct)}
+            if tag == "geom":
+                some.append(diagnose("contact-number-not-in-urdf", count=len(values), **told))
+            else:
+                some.append(diagnose("option-not-in-urdf", **told))
     return some
 
 

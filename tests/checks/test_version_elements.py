@@ -64,7 +64,7 @@ def test_one_edit_is_one_change_with_its_line_and_what_mujoco_makes_of_it(
     }
     change = diff.changes[0]
     assert change.new_place.endswith(f"{file}:{line}")
-    assert ("simulation" in change.effects) is (word in FELT)
+    assert ("simulated motion" in change.effects) is (word in FELT)
     codes = {told.code for told in change.consequences}
     assert ("simulation-unchanged" in codes) is (word in HARMLESS)
     # The height it tells is the one that bare MuJoCo has.

@@ -366,5 +366,5 @@ def _weigh(
         facts.append(diagnose("slides-from", one=Quantity(one, "rad"), two=Quantity(two, "rad")))
     if not facts:
         return {}, (diagnose("simulation-unchanged", **where),)
-    effects = {"simulation": Effect(worst, worst, math.inf)} if worst > FELT else {}
+    effects = {"simulated motion": Effect(worst, worst, math.inf)} if worst > FELT else {}
     return effects, tuple(facts)
