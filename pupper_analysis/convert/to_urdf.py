@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -359,11 +360,11 @@ def list_lost_numbers(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic
     for tag, rows in (("geom", touching), ("option", [0])):
         for word, values in stated_numbers(model, tag, rows).items():
             distinct = dict.fromkeys(" ".join(f"{n:.6g}" for n in value) for value in values)
-            told = {"what": word, "values": tuple(distinct)}
             if tag == "geom":
-                some.append(diagnose("contact-number-not-in-urdf", count=len(values), **told))
+                given: dict[str, Any] = {"values": tuple(distinct), "count": len(values)}
+                some.append(diagnose("contact-number-not-in-urdf", what=word, **given))
             else:
-                some.append(diagnose("option-not-in-urdf", **told))
+                some.append(diagnose("option-not-in-urdf", what=word, values=tuple(distinct)))
     return some
 
 
