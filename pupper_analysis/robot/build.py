@@ -34,6 +34,7 @@ from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.floor import floor_of, leave_ground
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.transition import SLEEP
 
 Array = NDArray[np.float64]
 
@@ -153,6 +154,8 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
     MuJoCo counts it as the motors' torque; here it is what they are relieved of.
     """
     notes = _limited_tendons(mj_model)
+    if mj_model.opt.enableflags & SLEEP:
+        notes.append(diagnose("sleep-not-differentiated"))
     if acts_at_rest(mj_model):
         notes.append(diagnose("springs-are-the-mjcfs"))
     if mj_model.body_gravcomp.any() and mj_model.jnt_actgravcomp.any():

@@ -213,7 +213,9 @@ def test_a_base_frame_below_the_ground_is_no_fall(tmp_path: Path, below: float) 
 def test_what_sleeps_is_judged(tmp_path: Path) -> None:
     """MuJoCo does not differentiate a step of what may sleep."""
     asleep = _option('integrator="implicitfast"><flag sleep="enable"/></option>')
-    assert judged(slipped(tmp_path, asleep), "api").code is VerdictCode.HOLDS
+    robot = slipped(tmp_path, asleep)
+    assert judged(robot, "api").code is VerdictCode.HOLDS
+    assert "sleep-not-differentiated" in {note.code for note in robot.notes}
 
 
 def _servos(gain: float, bias: float) -> str:
