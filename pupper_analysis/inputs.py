@@ -21,8 +21,11 @@ from pupper_analysis.runs import note_input
 MOST_TEXT: Final = 20_000_000
 """Bytes of a text that is read as a whole: a model, settings."""
 
+MOST_FILE: Final = 500_000_000
+"""Bytes of any other file that is: a mesh, a texture."""
 
 _PART: Final = 1 << 20
+_LONGEST_KEY: Final = 500
 
 
 def check_input(path: Path, most: int, *, own: bool = False) -> None:
@@ -93,6 +96,11 @@ def read_input(path: Path, most: int, *, own: bool = False) -> bytes:
     return bytes(data)
 
 
+def read_text(path: Path) -> str:
+    """Returns a text that a user gave; see ``read_input`` and ``decode_input``."""
+    return decode_input(path, read_input(path, MOST_TEXT))
+
+
 def decode_input(path: Path, data: bytes) -> str:
     """Returns a file's content as text.
 
@@ -118,11 +126,21 @@ def read_toml(path: Path) -> tuple[str, dict[str, Any]]:
     """
     text = decode_input(path, read_input(path, MOST_TEXT))
     try:
-        return text, tomllib.loads(text)
+        values = tomllib.loads(text)
     except (ValueError, OverflowError, RecursionError) as error:
         found = re.search(r"at line (\d+)", str(error))
         problem = diagnose("not-toml", problem=" ".join(str(error).split()))
         raise InputError(path, problem, int(found[1]) if found else None) from error
+    tables: list[Any] = [values]
+    for table in tables:  # which grows: who refuses a key names it
+        if isinstance(table, dict):
+            for key in table:
+                if len(key) > _LONGEST_KEY:
+                    told = diagnose("toml-key-too-long", begins=key[:40], most=_LONGEST_KEY)
+                    raise InputError(path, told)
+        if isinstance(table, dict | list):
+            tables += table.values() if isinstance(table, dict) else table
+    return text, values
 
 
 def _line(data: bytes, at: int) -> int:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError
+from pupper_analysis.errors import InputError, PupperAnalysisError
 from pupper_analysis.inputs import check_input, decode_input, is_input, read_input, read_toml
 from tests import damaged
 
@@ -118,3 +118,20 @@ def test_a_name_that_no_file_can_have_is_that_of_none(tmp_path: Path) -> None:
     assert is_input(tmp_path / "file")
     assert not is_input(tmp_path / ("x" * 5000))
     assert not is_input(tmp_path)
+
+
+@pytest.mark.parametrize("kind", [one for one in damaged.kinds() if one.name.endswith(".toml")])
+@pytest.mark.parametrize("place", ["first", "last", "value"])
+def test_the_line_about_a_huge_word_is_short(
+    kind: damaged.Kind, place: str, tmp_path: Path
+) -> None:
+    huge = b"k" * 1_000_000
+    texts = {"first": huge + b" = 1\n" + kind.sound, "last": kind.sound + huge + b" = 1\n"}
+    path = tmp_path / kind.name
+    path.write_bytes(texts.get(place, kind.sound.replace(b"v3", huge).replace(b"hip", huge)))
+    told = ""
+    try:
+        kind.read(path)
+    except PupperAnalysisError as error:
+        told = str(error)
+    assert len(told) < 2000

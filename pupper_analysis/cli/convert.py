@@ -9,8 +9,17 @@ import click
 
 from pupper_analysis import kinds
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError, OutputError
+
+_ALWAYS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
+_OF_AN_MJCF = {
+    *("feet", "fixed_base", "merge_fixed", "armature", "sag", "damping_ratio"),
+    *("repair_inertia", "copy_meshes"),
+}
+_USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
+"""{ending of the output: what is used to make such a file}."""
 
 
 @shared.command("convert")
@@ -104,6 +113,8 @@ def convert_command(
 
     if str(output) == "-":
         raise OutputError(output, diagnose("converted-needs-a-name"))
+    if output.suffix.lower() in _USES:
+        refuse_unused(output.suffix.lower(), _USES)
     folders = shared.package_folders(packages)
     named = dict(shared.parse_assignment("foot", foot) for foot in feet if "=" in foot)
     named |= {foot: foot for foot in feet if "=" not in foot}

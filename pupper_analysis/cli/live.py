@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_idle
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -91,6 +92,8 @@ def live_command(
     if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
             source = load_source(RobotFiles.of(*meant.models, **meant.options))
+        if not source.loaded.floating:
+            refuse_idle(str(meant), "state")
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.live import LiveVariants

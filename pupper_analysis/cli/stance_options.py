@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -85,11 +86,11 @@ class RobotAndTask:
     payload: float
     payload_at: str | None
     stance: Mapping[str, Any]
-    kp: tuple[str, ...]
-    kd: tuple[str, ...]
-    integrator: str | None
     style: str
     everything: bool
+    kp: tuple[str, ...] = ()
+    kd: tuple[str, ...] = ()
+    integrator: str | None = None
     cone: str | None = None
     impratio: float | None = None
     fixed_base: bool = False
@@ -109,11 +110,14 @@ class RobotAndTask:
 
     def robot(self, words: tuple[str, ...]) -> Robot:
         """Returns the robot that is meant; v3 by default."""
-        return self._loaded(self.which.one(words) or "v3")
+        meant = self.which.one(words) or "v3"
+        _refuse_idle([meant])
+        return self._loaded(meant)
 
     def robots(self, words: tuple[str, ...], *, default: tuple[str, ...]) -> list[Robot]:
         """Returns the robots that are meant, by names of their own."""
         meant = self.which.all(words) or default
+        _refuse_idle(meant)
         return told_apart(meant, [self._loaded(one) for one in meant])
 
     def _loaded(self, meant: str | VariantSpec | RobotFiles) -> Robot:
@@ -128,6 +132,8 @@ class RobotAndTask:
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_options
 
+        if not self.payload:
+            refuse_alone(("--payload",), "payload_at")
         place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
         loaded = with_payload(robot, self.payload, place)
         return with_options(loaded, self.integrator, self.cone, self.impratio)
@@ -150,6 +156,14 @@ class RobotAndTask:
         return task_of(self.stance)
 
 
+def _refuse_idle(meant: Sequence[str | VariantSpec | RobotFiles]) -> None:
+    """Refuses what is for robots of files, where there is none."""
+    variants = [one for one in meant if not isinstance(one, RobotFiles)]
+    if len(variants) == len(meant):
+        names = [one if isinstance(one, str) else one.name for one in variants]
+        refuse_idle(", ".join(names), "as_is")
+
+
 def _print_first_difference(robot: Robot) -> None:
     """Prints what makes a robot's files those of two robots, as far as one thing does."""
     from pupper_analysis.checks.compare import compare_models
@@ -170,6 +184,15 @@ def _print_first_difference(robot: Robot) -> None:
 
 def robot_and_task(command: Command) -> Command:
     """Gives a command the options of robot, stance and servos, as one ``RobotAndTask``."""
+    return _gathered(command, (*SERVOS, *LOOK))
+
+
+def robot_and_stance(command: Command) -> Command:
+    """Gives a command those of robot and stance alone: of one that simulates nothing."""
+    return _gathered(command, LOOK)
+
+
+def _gathered(command: Command, more: tuple[Callable[[Command], Command], ...]) -> Command:
     own = ("stance", "which", "fixed_base")
     names = [one.name for one in fields(RobotAndTask) if one.name not in own]
 
@@ -177,11 +200,11 @@ def robot_and_task(command: Command) -> Command:
     def gathered(**values: Any) -> None:
         stance = {name: values.pop(name) for name in TYPED}
         which = RobotOptions.taken_from(values)
-        own = {name: values.pop(name) for name in names}
+        own = {name: values.pop(name) for name in names if name in values}
         asked = RobotAndTask(which=which, stance=stance, **own)
         command(asked, **values)
 
-    groups = (FILES, (AS_IS,), VARIANT, (stance_option,), LOAD, options_of(), SERVOS, LOOK)
+    groups = (FILES, (AS_IS,), VARIANT, (stance_option,), LOAD, options_of(), more)
     return add_options(*groups)(gathered)
 
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_idle
 from pupper_analysis.cli.robots import robot_argument
-from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_stance, robot_and_task
 
 if TYPE_CHECKING:
     from pupper_analysis.analysis.stance import Stance
@@ -87,7 +88,7 @@ def stand(
 
 @shared.command()
 @robot_argument
-@robot_and_task
+@robot_and_stance
 @shared.figure_option
 @shared.json_option
 def workspace(
@@ -191,6 +192,8 @@ def best(
     from pupper_analysis.analysis.best import study_best
     from pupper_analysis.stance.optimize.search import Objective
 
+    if objective != "payload":
+        refuse_idle(objective, "at")
     task, place = asked.task(), shared.parse_place("at", at)
     robot = asked.robot(words)
     kp, kd = asked.gains(robot)

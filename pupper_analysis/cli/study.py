@@ -12,6 +12,7 @@ import click
 
 from pupper_analysis import kinds
 from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 
 if TYPE_CHECKING:
     from pupper_analysis.report.document import Document
@@ -104,8 +105,14 @@ def study_command(
     from pupper_analysis.study.estimate import estimate_study
     from pupper_analysis.study.outcome import check_objectives, study_outcome
 
+    if dry_run:
+        refuse_idle("--dry-run", "dask", "scheduler", "figures", "report_path")
+    if scheduler is not None:
+        refuse_idle("--scheduler", "dask", "workers")
     study = Study.read(file, own_metrics=not dry_run)
     check_objectives(study, minimise, maximise)
+    if not (dry_run or figures or report_path or style == "markdown"):
+        refuse_alone(("--figures", "--report", "--format markdown"), "minimise", "maximise")
     if dry_run:
         expected = estimate_study(study, folder)
         from pupper_analysis.report.documents.estimate import estimate_document

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pupper_analysis.cli import models, shared
+from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 
 if TYPE_CHECKING:
     from pupper_analysis.sync.models import Sync
@@ -92,6 +93,10 @@ def sync_command(
     from pupper_analysis.report.documents.sync import question_text, sync_document
     from pupper_analysis.sync.models import FINE, sync_models
 
+    if dry_run:
+        refuse_idle("--dry-run", "backup")
+    if not take and not _is_terminal():
+        refuse_alone(("--take",), "take_absent", "partial", "backup")
     names, folders = models.mapped_names(pairs, map_file), shared.package_folders(packages)
     tolerances = models.with_changes(FINE if fine else Tolerances(), changes)
 

@@ -10,7 +10,7 @@ import click
 
 from pupper_analysis import kinds
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_unused
+from pupper_analysis.cli.modes import refuse_idle, refuse_unused
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -103,6 +103,10 @@ def analyze(
     if list_only:
         listed = {"list_only", "words", *(one.name for one in fields(which))}
         refuse_unused("--list", {"--list": listed})
+    if no_figures:
+        refuse_idle("--no-figures", "output")
+    if style == "markdown":
+        refuse_idle("--format markdown", "quiet")
     if everything and quiet:
         raise ConfigurationError("-v, -q", diagnose("verbose-or-quiet"))
     meant = [

@@ -11,9 +11,9 @@ from lxml import etree
 
 from pupper_analysis.checks.audit import RULES
 from pupper_analysis.diagnostics import Diagnostic, Severity, Term, diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.errors import ConfigurationError, InputError, ModelError
 from pupper_analysis.guard.toml import Key, TomlFile, read_toml
-from pupper_analysis.inputs import is_input
+from pupper_analysis.inputs import MOST_TEXT, is_input, read_input
 from pupper_analysis.matching.match import read_mapping
 from pupper_analysis.matching.tolerances import Tolerances
 
@@ -92,8 +92,8 @@ def is_part(path: Path) -> bool:
     try:
         # Neither entities nor the network: what stands in a repository may be anybody's.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        return bool(etree.parse(path, parser).getroot().tag == "mujocoinclude")
-    except (etree.XMLSyntaxError, OSError):
+        return bool(etree.fromstring(read_input(path, MOST_TEXT), parser).tag == "mujocoinclude")
+    except (etree.XMLSyntaxError, InputError):
         return False  # what is wrong with it is said when it is checked
 
 

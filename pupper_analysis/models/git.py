@@ -18,6 +18,7 @@ from pathlib import Path
 
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ModelError, OutputError
+from pupper_analysis.inputs import MOST_TEXT, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import LFS_POINTER
 
@@ -79,7 +80,7 @@ def _literal(name: str) -> str:
 
 def _is_same(path: Path, blob: bytes | None) -> bool:
     """Tells whether a file is what git has of it, but for ends of lines and Git LFS."""
-    content = path.read_bytes()
+    content = read_input(path, MOST_TEXT)
     if blob is None or content == blob:
         return blob is not None
     if content.replace(b"\r\n", b"\n") == blob.replace(b"\r\n", b"\n"):

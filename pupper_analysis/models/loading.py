@@ -9,6 +9,8 @@ from lxml import etree
 
 from pupper_analysis.arguments import check_type
 from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.errors import InputError
+from pupper_analysis.inputs import MOST_TEXT, read_input
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
 from pupper_analysis.models.places import NO_LINE, refusal_at
 from pupper_analysis.models.published import XACRO, expand_xacro, find_file
@@ -58,8 +60,8 @@ def kind_of(path: Path) -> str | None:
     try:
         # Neither entities nor the network: what stands in a repository may be anybody's.
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
-        root = etree.parse(path, parser).getroot()
-    except (etree.XMLSyntaxError, OSError):
+        root = etree.fromstring(read_input(path, MOST_TEXT), parser)
+    except (etree.XMLSyntaxError, InputError):
         return None
     if root.tag == "robot":
         return "urdf" if root.find("link") is not None else None

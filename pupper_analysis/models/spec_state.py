@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from pupper_analysis.inputs import MOST_FILE, read_input
 from pupper_analysis.models.mjcf import silence_mujoco
 
 _LISTS = (
@@ -90,7 +91,7 @@ def _files(spec: mujoco.MjSpec) -> dict[str, bytes]:
         name = Path(file).name if spec.strippath else file
         place = Path(spec.modelfiledir) / folder / name
         if file and place.is_file():
-            contents[name] = place.read_bytes()
+            contents[name] = read_input(place, MOST_FILE)
     return contents
 
 

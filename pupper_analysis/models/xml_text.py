@@ -12,6 +12,7 @@ import numpy as np
 from lxml import etree
 from numpy.typing import ArrayLike, NDArray
 
+from pupper_analysis.inputs import read_text
 from pupper_analysis.models.xml import NUMBER
 
 NOISE = 1e-13
@@ -93,7 +94,7 @@ class Digits:
     @staticmethod
     def of(*sources: Iterable[Path]) -> Digits:
         """Knows the numbers of some files."""
-        return Digits(*([f.read_text(encoding="utf-8-sig") for f in files] for files in sources))
+        return Digits(*([read_text(f) for f in files] for files in sources))
 
     def word(self, value: float, scale: float) -> str:
         """Writes a number.

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import orjson
 
+from pupper_analysis.errors import InputError
 from pupper_analysis.files import Writing, write_together
 from pupper_analysis.identification.estimate import Posterior
 from pupper_analysis.identification.write import FitFiles, fit_files
+from pupper_analysis.inputs import MOST_TEXT, read_input
 from pupper_analysis.kinds import FIT_FOLDER
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.study.randomisation import randomisation_text
@@ -69,7 +71,7 @@ def write_fit(
 def _made_before(folder: Path) -> dict[str, str]:
     """Returns {place: hash} of the models that a fit has written to that folder."""
     try:
-        found = orjson.loads((folder / "fit.json").read_bytes())
+        found = orjson.loads(read_input(folder / "fit.json", MOST_TEXT, own=True))
         return {str(place): str(known) for place, known in found["files"].items()}
-    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+    except (InputError, ValueError, TypeError, KeyError, AttributeError):
         return {}

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.arguments import check_finite, check_type
 from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, InputError
+from pupper_analysis.errors import ConfigurationError, InputError, VariantError
 from pupper_analysis.inputs import is_input, read_toml
 from pupper_analysis.robot.posture import placed_joints
 from pupper_analysis.robot.robot import Robot
@@ -304,7 +304,7 @@ class DesignStudy:
             given["measure"] = [one for one in metrics if one not in own] or ["peak_utilisation"]
         try:
             study = cls.of(given)
-        except ConfigurationError as error:
+        except (ConfigurationError, VariantError) as error:
             raise error.at(str(path)) from error
         study.left_out = () if own_metrics else own
         return study

@@ -10,6 +10,7 @@ from typing import Final
 from pupper_analysis.checks.differences import SERVO_GAINS, Difference
 from pupper_analysis.diagnostics import diagnose
 from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.inputs import read_text
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 
 SIDES: Final = ("urdf", "mjcf")
@@ -128,5 +129,5 @@ def line_at(place: str) -> str:
     name, _, line = place.rpartition(":")
     if not (name and line.isdigit()):
         return ""
-    lines = Path(name).read_text(encoding="utf-8-sig").split("\n")
+    lines = read_text(Path(name)).split("\n")
     return lines[int(line) - 1].strip() if int(line) <= len(lines) else ""

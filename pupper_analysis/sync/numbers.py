@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.checks.attribution import align_robot
 from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.files import Writing, write_together
+from pupper_analysis.inputs import MOST_FILE, read_input
 from pupper_analysis.kinds import hash_of, made_model
 from pupper_analysis.matching.match import match_models
 from pupper_analysis.matching.tolerances import Tolerances
@@ -214,7 +215,7 @@ class _Edited:
     def content(self, file: Path) -> bytes:
         """Returns what a file shall hold."""
         document = self.documents.get(file)
-        return file.read_bytes() if document is None else document.rendered()
+        return read_input(file, MOST_FILE) if document is None else document.rendered()
 
     def take(self, side: Side) -> None:
         """Takes what a side tells."""

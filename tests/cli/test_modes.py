@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import click
 import pytest
 
-from pupper_analysis.cli import find_command
+from pupper_analysis.cli import COMMANDS, find_command
 from pupper_analysis.cli.modes import refuse_unused
+from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
+from tests.support.commands import answer
+from tests.support.repository import ROOT
 
 VALUES = {
     **{"topics": "state=/a", "priors": "mass=0", "weight": "3kg", "encoder": "0.1deg"},
@@ -56,7 +61,7 @@ def calls(patch: pytest.MonkeyPatch) -> _Calls:
         f"{fit}.robot_from": robot,
         f"{fit}.parse_gain": None,
         f"{fit}.print_notes": None,
-        f"{shared}.check_outputs": None,
+        f"{shared}._check_outputs": None,
         f"{shared}.show_results": None,
         f"{shared}.show_progress": nullcontext(),
         f"{shared}.write_page": None,
@@ -145,3 +150,103 @@ def test_defaults_are_not_typed_and_new_options_are_refused() -> None:
     command.main(args=["--mode"], standalone_mode=False)
     with pytest.raises(ConfigurationError, match="--new: it does nothing with --mode"):
         command.main(args=["--mode", "--new", "x"], standalone_mode=False)
+
+
+V3 = (str(ROOT / "urdf/pupper_v3.urdf"), str(ROOT / "mjcf/pupper_v3.xml"))
+STUDY = ("study", "study.toml", "-o", "out")
+IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
+    ("analyze", "v3", "--no-figures"): (("-o", "out"),),
+    ("analyze", "v3", "--format", "markdown"): (("-q",),),
+    ("stand", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("stand", "--leg-scale", "1.1"): (("--as-is",),),
+    ("workspace", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("payload", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("path", "v3"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("push", "v3", "v3-heavy"): (("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("hold", "v3"): (("--as-is",),),
+    ("best", "margin", "v3"): (("--at", "0,0,1cm"), ("--as-is",), ("--payload-at", "0,0,1cm")),
+    ("best", "utilisation"): (("--at", "0,0,1cm"),),
+    ("sync", *V3): (("--take-absent",), ("--partial",), ("--backup",)),
+    ("sync", *V3, "--take", "urdf", "--dry-run"): (("--backup",),),
+    ("convert", V3[1], "-o", "new.urdf"): (
+        *(("--foot", "FL"), ("--fixed-base",), ("--free-base",), ("--merge-fixed",)),
+        *(("--armature", "1"), ("--sag", "1deg"), ("--damping-ratio", "1")),
+        *(("--repair-inertia",), ("--copy-meshes",)),
+    ),
+    (*STUDY, "--dry-run"): (
+        *(("--dask",), ("--scheduler", "a:1"), ("--figures",), ("--report", "r.html")),
+    ),
+    STUDY: (("--minimise", "servo_sag"), ("--maximise", "servo_sag")),
+    (*STUDY, "--scheduler", "a:1"): (("--workers", "2"), ("--dask",)),
+    ("live", "arm.urdf", "--no-browser"): (("--state", "height:120"),),
+    ("drop", "v3", "--headless"): (("--csv", "a.csv"),),
+    ("drop", "v3", "--headless", "--demo", "squat"): (("--seconds", "1"),),
+    ("check", "--init"): (("--config", "a.toml"),),
+}
+"""{command line: what does nothing in it}, besides the modes above."""
+
+OUTPUT = {"json_path", "report_path", "figure", "output", "folder", "csv", "npz", "write_folder"}
+LOOK = {"style", "everything", "force"}
+SERVOS = {"kp", "kd", "integrator", "cone", "impratio"}
+ALWAYS = {
+    "stand": {"minimum_stiffness", "payload", *SERVOS},
+    "workspace": {"payload"},
+    "payload": {"at", "payload", *SERVOS},
+    "best": {"payload", *SERVOS},
+    "path": {"seconds", "payload", *SERVOS},
+    "push": {"directions", "resolution", "payload", *SERVOS},
+    "hold": {"positions", "tool", "payload", *SERVOS},
+    "crosscheck": {"map_file", "changes", "strict", "any_coordinates", "same_mount"},
+    "diff": {"changes"},
+    "sync": {"take", "dry_run", "map_file", "fine", "changes"},
+    "study": {"dry_run"},
+    "load": {"fixed_base", "as_is", "explain"},
+    "live": {"language", "host", "port", "no_browser"},
+    "view": {"fixed_base", "headless"},
+    "drop": {"headless", "demo"},
+}
+"""{command: options besides those of the robot, the stance and outputs that always matter}."""
+
+
+@pytest.mark.parametrize("line", IDLE, ids=lambda line: " ".join(Path(one).name for one in line))
+def test_what_does_nothing_is_refused_before_work(line: tuple[str, ...], tmp_path: Path) -> None:
+    study = 'robot = "v3"\nmeasure = ["servo_sag"]\n[vary]\nkp = { values = [5] }\n'
+    (tmp_path / "study.toml").write_text(study)
+    (tmp_path / "arm.urdf").write_text(ARM)
+    for more in IDLE[line]:
+        given = answer(*line, *more, folder=tmp_path)
+        assert (given.returncode, given.stdout) == (2, ""), (line, more, given)
+        assert len(given.stderr.strip().splitlines()) == 1
+        option = {"-o": "--output", "-q": "--quiet", "--free-base": "--fixed-base"}
+        shown = option.get(more[0], more[0])
+        assert given.stderr.startswith(f"error: {shown}: "), given
+    assert {path.name for path in tmp_path.iterdir()} == {"study.toml", "arm.urdf"}
+
+
+ARM = """<robot name="arm"><link name="base"/>
+<link name="arm"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="10" velocity="5"/></joint></robot>"""
+
+
+def test_of_each_option_it_is_said_in_which_modes_it_does_something() -> None:
+    """A new option is refused in each mode, or idle in some, or said to matter always."""
+    robot = {one.name for one in fields(RobotOptions)}
+    for name in COMMANDS:
+        known = ALWAYS.get(name, set()) | OUTPUT | LOOK | robot | set(TYPED)
+        for parameter in find_command(name).params:
+            if not isinstance(parameter, click.Option) or not parameter.expose_value:
+                continue
+            by_mode = any(words[0] == name for words in MODES.values())
+            idle = any(
+                line[0] == name and any(more[0] in parameter.opts for more in several)
+                for line, several in IDLE.items()
+            )
+            assert parameter.name in known or by_mode or idle, (name, parameter.opts)
+
+
+def test_a_stance_of_a_file_may_say_more_than_a_command_uses(tmp_path: Path) -> None:
+    (tmp_path / "stance.toml").write_text("payload-at = '0,0,1cm'\nkp = 20\nheight = '17cm'\n")
+    given = answer("workspace", "v3", "--stance", "stance.toml", folder=tmp_path)
+    assert given.returncode == 0, given

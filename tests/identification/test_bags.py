@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags import rosbag1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pupper_analysis.errors import ConfigurationError, MeasurementError, MissingPackageError
+from pupper_analysis.identification.measurements import bags, unpacking
 from pupper_analysis.identification.measurements.log import Log
 from pupper_analysis.identification.measurements.log_files import read_log
 
@@ -255,6 +257,93 @@ def test_bad_bags_get_one_line(tmp_path: Path, make: Callable[[Path], Path], cod
         read_log(make(tmp_path))
     assert refused.value.cause.code == code
     assert "\n" not in str(refused.value)
+
+
+def _packed(folder: Path, mode: CompressionMode) -> Path:
+    storage = mode == CompressionMode.STORAGE
+    plugin = StoragePlugin.MCAP if storage else StoragePlugin.SQLITE3
+    writer = Writer(folder / "bag", version=9, storage_plugin=plugin)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connection = writer.add_connection("/joint_states", STATE, typestore=STORE)
+        for _, kind, moment, message in states():
+            raw = STORE.serialize_cdr(message, kind)
+            writer.write(connection, round(1e9 * (STARTED + moment)), raw)
+    return folder / "bag"
+
+
+def _of_ros1(folder: Path, packing: Any) -> Path:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    writer = rosbag1.Writer(folder / "ros1.bag")
+    writer.set_compression(packing)
+    header = store.types["std_msgs/msg/Header"]
+    clock, kind = store.types["builtin_interfaces/msg/Time"], store.types[STATE]
+    with writer:
+        connection = writer.add_connection("/joint_states", STATE, typestore=store)
+        for row, now in enumerate(TIME.tolist()):
+            at = clock(STARTED + int(now), round(1e9 * (now - int(now))))
+            empty = np.zeros(0)
+            message = kind(header(row, at, ""), list(JOINTS), POSITION[row], empty, empty)
+            raw = store.serialize_ros1(message, STATE)
+            writer.write(connection, round(1e9 * (STARTED + now)), raw)
+    return folder / "ros1.bag"
+
+
+PACKED: dict[str, Callable[[Path], Path]] = {
+    "chunks": lambda folder: _packed(folder, CompressionMode.STORAGE),
+    "messages": lambda folder: _packed(folder, CompressionMode.MESSAGE),
+    "file": lambda folder: _packed(folder, CompressionMode.FILE),
+    "ros1 lz4": lambda folder: _of_ros1(folder, rosbag1.Writer.CompressionFormat.LZ4),
+    "ros1 bz2": lambda folder: _of_ros1(folder, rosbag1.Writer.CompressionFormat.BZ2),
+}
+
+
+@pytest.mark.parametrize("packing", PACKED)
+def test_packed_bags_are_unpacked_within_limits(
+    packing: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = PACKED[packing](tmp_path)
+    time, kinds = bags.read_bag(path, {}, ())
+    np.testing.assert_allclose(time, TIME, atol=1e-6)
+    np.testing.assert_array_equal(kinds["position"]["hip"], POSITION[:, 1])
+    monkeypatch.setattr(unpacking, "MOST_CHUNK", 50)  # bytes: less than a message
+    monkeypatch.setattr(unpacking, "MOST_FILE", 1000)
+    with pytest.raises(MeasurementError) as refused:
+        bags.read_bag(path, {}, ())
+    assert refused.value.cause.code == "bag-too-large"
+    monkeypatch.undo()  # and then as before
+    assert len(bags.read_bag(path, {}, ())[0]) == len(TIME)
+
+
+def test_a_chunk_of_zeros_does_not_take_what_it_unpacks_to(tmp_path: Path) -> None:
+    """400 kB that are 2 GB, in one frame and in several."""
+    import tracemalloc
+
+    from lz4 import frame
+
+    from pupper_analysis.identification.measurements.unpacking import _bounded
+
+    piece = frame.compress(bytes(10_000_000))
+    unpack = _bounded(frame.LZ4FrameDecompressor)
+    assert unpack(piece + piece) == bytes(20_000_000)
+    with pytest.raises(ValueError, match="in the midst"):
+        unpack(piece[:-10])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(unpacking, "MOST_CHUNK", 25_000_000)
+        tracemalloc.start()
+        with pytest.raises(MeasurementError):
+            unpack(piece * 200)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < 100_000_000
+
+
+def test_messages_are_read_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = bag(tmp_path, states())
+    monkeypatch.setattr(bags, "MOST_CHUNK", 10_000)
+    with pytest.raises(MeasurementError) as refused:
+        read_log(path)
+    assert refused.value.cause.code == "bag-too-large"
 
 
 def test_topics_are_said_of_bags_alone(tmp_path: Path) -> None:

@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 
 from pupper_analysis.diagnostics import Quantity, diagnose
 from pupper_analysis.errors import ConfigurationError, MeasurementError, MissingPackageError
+from pupper_analysis.identification.measurements.unpacking import (
+    MOST_CHUNK,
+    bounded_unpacking,
+    check_size,
+)
 
 Array = NDArray[np.float64]
 SUFFIXES = (".mcap", ".db3", ".bag")
@@ -42,7 +47,10 @@ def read_bag(
     except ImportError as error:
         raise MissingPackageError("rosbags", "bags") from error
     try:  # bags of Humble and before hold no definitions
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with (
+            bounded_unpacking(),
+            AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
+        ):
             types = {one.topic: one.msgtype for one in reader.connections}
             return _on_one_clock(_series(reader, _choose(types, topics), joints))
     except ConfigurationError:
@@ -85,7 +93,10 @@ def _series(reader: Any, chosen: Mapping[str, str], joints: Sequence[str]) -> di
     """Returns {(kind, joint): (n, 3) when recorded, when by its header (s), and the number}."""
     found: dict[tuple[str, str], list[tuple[float, float, float]]] = {}
     connections = [one for one in reader.connections if one.topic in chosen.values()]
+    size = 0
     for one, recorded, raw in reader.messages(connections=connections):
+        size += len(raw)
+        check_size(size, MOST_CHUNK)
         message = reader.deserialize(raw, one.msgtype)
         stamp = getattr(getattr(message, "header", None), "stamp", None)  # nsec is ROS 1's
         nano = 0 if stamp is None else getattr(stamp, "nanosec", getattr(stamp, "nsec", 0))

@@ -14,6 +14,7 @@ from pupper_analysis.files import reason_of
 from pupper_analysis.identification.measurements.bags import is_bag, read_bag
 from pupper_analysis.identification.measurements.columns import Column, read_columns
 from pupper_analysis.identification.measurements.log import Log, make_log
+from pupper_analysis.identification.measurements.unpacking import MOST_FILE
 from pupper_analysis.inputs import check_input
 
 COLUMNS = (
@@ -24,9 +25,6 @@ COLUMNS = (
     Column("torque.*", "torque"),
 )
 """What may stand in a log."""
-
-_MOST_BAG = 2_000_000_000
-"""Bytes of a file of a bag: what is larger has cameras' topics, which can be left out."""
 
 
 @check_arguments
@@ -84,7 +82,7 @@ def _check_files(bag: Path) -> None:
     """
     try:
         for file in bag.iterdir() if bag.is_dir() else (bag,):
-            check_input(file, _MOST_BAG)
+            check_input(file, MOST_FILE)
     except InputError as error:
         raise MeasurementError(error.path, error.cause) from error
     except OSError as error:
