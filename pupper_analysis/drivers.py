@@ -17,16 +17,27 @@ def import_mujoco() -> None:
     Nothing is imported if the variable is not set: by itself MuJoCo takes what is there. Nor if
     MuJoCo is there already, or is not installed, which whoever needs it will say.
     """
-    wanted = os.environ.get("MUJOCO_GL")
-    if not wanted or "mujoco" in sys.modules:
+    if not os.environ.get("MUJOCO_GL") or "mujoco" in sys.modules:
         return
     try:
         import_module("mujoco")
     except ImportError:
         return
     except Exception:  # a name that MuJoCo does not know, or a driver, each fails in its own way
-        os.environ["MUJOCO_GL"] = "disable"
-        try:
-            import_module("mujoco")
-        finally:
-            os.environ["MUJOCO_GL"] = wanted  # what draws says why it cannot (report/opengl.py)
+        import_without_opengl()
+
+
+def import_without_opengl() -> None:
+    """Imports MuJoCo without OpenGL, unless it is there already: GLFW starts a process to load.
+
+    What draws asks for its own afterwards (report/opengl.py), by the variable as it is set.
+    """
+    wanted = os.environ.get("MUJOCO_GL")
+    os.environ["MUJOCO_GL"] = "disable"
+    try:
+        import_module("mujoco")
+    finally:
+        if wanted is None:
+            del os.environ["MUJOCO_GL"]
+        else:
+            os.environ["MUJOCO_GL"] = wanted

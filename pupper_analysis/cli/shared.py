@@ -11,6 +11,7 @@ import click
 
 from pupper_analysis import kinds
 from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.drivers import import_without_opengl
 from pupper_analysis.errors import ConfigurationError, OutputError
 from pupper_analysis.kinds import Folder, Kind
 from pupper_analysis.runs import note_input, running
@@ -86,6 +87,7 @@ class Command(click.Command):
         for name in _named_files(self, context):
             note_input(name)
         _check_outputs(self, context)
+        import_without_opengl()
         return super().invoke(context)
 
 
