@@ -138,19 +138,24 @@ def ground_forces(
         other bodies that touch.
     """
     forces: dict[str, Array] = {}
-    wrench, pairs = np.zeros(6), data.contact.geom
-    bodies = model.geom_bodyid[pairs].tolist()
-    for number, (pair, (one, other)) in enumerate(zip(pairs.tolist(), bodies, strict=True)):
-        first = one == 0  # the floor, or a step
-        geom = pair[1] if first else pair[0]
-        if (not first and other != 0) or geom not in foot_geoms:
-            continue
+    others: set[str] = set()
+    pairs = data.contact.geom
+    wrenches = np.zeros((len(pairs), 6))
+    for number, wrench in enumerate(wrenches):
         mujoco.mj_contactForce(model, data, number, wrench)
-        force = data.contact.frame[number].reshape(3, 3).T @ wrench[:3]
-        forces[foot_geoms[geom]] = forces.get(foot_geoms[geom], np.zeros(3)) + (
-            force if first else -force
-        )
-    return forces, bodies_on_ground(model, data, foot_geoms)
+    given = (wrenches[:, None, :3] @ data.contact.frame.reshape(-1, 3, 3))[:, 0]
+    bodies = model.geom_bodyid[pairs].tolist()
+    for pair, (one, other), force in zip(pairs.tolist(), bodies, given, strict=True):
+        first = one == 0  # the floor, or a step
+        if first == (other == 0):
+            continue
+        geom = pair[1] if first else pair[0]
+        foot = foot_geoms.get(geom)
+        if foot is None:
+            others.add(model.body(other if first else one).name)
+        else:
+            forces[foot] = forces.get(foot, 0.0) + (force if first else -force)
+    return forces, others
 
 
 def bodies_on_ground(

@@ -113,10 +113,9 @@ def pushing_bodies(
 ) -> set[tuple[str, str]]:
     """Returns the pairs of bodies that push on each other by so much (N), or on the world's."""
     pairs, force = set(), np.zeros(6)
-    for number, contact in enumerate(data.contact):
-        bodies = model.geom_bodyid[contact.geom]
+    for number, bodies in enumerate(model.geom_bodyid[data.contact.geom].tolist()):
         mujoco.mj_contactForce(model, data, number, force)
         if force[0] > least:
-            first, second = sorted(model.body(int(body)).name for body in bodies)
+            first, second = sorted(model.body(body).name for body in bodies)
             pairs.add((first, second))
     return pairs
