@@ -125,5 +125,6 @@ def to_text(root: etree._Element, header: str) -> str:
     text = etree.tostring(root, encoding="unicode")
     tags = "|".join(sorted({str(section.tag) for section in root} - _COMPACT_SECTIONS))
     text = re.sub(rf"\n  <({tags})(?=[ >/])", r"\n\n  <\1", text)
-    quiet = _NO_XML.sub(lambda found: f"\\x{ord(found[0]):02x}", header).replace("--", "- -")
+    legal = _NO_XML.sub(lambda found: f"\\x{ord(found[0]):02x}", header)
+    quiet = re.sub("-(?=-)", "- ", legal)
     return f"<!-- {quiet} -->\n{text}\n"

@@ -8,10 +8,15 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import importlib
 import os
+import re
 import shutil
+import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -337,3 +342,85 @@ def test_two_names_of_one_file_are_two_results_to_one_file(folder: Path) -> None
     assert "two results" in given.stderr
     for name in ("one.json", "two.html"):
         (folder / name).unlink()
+
+
+@pytest.fixture
+def full(tmp_path: Path) -> Iterator[Path]:
+    """A file system that is really full."""
+    place = tmp_path / "full"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(place)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("no file system may be mounted here")
+    try:
+        with suppress(OSError), (place / "filler").open("wb", buffering=0) as file:
+            while file.write(bytes(4096)):
+                pass
+        yield place
+    finally:
+        subprocess.run(["umount", str(place)], check=True)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("audit", "robot.urdf", "--json", "full/a.json"),
+        ("audit", "robot.urdf", "--report", "full/a.html"),
+        ("convert", "robot.xml", "-o", "full/a.urdf"),
+        ("sync", "full/robot.urdf", "robot.xml", "--take", "mjcf"),
+    ],
+    ids=lambda words: " ".join(words[:1] + words[-2:]),
+)
+def test_a_disk_that_is_full_takes_nothing_half(words: tuple[str, ...], full: Path) -> None:
+    fill(full.parent)
+    if words[0] == "sync":
+        (full / "filler").unlink()
+        urdf = re.sub("<visual>.*?</visual>", "", (full.parent / "robot.urdf").read_text())
+        (full / "robot.urdf").write_text(re.sub(r'(<mass value=")', r"\g<1>1", urdf, count=1))
+        with suppress(OSError), (full / "filler").open("wb", buffering=0) as file:
+            while file.write(bytes(4096)):
+                pass
+    before = sums(full)
+    given = answer(*words, folder=full.parent)
+    assert given.returncode == 2, given
+    errors = [line for line in given.stderr.splitlines() if line.startswith("error")]
+    assert len(errors) == 1, given
+    assert "No space left on device" in errors[0]
+    assert sums(full) == before
+
+
+def test_a_file_system_that_is_read_only_is_found_before_the_work(full: Path) -> None:
+    fill(full.parent)
+    subprocess.run(["mount", "-o", "remount,ro", str(full)], check=True)
+    for words in (("audit", "robot.urdf", "--json"), ("convert", "robot.xml", "-o")):
+        given = answer(*words, "full/a.urdf", folder=full.parent)
+        assert (given.returncode, given.stdout) == (2, ""), given
+        assert one_line(given)
+        assert "no file may be made" in given.stderr
+
+
+def test_a_folder_whose_place_a_file_takes_meanwhile_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fill(tmp_path)
+    (tmp_path / "into").mkdir()
+    audited = importlib.import_module("pupper_analysis.checks.audit").audit_model
+
+    def meanwhile(*words: Any, **given: Any) -> Any:
+        (tmp_path / "into").rmdir()
+        if taken:
+            (tmp_path / "into").write_text("mine")
+        return audited(*words, **given)
+
+    monkeypatch.setattr("pupper_analysis.checks.audit.audit_model", meanwhile)
+    words = ("audit", "robot.urdf", "--json", "into/a.json")
+    taken = False  # and then the folder is made again
+    assert answer(*words, folder=tmp_path).returncode < 2
+    assert (tmp_path / "into" / "a.json").is_file()
+    shutil.rmtree(tmp_path / "into")
+    (tmp_path / "into").mkdir()
+    taken = True
+    given = answer(*words, folder=tmp_path)
+    assert given.returncode == 2, given
+    assert len([line for line in given.stderr.splitlines() if "error" in line]) == 1
+    assert (tmp_path / "into").read_text() == "mine"

@@ -1,0 +1,30 @@
+"""New XML texts: whatever a file is called, what they say of it is a comment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from lxml import etree
+
+from pupper_analysis.models.xml_layout import to_text
+from tests.support.commands import answer
+from tests.support.legged import quadruped
+
+
+@pytest.mark.parametrize("header", ["a\x1b[31mb", "a--b", "--->", "a\0b", "\ufffe", "b-"])
+def test_a_header_of_any_characters_is_a_comment_that_parses(header: str) -> None:
+    root = etree.fromstring(to_text(etree.Element("robot"), header).encode())
+    [comment] = root.itersiblings(preceding=True)
+    assert comment.tag is etree.Comment
+    assert "a" not in header or comment.text.strip().startswith("a")
+
+
+def test_a_file_whose_name_has_an_escape_is_converted(tmp_path: Path) -> None:
+    pair = quadruped(tmp_path, floor=True, actuators="position")
+    pair.mjcf.rename(tmp_path / "a\x1b[31m--b.xml")
+    given = answer("convert", "a\x1b[31m--b.xml", "-o", "new.urdf", folder=tmp_path)
+    assert given.returncode < 2, given
+    assert "\x1b" not in given.stdout + given.stderr
+    tree = etree.parse(tmp_path / "new.urdf")
+    assert any("\\x1b[31m- -b.xml" in str(one.text) for one in tree.xpath("//comment()"))
