@@ -1,8 +1,8 @@
 """Shapes for contact in a URDF and an MJCF: do the feet touch the ground at the same place?
 
 What a foot stands on is part of the robot: a radius that is another one raises it, a shape that
-touches nothing lets it fall. What else touches (a box for a mesh, say) is chosen otherwise in
-most pairs of files, moves no stand, and is noted.
+touches nothing lets it fall. What else touches, and a foot of another shape that stands as high (a
+ball for a mesh, say), is chosen otherwise in most pairs of files, moves no stand, and is noted.
 """
 
 from __future__ import annotations
@@ -73,8 +73,9 @@ def compare_collisions(
     """
     meant = matched.conventions
     one, two = read_urdf_model(urdf), read_mjcf_model(mjcf)
-    if two.mj_model is None or not any(shape.collides for shape in _shapes(one)):
-        return [], []  # the URDF states none
+    stated = any(shape.collides for shape in _shapes(one)) and any(_shapes(two))
+    if two.mj_model is None or not stated:
+        return [], []  # one of them is of joints and masses alone
     if meant.base is not None or meant.zeros:
         return [], [diagnose("collisions-not-compared")]
     data = _start(mjcf.model)
@@ -86,9 +87,11 @@ def compare_collisions(
     }
     limbs = {name: pair for name, pair in tried.items() if pair is not None}
     feet = _feet(limbs, matched, data) if matched.robot.floating else []
+    found = list(_of_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf))
+    different = {difference.element for difference in found}
     return (
-        list(_of_feet({name: limbs[name] for name in feet}, matched, urdf, mjcf)),
-        list(_of_others({name: pair for name, pair in limbs.items() if name not in feet})),
+        found,
+        list(_of_others({name: limbs[name] for name in limbs if name not in different})),
     )
 
 
@@ -187,9 +190,6 @@ def _feet(limbs: Mapping[str, Limb], matched: Match, data: mujoco.MjData) -> lis
 
 _DOWN = np.array([[0.0, 0.0, -1.0]])
 
-_BELOW = DIRECTIONS[DIRECTIONS[:, 2] < -math.cos(math.radians(60))]
-"""Directions in which a foot may touch the ground: that of slopes and tilted soles, too."""
-
 
 def _of_feet(
     feet: Mapping[str, Limb], matched: Match, urdf: UrdfFile, mjcf: MjcfFile
@@ -206,18 +206,16 @@ def _of_feet(
             found = [None if not side else "there" for side in (one, two)]
             yield Difference("collision", name, found[0], found[1], "", told, {}, *at)
             continue
-        off = float(np.abs(_reach(one, _BELOW) - _reach(two, _BELOW)).max())
-        if off > SAME_CONTACT:
-            lower = sides[0][0] - sides[1][0]  # of the MJCF's
+        lower = sides[0][0] - sides[1][0]  # of the MJCF's
+        if abs(lower) > SAME_CONTACT:
             told = diagnose(
                 "foot-surface-differs",
                 subject=subject,
-                off=Quantity(off, "m"),
-                lower=Quantity(lower, "m") if lower > SAME_CONTACT else None,
-                higher=Quantity(-lower, "m") if lower < -SAME_CONTACT else None,
+                lower=Quantity(lower, "m") if lower > 0 else None,
+                higher=Quantity(-lower, "m") if lower < 0 else None,
                 **both,
             )
-            effects = {"contact surface": Effect(off, off, math.inf)}
+            effects = {"contact surface": Effect(abs(lower), abs(lower), math.inf)}
             yield Difference("collision", name, sides[0][0], sides[1][0], "m", told, effects, *at)
 
 
