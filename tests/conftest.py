@@ -39,13 +39,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     everything = config.args_source is not pytest.Config.ArgsSource.ARGS
-    if everything and not (config.option.markexpr or config.option.keyword):
+    quick = everything and not (config.option.markexpr or config.option.keyword)
+    if quick:
         config.option.markexpr = "not slow"  # who names files, words or marks gets what was named
     if config.getoption("--record-durations"):
         for name in NAMES:  # what is loaded once is no test's own
             stand_of(name)
         config.pluginmanager.register(Recorder())
-    else:
+    elif quick:
         config.pluginmanager.register(Limit())
     if file := config.getoption("--ran"):
         config.pluginmanager.register(Ran(file.resolve(), config, everything), "ran")

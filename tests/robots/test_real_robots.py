@@ -188,7 +188,10 @@ def test_what_else_differs_in_go1() -> None:
     assert elements(comparison, "effort") == knees
     effort = difference(comparison, "effort", "RR_calf_joint")
     assert (effort.urdf, effort.mjcf) == (35.55, 23.7)
-    assert len(comparison.differences) == 3 + 12 + 4
+    feet = difference(comparison, "collision", "FL_calf_joint")  # 20 mm, and 23
+    assert float(feet.urdf) - float(feet.mjcf) == pytest.approx(3e-3, abs=1e-6)
+    assert elements(comparison, "collision") == knees
+    assert len(comparison.differences) == 3 + 12 + 4 + 4
 
 
 def test_mujoco_refuses_the_urdf_of_go1_and_it_is_said() -> None:
@@ -411,7 +414,9 @@ def test_a_pair_stands_as_it_is_published_or_says_why_not(name: str) -> None:
     if name == "HyQReal1":
         said = row.stand.split("; ")  # as published, its shins carry
         assert said[0] == "holds"
-        assert re.match(r"as published, torques are off by 4\d %, the height by \+17 mm", said[1])
+        # Nudged, and for 5 s: it leans on other shins than where it was put.
+        off = r"as published, torques are off by 60 %, a joint by 0.01\d rad, the height by \+14 mm"
+        assert re.match(off, said[1])
         assert said[2].startswith("contact with the ground was disabled for FL_calf, FR_calf")
         assert row.torque is not None
         assert row.torque < 1e-2
