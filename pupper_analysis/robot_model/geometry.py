@@ -10,7 +10,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.places import one_line
@@ -93,6 +92,8 @@ def _read(path: Path, _changed: int) -> Array | Diagnostic:
 
 def hull_points(points: Array) -> Array:
     """Returns those of the points (n, 3) that span the convex hull; all, if they lie in a plane."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         chosen: Array = points[ConvexHull(points).vertices]
     except (QhullError, ValueError):
@@ -193,6 +194,8 @@ def outside_hull(points: Array, point: Array) -> float:
 
     Of points that lie in a plane the bounding box is taken.
     """
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
     try:
         faces = ConvexHull(points).equations
     except (QhullError, ValueError):
