@@ -61,6 +61,7 @@ def usual(tiny_files: Files, tmp_path: Path) -> dict[str, Any]:
     return {
         "robot": robot,
         "stand": stand,
+        "stance": stand,
         "model": robot.mj_model,
         "data": mujoco.MjData(robot.mj_model),
         "variant": "v3",

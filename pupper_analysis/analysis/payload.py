@@ -28,7 +28,7 @@ from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
 from pupper_analysis.stance.context import Context
-from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
@@ -191,7 +191,8 @@ def payload_limit(
         task = stance.task
     else:
         task = stance or StandTask()
-        solve_stand(robot, task)  # a refusal explains itself
+    # Without payload a refusal explains itself.
+    stand_statics(robot, solve_stand_as_simulated(robot, solve_stand(robot, task)))
     search = _Search(robot, task, place, kp, kd)
     bounds = search.bounds()
     binding = min(bounds, key=lambda name: bounds[name].mass)

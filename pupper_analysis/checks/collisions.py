@@ -139,7 +139,8 @@ def _of_limb(
         for geom in _touching_the_world(model)
         if moving[geom]
     )
-    if any(placed.reach(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
+    points = any(not any(one.shape.size) and one.shape.kind != "mesh" for one in urdf)
+    if points or any(placed.reach(DIRECTIONS[:1]) is None for placed in (*urdf, *mjcf)):
         return None
     return urdf, mjcf
 

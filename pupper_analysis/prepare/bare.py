@@ -25,6 +25,7 @@ from pupper_analysis.models.transmission import (
     law_of,
 )
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import command_elsewhere
 
 Array = NDArray[np.float64]
 
@@ -207,7 +208,9 @@ def hold_of(
         torques: (nu,) N m; None: positions alone are commanded.
         targets: (nu,) rad.
     """
-    model, ctrl = bare.model, np.zeros(bare.model.nu)
+    model = bare.model
+    at_joints = np.setdiff1d(np.arange(model.nactuator), other_motors(model))
+    ctrl = command_elsewhere(model, data.qpos, at_joints)
     made = {servo.joint: servo for servo in robot.description.made_servos}
     rows: list[tuple[float, ...]] = []
     motors: dict[int, tuple[int, float, float]] = {}

@@ -79,22 +79,37 @@ class Servos:
         actuators = robot.mj_convention.actuator_index
         driven, ctrl = actuators >= 0, np.zeros(self.model.nu)
         target = positions if torques is None else positions + command_lead(torques, self.kp)
-        others = _servos_elsewhere(self.model, actuators[driven])
-        if others.size:
-            model, data = self.model, mujoco.MjData(self.model)
+        if _servos_elsewhere(self.model, actuators[driven]).size:
+            data = mujoco.MjData(self.model)
             data.qpos[robot.mj_convention.qpos_index[-robot.nu :]] = positions
-            for step in (
-                mujoco.mj_kinematics,
-                mujoco.mj_comPos,
-                mujoco.mj_tendon,
-                mujoco.mj_transmission,
-            ):
-                step(model, data)
-            bias = model.actuator_biasprm[others]
-            force = bias[:, 0] + bias[:, 1] * data.actuator_length[others]
-            ctrl[model.actuator_ctrladr[others]] = -force / model.actuator_gainprm[others, 0]
+            ctrl += command_elsewhere(self.model, data.qpos, actuators[driven])
         ctrl[self.model.actuator_ctrladr[actuators[driven]]] = (self.gear * target)[driven]
         return ctrl
+
+
+def command_elsewhere(model: mujoco.MjModel, qpos: Array, known: NDArray[np.int64]) -> Array:
+    """Returns the ctrl (model.nu,) with which servos at tendons and sites exert nothing.
+
+    Args:
+        model: The model.
+        qpos: (model.nq,) where it is.
+        known: The actuators that are commanded otherwise; theirs is 0.
+    """
+    others, ctrl = _servos_elsewhere(model, known), np.zeros(model.nu)
+    if others.size:
+        data = mujoco.MjData(model)
+        data.qpos[:] = qpos
+        for step in (
+            mujoco.mj_kinematics,
+            mujoco.mj_comPos,
+            mujoco.mj_tendon,
+            mujoco.mj_transmission,
+        ):
+            step(model, data)
+        bias = model.actuator_biasprm[others]
+        force = bias[:, 0] + bias[:, 1] * data.actuator_length[others]
+        ctrl[model.actuator_ctrladr[others]] = -force / model.actuator_gainprm[others, 0]
+    return ctrl
 
 
 def _servos_elsewhere(model: mujoco.MjModel, known: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -24,7 +24,8 @@ def test_two_robots_are_pushed(capfd: pytest.CaptureFixture[str], tmp_path: Path
     status, out, err = run_command(capfd, "push", "original", "heavy", *COARSE, *output)
     assert status == 0, err
     content = json.loads(path.read_text())
-    assert list(content) == ["original", "heavy"]
+    assert list(content) == ["generator", "original", "heavy"]
+    assert content.pop("generator").startswith("pupper-analysis ")
     for name, stance in content.items():
         result = stance["recovery"]
         weakest = f"{result['weakest_impulse']:.2f} N s, "
@@ -82,7 +83,8 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
         capfd, "push", *own, *feet, *stance, *servos, *COARSE, "--json", str(file)
     )
     assert status == 0, err
-    (found,) = json.loads(file.read_text()).values()
+    generator, found = json.loads(file.read_text()).values()
+    assert generator.startswith("pupper-analysis ")
     robot = load("heavy")
     task = pa.StandTask(height=0.15, swing={"FL": 0.01}, com="inside", com_margin=0.01)
     alike = pa.push_recovery(
@@ -102,7 +104,8 @@ def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path
     arguments = ("original", "--leg-scale", "1.2", "--json", str(file))
     status, _, err = run_command(capfd, "push", *arguments, *COARSE)
     assert status == 0, err
-    assert list(json.loads(file.read_text())) == ["original", "skeleton-leg1.2-torso1"]
+    made = ["generator", "original", "skeleton-leg1.2-torso1"]
+    assert list(json.loads(file.read_text())) == made
 
 
 BAD = {

@@ -133,8 +133,13 @@ def test_meshes_of_one_name_stay_apart(tmp_path: Path) -> None:
         lengths.append(np.ptp(model.mesh_vert[start : start + count], axis=0).max())
     np.testing.assert_allclose(sorted(lengths), [0.1, 0.3], rtol=1e-5)
     mjcf.unlink()
-    with pytest.raises(pa.OutputError, match="it exists"):  # its meshes do
-        pa.convert_model(path, mjcf)
+    written = {file: file.read_bytes() for file in tmp_path.rglob("*.obj")}
+    assert len(written) == 2
+    pa.convert_model(path, mjcf)  # meshes of our own are written anew
+    assert {file: file.read_bytes() for file in written} == written
+    next(iter(written)).write_text("# another's\nv 0 0 0\n")
+    with pytest.raises(pa.OutputError):
+        pa.convert_model(path, tmp_path / "quad.xml")
 
 
 def _with_arm(folder: Path, mimic: str) -> Path:

@@ -188,7 +188,8 @@ def test_turned_frames_of_a_real_robot(tmp_path: Path, name: str) -> None:
     text = turned_frames(pa.load_variant(name).mj_model, seed=3)
     (tmp_path / "turned.xml").write_text(text)
     comparison = compare_models(urdf, tmp_path / "turned.xml", configurations=2)
-    assert found(comparison) == []
+    # Its geoms are boxes that stand for those of the robot, and touch elsewhere.
+    assert {kind for kind, _ in found(comparison)} <= {"collision"}
     assert max(comparison.deviations.values()) < 1e-12
 
 
