@@ -63,7 +63,7 @@ def test_a_payload_typed_into_stand_holds_and_more_does_not(name: str) -> None:
     check_typed_back(load(name), ON_TOP)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("seed", [3, 5])
 def test_so_do_those_of_random_robots(seed: int, tmp_path: Path) -> None:
     check_typed_back(*random_load(seed, tmp_path))
@@ -99,7 +99,7 @@ def random_load(seed: int, folder: Path) -> tuple[pa.Robot, tuple[float, ...]]:
 # -------------------------------------------------------------------------------------- bounds
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_the_base_moves_from_under_the_load() -> None:
     robot, point = load("v3"), (0.05, 0.01, 0.05)
     limit = payload_limit(robot, stand_of("v3"), point)
@@ -113,7 +113,7 @@ def test_the_base_moves_from_under_the_load() -> None:
     assert limit.contact_forces.keys() == set(stand.stance_feet)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
     """Ahead of the front feet: m (a - d) = M d, with d and a from the com to edge and mass."""
     robot = with_efforts(load("v3"), 1e3)
@@ -142,7 +142,7 @@ def test_at_the_motors_limit_one_is_at_its_end_on_the_ground_that_is_simulated()
     assert rigid.motor_utilisation.max() > 1.03  # on rigid ground it would not be the limit
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_more_torque_carries_more_in_proportion() -> None:
     """The knees' limit doubled carries twice the total weight, but for the legs' own."""
     robot = load("v3")
@@ -154,7 +154,7 @@ def test_more_torque_carries_more_in_proportion() -> None:
     assert ratio == pytest.approx(2.0, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_stiffer_servos_carry_more() -> None:
     robot = load("v3")
     soft, stiff = (payload_limit(robot, None, ON_TOP, kp=kp, kd=0.1) for kp in (4.0, 8.0))
@@ -163,7 +163,7 @@ def test_stiffer_servos_carry_more() -> None:
     assert soft.motors.mass == pytest.approx(stiff.motors.mass, rel=2e-3)  # of torques alone
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_feet_that_sink_bring_the_calves_down() -> None:
     """The calves of the skeleton are 7 mm above the ground, and MuJoCo's gives way by that."""
     robot = load("original")
@@ -182,7 +182,7 @@ def test_feet_that_sink_bring_the_calves_down() -> None:
     ).passed
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
     robot = with_efforts(load("v3"), np.inf)
     limit = payload_limit(robot)
@@ -192,7 +192,7 @@ def test_motors_without_effort_limits_say_nothing_about_a_payload() -> None:
     assert limit.binding == "servos"
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 @pytest.mark.parametrize("weak", [0.0, 0.5])
 def test_motors_too_weak_for_the_robot_itself_carry_nothing(weak: float) -> None:
     robot = load("v3")
@@ -207,7 +207,7 @@ def test_motors_too_weak_for_the_robot_itself_carry_nothing(weak: float) -> None
     np.testing.assert_allclose(limit.joint_torques, held.joint_torques, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_a_payload_on_a_leg_is_held_by_the_motors_that_carry_it() -> None:
     robot = load("v3")
     tool = find_tool(robot, "leg_front_l_2").moved((0.0, 0.02, 0.06))
@@ -243,7 +243,7 @@ def test_how_fast_it_buckles_is_what_bare_mujoco_does() -> None:
 # ---------------------------------------------------------------------------- as the command says
 
 
-@pytest.mark.slow
+@pytest.mark.longest
 def test_beyond_it_fails_in_the_simulation_as_is_said() -> None:
     limit = payload_limit(load("v3"), None, ON_TOP)
     assert limit.failure is Failure.BUCKLING
