@@ -24,7 +24,7 @@ FILE = Path(__file__).resolve().parents[1] / "durations.json"
 SLOW = 0.12
 """Seconds of processor of a function's quick cases: all take a minute of two cores together."""
 
-LONGEST = 0.8
+LONGEST = 0.4
 """Seconds of its cases that are not among the longest: CI's clone is done in fifteen minutes on a
 machine that takes twice the record's time; with 3 s it took seventeen there."""
 
