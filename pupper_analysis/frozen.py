@@ -39,7 +39,7 @@ def freeze(value: Any) -> Any:
     numpy = sys.modules.get("numpy")  # without it there are no arrays, and it is slow to import
     if numpy is not None and kind is numpy.ndarray and value.flags.writeable:
         view = value.view()
-        view.flags.writeable = False
+        view.setflags(write=False)
         return view
     return value
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.checks.size import Entries
@@ -23,6 +22,7 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.feet import foot_site
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.structure import Lent
 
 Array = NDArray[np.float64]
 
@@ -188,7 +188,7 @@ class Behaviour:
         """
         self.states = states
         self._robot, self._entries = robot, entries
-        self._spare: dict[object, list[pin.Data]] = {}
+        self._spare: dict[object, list[Lent]] = {}
         self._tree: MujocoTree | None = None
         self._in_tree: MujocoBehaviour | None = None
 

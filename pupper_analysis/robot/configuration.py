@@ -164,8 +164,8 @@ class Configuration:
 
     def foot_places(self, feet: Iterable[str]) -> Array:
         """Returns the centres (n, 3) of some feet's spheres, in the world (m)."""
-        placements, numbers = self._data.oMf, self._structure.feet
-        places = [placements[numbers[foot]].translation.tolist() for foot in feet]
+        place, numbers = self._workspace.place, self._structure.feet
+        places = [place(numbers[foot]) for foot in feet]
         return np.array(places, dtype=float).reshape(-1, 3)
 
     def foot_jacobians(self) -> dict[str, Array]:
@@ -232,7 +232,8 @@ class Configuration:
 
     def center_of_mass(self) -> Array:
         """Returns the centre of mass (3,) in the world (m)."""
-        moving = pin.centerOfMass(self._model, self._data, self._q, False)
+        # Where the joints are has been computed: with q it would be so again.
+        moving = pin.centerOfMass(self._model, self._data, pin.KinematicLevel.POSITION, False)
         return np.array(self._structure.centre(moving))
 
     def com_jacobian(self) -> Array:

@@ -102,8 +102,7 @@ def stand_statics(
 
     def find() -> GravityCompensation:
         config, carrying = Configuration(robot, stand.qpos), stand_contacts(robot, stand)
-        com = config.center_of_mass()
-        return balance_load(config, config.load(), com, carrying, distribution=distribution)
+        return balance_load(config, config.load(), carrying, distribution=distribution)
 
     return stand.statics(robot, distribution, find)
 

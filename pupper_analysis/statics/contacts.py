@@ -36,6 +36,7 @@ class Contacts:
         normals: (n, 3) out of the ground, unit vectors in the world.
         friction: (n,) coefficients.
         offsets: (n, 3) from each foot's centre to its contact, in the world (m).
+        soles: {foot of the robot: which of ``feet``, its contact points, carry}.
     """
 
     nv: int
@@ -44,6 +45,7 @@ class Contacts:
     normals: Array
     friction: Array
     offsets: Array
+    soles: Mapping[str, tuple[str, ...]]
 
     @functools.cached_property
     def level(self) -> bool:
@@ -143,7 +145,7 @@ def _contacts(
         raise ConfigurationError("contacts", problem)
     if not feet:
         nothing = np.zeros((0, 3))
-        return Contacts(robot.nv, robot.nv - robot.nu, feet, nothing, np.zeros(0), nothing)
+        return Contacts(robot.nv, robot.nv - robot.nu, feet, nothing, np.zeros(0), nothing, {})
     for given in (normals, depths, friction):
         for foot in given if isinstance(given, Mapping) else ():
             robot.check_foot(foot)
@@ -154,6 +156,9 @@ def _contacts(
         ]
     )
     radii = [robot.contact_radius[foot] for foot in feet]
+    soles = {
+        foot: tuple(name for name in names if name in feet) for foot, names in robot.feet.items()
+    }
     return Contacts(
         nv=robot.nv,
         free=robot.nv - robot.nu,
@@ -161,6 +166,7 @@ def _contacts(
         normals=out,
         friction=np.array([_friction(robot, foot, friction) for foot in feet]),
         offsets=contact_offset(radii, out, [(depths or {}).get(foot, 0.0) for foot in feet]),
+        soles={foot: own for foot, own in soles.items() if own},
     )
 
 

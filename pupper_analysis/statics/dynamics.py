@@ -114,8 +114,8 @@ def inverse_dynamics(
         found = balance_load(
             config,
             rest,
-            point,
             carrying,
+            point=point,
             distribution=distribution,
             tipping=Infeasibility.ZMP_OUTSIDE,
             held=held,

@@ -24,9 +24,9 @@ from pupper_analysis.statics.cone_program import (
     TangentialMetric,
 )
 from pupper_analysis.statics.contacts import Contacts, make_contacts
-from pupper_analysis.statics.foot_load import FootLoad, add_up_foot_load, sliding_share
+from pupper_analysis.statics.foot_load import FootLoads, sliding_share
 from pupper_analysis.statics.infeasibility import explain_infeasibility
-from pupper_analysis.statics.support_polygon import com_margin
+from pupper_analysis.statics.support_polygon import margin_of_place
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class GravityCompensation(Equilibrium):
             (m), positive inside; None without contacts.
     """
 
-    foot_loads: dict[str, FootLoad]
+    foot_loads: FootLoads
     base_wrench: Array
     center_of_mass: Array
     com_margin: float | None
@@ -150,17 +150,15 @@ def gravity_compensation(
         StaticsInfeasibleError: If no forces do; it says why.
     """
     carrying = make_contacts(config.robot, contacts, friction, normals, depths)
-    return balance_load(
-        config, config.load(), config.center_of_mass(), carrying, distribution=distribution
-    )
+    return balance_load(config, config.load(), carrying, distribution=distribution)
 
 
 def balance_load(
     config: Configuration,
     load: Array,
-    point: Array,
     carrying: Contacts,
     *,
+    point: Array | None = None,
     distribution: ForceDistribution | str = ForceDistribution.MIN_TANGENTIAL,
     tipping: Infeasibility = Infeasibility.COM_OUTSIDE,
     held: bool = False,
@@ -172,9 +170,9 @@ def balance_load(
     Args:
         config: Where the robot is.
         load: (nv,) what motors and contacts must add up to (N, N m).
-        point: (3,) whose vertical projection must be inside the support polygon: the com at rest,
-            the zero-moment point in motion (m). ``com_margin`` is this point's.
         carrying: The contacts that carry.
+        point: (3,) whose vertical projection must be inside the support polygon: the com, as at
+            rest, if not given; the zero-moment point in motion (m). ``com_margin`` is this point's.
         distribution: As in ``gravity_compensation``.
         tipping: What it is called if ``point`` is outside the polygon.
         held: Let feet pull and slip, as if they were held to the ground: what the motion would
@@ -189,7 +187,7 @@ def balance_load(
     if not carrying.feet:
         check_loops(config, load)
         borne = config.by_motors(load)
-        return _result(config, borne, borne, point, carrying, np.zeros((0, 3)))
+        return _result(config, borne, borne, carrying, np.zeros((0, 3)))
     given, contacts = load, carrying.jacobian(config)
     load, transposed = config.by_motors(load), config.by_motors(contacts)
     problem = carrying.balance(transposed, load)
@@ -201,9 +199,12 @@ def balance_load(
     else:
         forces = _lasting(robot, problem, carrying, limits)
     if forces is None:
+        point = config.center_of_mass() if point is None else point
         raise explain_infeasibility(config, point, problem, carrying, tipping)
-    check_loops(config, given - contacts @ forces)
-    return _result(config, load - transposed @ forces, load, point, carrying, forces.reshape(-1, 3))
+    if robot.closure is not None:
+        check_loops(config, given - contacts @ forces)
+    left = load - transposed @ forces
+    return _result(config, left, load, carrying, forces.reshape(-1, 3), point)
 
 
 def hold_loads(config: Configuration, loads: Array, carrying: Contacts) -> tuple[Array, Array]:
@@ -297,39 +298,57 @@ def _creeping(robot: Robot, problem: Balance, forces: Array, carrying: Contacts)
     return forces
 
 
+def utilise(robot: Robot, torques: Array) -> Array:
+    """Returns torques (..., nu) in parts of what each motor can give, absolute.
+
+    Infinite where that is nothing, and not a number if nothing is asked of it.
+    """
+    limits, asked = robot.effort_limits, np.abs(torques)
+    # As a rule none is nothing, and to keep NumPy silent takes longer than to divide.
+    if robot.once(_all_are_strong):
+        return asked / limits
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return asked / limits
+
+
+def _all_are_strong(robot: Robot) -> bool:
+    return bool(robot.effort_limits.all())
+
+
 def _result(
     config: Configuration,
     left: Array,
     load: Array,
-    point: Array,
     carrying: Contacts,
     forces: Array,
+    point: Array | None = None,
 ) -> GravityCompensation:
     """Puts together what the contacts' forces (n, 3) leave of a load to the motors.
 
     Without contacts, what is left on the base is what holds it from outside.
     """
-    robot = config.robot
-    base_rows = robot.nv - robot.nu
-    torques = left[base_rows:].copy()
-    base_wrench = np.zeros(base_rows) if carrying.feet else load[:base_rows]
-    unbalanced = (left[:base_rows] - base_wrench).tolist()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        utilisation = np.abs(torques) / robot.effort_limits
+    robot, free = config.robot, carrying.free
+    torques = left[free:].copy()
+    base_wrench = np.zeros(free) if carrying.feet else load[:free]
+    unbalanced = left[:free].tolist() if carrying.feet else [0.0] * free
+    utilisation = utilise(robot, torques)
     if robot.closure is not None:
         utilisation[robot.closure.following] = 0.0  # whatever the URDF says of their motors
     tiny = BALANCE_TOLERANCE * math.hypot(*load[:3].tolist())
     places = carrying.points(config)
-    forces.flags.writeable = places.flags.writeable = False  # their rows are shared
+    forces.setflags(write=False)  # its rows are shared
+    places.setflags(write=False)
     per_foot = FrozenDict(zip(carrying.feet, forces, strict=True))
     points = FrozenDict(zip(carrying.feet, places, strict=True))
-    normals, friction = carrying.directions, carrying.coefficients
     contacts = forces.tolist(), carrying.normals.tolist(), carrying.friction.tolist()
     shares = [
         sliding_share(force, normal, grip, tiny)
         for force, normal, grip in zip(*contacts, strict=True)
     ]
     sliding = FrozenDict(zip(carrying.feet, shares, strict=True))
+    com = config.center_of_mass()
+    x, y, _ = (com if point is None else point).tolist()
+    corners = tuple([(x, y) for x, y, _ in places.tolist()])
     return GravityCompensation(
         joint_names=robot.joint_names,
         joint_torques=torques,
@@ -337,14 +356,18 @@ def _result(
         contact_forces=per_foot,
         contact_points=points,
         friction_utilisation=sliding,
-        foot_loads={
-            foot: add_up_foot_load(own, per_foot, points, normals, friction, sliding, tiny)
-            for foot, names in robot.feet.items()
-            if (own := [name for name in names if name in per_foot])
-        },
+        foot_loads=FootLoads(
+            carrying.soles,
+            carrying.directions,
+            carrying.coefficients,
+            per_foot,
+            points,
+            sliding,
+            tiny,
+        ),
         base_wrench=base_wrench,
-        center_of_mass=config.center_of_mass(),
-        com_margin=com_margin(point, points) if points else None,
+        center_of_mass=com,
+        com_margin=margin_of_place((x, y), corners) if corners else None,
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )

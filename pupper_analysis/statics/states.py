@@ -21,6 +21,7 @@ from pupper_analysis.statics.equilibrium import (
     check_loops,
     gravity_compensation,
     to_distribution,
+    utilise,
 )
 from pupper_analysis.statics.foot_load import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
@@ -214,8 +215,7 @@ def _results(
     torques = left[:, base_rows:].copy()
     outside = left[:, :base_rows] if not feet else np.zeros_like(left[:, :base_rows])
     unbalanced = left[:, :base_rows] - outside
-    with np.errstate(divide="ignore", invalid="ignore"):
-        utilisation = np.abs(torques) / robot.effort_limits
+    utilisation = utilise(robot, torques)
     if robot.closure is not None:
         utilisation[:, robot.closure.following] = 0.0
     tiny = BALANCE_TOLERANCE * np.linalg.norm(states.loads[:, :3], axis=1)
