@@ -14,6 +14,7 @@ from pupper_analysis.prepare.self_check import (
 )
 from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.efforts import efforts_nobody_meant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING
@@ -66,7 +67,11 @@ def judge(
         own=own_run_explained(robot),
         published=as_published_in(robot, stand, servos),
         converted=robot.description.converted,
-        remarks=(*limbs_without_feet(robot), *robot.description.replaced_soles()),
+        remarks=(
+            *limbs_without_feet(robot),
+            *robot.description.replaced_soles(),
+            *efforts_nobody_meant(robot),
+        ),
     )
 
 
@@ -104,6 +109,7 @@ def judge_held(
         own=own_run_held(robot, posture.qpos),
         published=as_published_held(robot, posture.qpos, bare.joint_torques),
         converted=robot.description.converted,
+        remarks=efforts_nobody_meant(robot),
     )
 
 

@@ -8,7 +8,7 @@ import click
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import FILES, VARIANT, add_options, robot_argument
-from pupper_analysis.cli.stance_options import AS_IS, LOOK, SERVOS, RobotAndTask
+from pupper_analysis.cli.stance_options import AS_IS, EFFORT, LOOK, SERVOS, RobotAndTask
 
 
 @shared.command()
@@ -30,7 +30,7 @@ from pupper_analysis.cli.stance_options import AS_IS, LOOK, SERVOS, RobotAndTask
 @click.option(
     "--payload", type=float, default=0.0, metavar="KG", help="Mass at the tool (kg); e.g. 2."
 )
-@add_options(FILES, (AS_IS,), VARIANT, SERVOS, LOOK)
+@add_options(FILES, (AS_IS,), VARIANT, (EFFORT,), SERVOS, LOOK)
 @shared.figure_option
 @shared.json_option
 @shared.report_option

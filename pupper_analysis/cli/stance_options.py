@@ -71,6 +71,14 @@ SERVOS = (
     ),
 )
 
+EFFORT = click.option(
+    "--effort",
+    multiple=True,
+    metavar="[JOINTS=]NM",
+    help="What the motors of all joints that match a pattern can give, in place of what the files "
+    "state (N m; N of a slide); e.g. 3, '*knee*=35'. Repeatable.",
+)
+
 LOOK = (shared.look_option, shared.verbose_option)
 
 
@@ -88,6 +96,7 @@ class RobotAndTask:
     stance: Mapping[str, Any]
     style: str
     everything: bool
+    effort: tuple[str, ...] = ()
     kp: tuple[str, ...] = ()
     kd: tuple[str, ...] = ()
     integrator: str | None = None
@@ -128,13 +137,15 @@ class RobotAndTask:
         return robot
 
     def _as_asked(self, robot: Robot) -> Robot:
-        """Returns a robot with the payload and the options of MuJoCo that were asked for."""
+        """Returns a robot with efforts, payload and options of MuJoCo as they were asked for."""
+        from pupper_analysis.robot.asked_efforts import with_efforts
         from pupper_analysis.robot.payload import with_payload
         from pupper_analysis.robot.servos import with_options
 
         if not self.payload:
             refuse_alone(("--payload",), "payload_at")
         place = shared.parse_place("payload-at", self.payload_at or "0,0,0")
+        robot = with_efforts(robot, parse_efforts(self.effort, robot))
         loaded = with_payload(robot, self.payload, place)
         return with_options(loaded, self.integrator, self.cone, self.impratio)
 
@@ -204,31 +215,54 @@ def _gathered(command: Command, more: tuple[Callable[[Command], Command], ...]) 
         asked = RobotAndTask(which=which, stance=stance, **own)
         command(asked, **values)
 
-    groups = (FILES, (AS_IS,), VARIANT, (stance_option,), LOAD, options_of(), more)
+    groups = (FILES, (AS_IS,), VARIANT, (stance_option,), LOAD, (EFFORT,), options_of(), more)
     return add_options(*groups)(gathered)
+
+
+def _assigned(option: str, texts: tuple[str, ...]) -> list[tuple[str, float]]:
+    """Returns (pattern of joints, number) of each [JOINTS=]NUMBER."""
+    return [
+        shared.parse_number_assignment(option, text if "=" in text else f"*={text}")
+        for text in texts
+    ]
+
+
+def _matching(option: str, pattern: str, robot: Robot) -> list[bool]:
+    """Returns of each joint whether a pattern is its name's; refuses one of none."""
+    from fnmatch import fnmatchcase
+
+    from pupper_analysis.errors import UnknownNameError
+
+    chosen = [fnmatchcase(name, pattern) for name in robot.joint_names]
+    if not any(chosen):
+        unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
+        raise unknown.at(f"--{option}")
+    return chosen
+
+
+def parse_efforts(texts: tuple[str, ...], robot: Robot) -> dict[str, float]:
+    """Returns {joint: its motor's limit} (N m) of what was typed for ``--effort``."""
+    efforts: dict[str, float] = {}
+    for pattern, value in _assigned("effort", texts):
+        chosen = _matching("effort", pattern, robot)
+        efforts |= {
+            name: value for name, this in zip(robot.joint_names, chosen, strict=True) if this
+        }
+    return efforts
 
 
 def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike | None:
     """Returns a gain for all joints, or (nu,) one each; the model's own where none is given."""
-    from fnmatch import fnmatchcase
-
-    from pupper_analysis.errors import UnknownNameError
     from pupper_analysis.robot.servos import model_with_servos
 
-    values = [
-        shared.parse_number_assignment(option, text if "=" in text else f"*={text}")
-        for text in texts
-    ]
+    values = _assigned(option, texts)
     if not values:
         return None
     if values[-1][0] == "*":
         return values[-1][1]
     gains = None
     for pattern, value in values:
-        chosen = [fnmatchcase(name, pattern) for name in robot.joint_names]
-        if not any(chosen):
-            unknown = UnknownNameError(robot.name, "joint", pattern, robot.joint_names)
-            raise unknown.at(f"--{option}")
+        chosen = _matching(option, pattern, robot)
         if gains is None:
             gains = (
                 [value] * robot.nu

@@ -278,6 +278,18 @@ class SpecTree:
             motor.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
             motor.forcerange = sorted(float(limit) / gear for limit in limits)
 
+    def limit_effort(self, joint: str, effort: float) -> None:
+        """Gives a joint's motors one limit either way, together, in place of all that is stated."""
+        unlimited, limited = mujoco.mjtLimited.mjLIMITED_FALSE, mujoco.mjtLimited.mjLIMITED_TRUE
+        self.spec.joint(joint).actfrclimited = unlimited
+        at = mujoco.mjtTrn.mjTRN_JOINT
+        motors = [m for m in self.spec.actuators if m.trntype == at and m.target == joint]
+        for motor in motors:
+            most = effort / len(motors) / abs(float(motor.gear[0]) or 1.0)
+            motor.forcelimited, motor.forcerange = limited, (-most, most)
+            if motor.biastype == mujoco.mjtBias.mjBIAS_NONE:  # its command is a force
+                motor.ctrllimited = unlimited
+
     def exclude_contact(self, one: str, two: str) -> None:
         """Lets two bodies not touch each other."""
         self.spec.add_exclude(bodyname1=one, bodyname2=two)

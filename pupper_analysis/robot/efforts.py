@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
+import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.models.efforts import EffortLimit, effort_of
+from pupper_analysis.models.efforts import EffortLimit, Motor, effort_of, placeholder_efforts
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.coordinates import PinocchioConvention
+
+if TYPE_CHECKING:
+    from pupper_analysis.robot.robot import Robot
 
 _EFFORT_TOLERANCE = 1e-6
 """Relative: limits that differ by less are one, rounded otherwise."""
@@ -88,3 +94,25 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 
 def _alike(one: float, other: float) -> bool:
     return one == other or math.isclose(one, other, rel_tol=_EFFORT_TOLERANCE)
+
+
+def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells whether a verdict rests on efforts that look like placeholders; not on asked ones."""
+    model = robot.mj_model
+    weights = np.bincount(model.body_weldid, model.body_mass, model.nbody)
+    motors = []
+    for limit in robot.efforts:
+        joint = model.joint(limit.joint).id
+        asked = limit.origin is not None and not limit.origin.file
+        if model.jnt_type[joint] != JointKind.HINGE or asked:
+            continue
+        link = int(model.body_weldid[model.jnt_bodyid[joint]])
+        carrier = int(model.body_weldid[model.body_parentid[link]])
+        mass = float(weights[link] + weights[carrier])
+        armature = float(model.dof_armature[model.jnt_dofadr[joint]])
+        motors.append(Motor(limit.joint, max(-limit.lower, limit.upper), mass, armature))
+    found = list(placeholder_efforts(motors, robot.total_mass))
+    if not found:
+        return ()
+    joints = [joint for several, _ in found for joint in several]
+    return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)

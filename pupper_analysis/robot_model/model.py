@@ -268,6 +268,13 @@ class RobotModel:
                 group += self.fixed_group(child.name)
         return group
 
+    def carrier(self, name: str) -> str:
+        """Returns the moving body, or root, to which a body is fixed."""
+        link = self.links[name]
+        while not link.moving and link.parent is not None:
+            link = self.links[link.parent]
+        return link.name
+
     def is_negligible(self, body: Link) -> bool:
         """Whether a body weighs less than 1e-4 of all: a placeholder, or a label stuck on."""
         return body.mass < 1e-4 * self.total_mass

@@ -269,6 +269,7 @@ CASES = [
     urdf(
         "effort-or-velocity-zero", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="0"'
     ),
+    urdf("effort-placeholder", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="1000"'),
     # ---- values
     urdf("value-impossible", "link 'FL_calf'", FL_CALF, "<cylinder", "0.011", "-0.011"),
     urdf(

@@ -189,13 +189,13 @@ OUTPUT = {"json_path", "report_path", "figure", "output", "folder", "csv", "npz"
 LOOK = {"style", "everything", "force"}
 SERVOS = {"kp", "kd", "integrator", "cone", "impratio"}
 ALWAYS = {
-    "stand": {"minimum_stiffness", "payload", *SERVOS},
-    "workspace": {"payload"},
-    "payload": {"at", "payload", *SERVOS},
-    "best": {"payload", *SERVOS},
-    "path": {"seconds", "payload", *SERVOS},
-    "push": {"directions", "resolution", "payload", *SERVOS},
-    "hold": {"positions", "tool", "payload", *SERVOS},
+    "stand": {"minimum_stiffness", "effort", "payload", *SERVOS},
+    "workspace": {"effort", "payload"},
+    "payload": {"at", "effort", "payload", *SERVOS},
+    "best": {"effort", "payload", *SERVOS},
+    "path": {"seconds", "effort", "payload", *SERVOS},
+    "push": {"directions", "resolution", "effort", "payload", *SERVOS},
+    "hold": {"positions", "tool", "effort", "payload", *SERVOS},
     "crosscheck": {"map_file", "changes", "strict", "any_coordinates", "same_mount"},
     "diff": {"changes"},
     "sync": {"take", "dry_run", "map_file", "fine", "changes"},

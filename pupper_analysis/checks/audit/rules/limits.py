@@ -11,6 +11,7 @@ import numpy as np
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND
+from pupper_analysis.models.efforts import Motor, placeholder_efforts
 from pupper_analysis.robot_model.mjcf import line_of
 from pupper_analysis.robot_model.model import HINGE, Joint, MjcfModel, RobotModel, UrdfModel
 
@@ -128,3 +129,17 @@ def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
                 "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
             )
             yield Found("joint", name, told, "limit")
+
+
+@rule
+def effort_placeholder(robot: RobotModel) -> Iterator[Found]:
+    """Finds efforts that no motor of that mass, armature or robot gives."""
+    motors = []
+    for joint in robot.joints.values():
+        if joint.kind == HINGE:
+            ends = map(robot.carrier, (joint.parent, joint.child))
+            mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
+            armature = joint.stated.get("armature", 0.0)
+            motors.append(Motor(joint.name, joint.effort, mass, armature))
+    for joints, told in placeholder_efforts(motors, robot.total_mass):
+        yield Found("joint", joints[0], told, "limit")

@@ -116,7 +116,7 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[Found]:
         feet = {f.name: (body, f.position, "site") for f in body.frames if _is_foot(f.name)}
         if not feet and _is_foot(body.name) and not body.moving and body.parent is not None:
             feet = {body.name: (body, np.zeros(3), robot.link_tag)}
-            group = robot.fixed_group(_carrier(robot, body))
+            group = robot.fixed_group(robot.carrier(body.name))
         for name, (owner, position, kind) in feet.items():
             place = owner.pose.point(position)
             spheres = [
@@ -138,10 +138,3 @@ def foot_sphere_off_frame(robot: RobotModel) -> Iterator[Found]:
                 "foot-sphere-off-frame", radius=Quantity(radius, "m"), gap=Quantity(gap, "m")
             )
             yield Found(kind, name, told, severity=Severity.NOTE if gap < radius else None)
-
-
-def _carrier(robot: RobotModel, body: Link) -> str:
-    """Returns the moving body, or root, to which a body is fixed."""
-    while not body.moving and body.parent is not None:
-        body = robot.links[body.parent]
-    return body.name

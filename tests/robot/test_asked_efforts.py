@@ -1,0 +1,89 @@
+"""Limits of motors that are asked for bound what is computed and what is simulated."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.models.efforts import Motor, placeholder_efforts
+from pupper_analysis.robot.asked_efforts import with_efforts
+from pupper_analysis.robot.payload import with_payload
+from pupper_analysis.robot.servos import model_with_servos
+from tests.support import arm
+from tests.support.variants import load
+
+
+@pytest.mark.parametrize("effort", [0.7, 30.0])  # less, and more, than the file's
+def test_asked_efforts_bound_statics_and_simulation(effort: float) -> None:
+    robot = load("v3")
+    knees = [name for name in robot.joint_names if name.endswith("_3")]
+    asked = with_efforts(robot, dict.fromkeys(knees, effort))
+    wanted = [effort if name in knees else 3.0 for name in robot.joint_names]
+    np.testing.assert_allclose(asked.effort_limits, wanted)
+    np.testing.assert_allclose(with_payload(asked, 0.5).effort_limits, wanted)
+    model = model_with_servos(asked, kp=1e6, kd=0.0).model
+    for name, limit in zip(robot.joint_names, wanted, strict=True):
+        actuator = asked.mj_convention.actuator_index[asked.joint_names.index(name)]
+        assert model.actuator_forcerange[actuator].tolist() == pytest.approx([-limit, limit])
+        assert not model.jnt_actfrclimited[model.joint(name).id] or name not in knees
+    assert "efforts-as-asked" in {note.code for note in asked.notes}
+    assert with_efforts(robot, {}) is robot
+
+
+def test_efforts_that_are_none_are_refused() -> None:
+    robot = load("v3")
+    for effort in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(ConfigurationError, match="leg_front_r_1"):
+            with_efforts(robot, {"leg_front_r_1": effort})
+    with pytest.raises(UnknownNameError, match="knee"):
+        with_efforts(robot, {"knee": 1.0})
+
+
+def test_a_verdict_names_placeholders_until_others_are_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    efforts = "|".join(f"{effort}" for effort in arm.EFFORTS.values())
+    path.write_text(re.sub(f'effort="({efforts})"', 'effort="2000"', arm.URDF))
+    robot = pa.load_robot(path)
+    (told,) = pa.hold_posture(robot).verdict.remarks
+    assert told.code == "rests-on-placeholder-efforts"
+    assert sorted(told.values["joints"]) == ["a_turn", "elbow", "shoulder"]  # not the slide
+    asked = with_efforts(robot, {"shoulder": 30.0, "elbow": 9.0, "a_turn": 5.0})
+    held = pa.hold_posture(asked)
+    assert held.verdict.remarks == ()
+    assert held.payload.somewhere is not None
+    assert held.payload.somewhere < 3.0  # kg: 9 N m at 0.4 m; hundreds by 2000 N m
+
+
+@pytest.mark.parametrize(
+    ("motor", "code"),
+    [
+        (Motor("knee", 1000.0, 3.0), "effort-beyond-links"),
+        (Motor("knee", 1000.0, 5.0), None),
+        (Motor("knee", 1010.0, 3.0), None),  # nobody invents such a number
+        (Motor("knee", 30.0, 3.0, 1e-4), "effort-beyond-armature"),
+        (Motor("knee", 30.0, 3.0, 1e-3), None),
+        (Motor("knee", math.inf, 3.0, 1e-3), None),
+        (Motor("knee", 1e3, 1e-9), None),  # between two marks on a link
+    ],
+)
+def test_one_motor_is_held_against_its_links_and_its_armature(
+    motor: Motor, code: str | None
+) -> None:
+    codes = [told.code for _, told in placeholder_efforts([motor], 100.0)]
+    assert codes == ([] if code is None else [code])
+
+
+def test_all_motors_are_held_against_the_robot() -> None:
+    motors = [Motor(f"joint{number}", 10.0, 0.1) for number in range(6)]
+    assert not list(placeholder_efforts(motors, 60 / 89))
+    ((joints, told),) = placeholder_efforts(motors, 60 / 91)
+    assert len(joints) == 6
+    assert told.code == "efforts-beyond-robot"
+    assert told.values["same"]
+    assert told.values["share"] == pytest.approx(91)

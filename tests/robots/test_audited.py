@@ -1,0 +1,44 @@
+"""What the audit finds in robots that others have published; see ``test_real_robots``."""
+
+from __future__ import annotations
+
+import pytest
+
+from pupper_analysis.checks.audit.registry import CHECKS
+from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.robot_model.urdf import read_urdf_model
+from tests.robots.test_real_robots import URDF, file
+
+PLACEHOLDERS = (
+    "so_arm_description/urdf/so100",
+    "so_arm_description/urdf/so101",
+    "solo_description/robots/solo",
+    "solo_description/robots/solo12",
+    "bolt_description/robots/bolt",
+    "quadruped_description/urdf/quadruped",
+    "finger_edu_description/robots/finger_edu",
+    "allegro_hand_description/urdf/allegro_left_hand",
+    "baxter_description/urdf/baxter",
+    "talos_data/robots/talos_full_v2",
+    "ur_description/urdf/ur3_robot",  # which has the efforts of a UR10
+)
+MEANT = (
+    "a1_description/urdf/a1",
+    "go1_description/urdf/go1",
+    "go2_description/urdf/go2",
+    "b1_description/urdf/b1",
+    "g1_description/urdf/g1_29dof_rev_1_0",
+    "z1_description/urdf/z1",
+    "anymal_b_simple_description/robots/anymal",
+    "hyq_description/robots/hyq_no_sensors",
+    "panda_description/urdf/panda",
+    "ur_description/urdf/ur5_robot",
+    "xarm_description/urdf/xarm7",
+    "talos_data/robots/talos_reduced",
+)
+
+
+@pytest.mark.parametrize("name", PLACEHOLDERS + MEANT)
+def test_efforts_that_nobody_meant_are_named_and_others_are_not(name: str) -> None:
+    model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
+    assert bool(list(CHECKS["effort-placeholder"](model))) == (name in PLACEHOLDERS)
