@@ -28,7 +28,6 @@ from pupper_analysis.matching.mjcf import (
     is_fused,
     list_hinges,
     mjcf_tree,
-    name_all,
     open_loops,
 )
 from pupper_analysis.matching.pairs import pair_up
@@ -50,7 +49,7 @@ from pupper_analysis.matching.urdf import (
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import refuse_input
 from pupper_analysis.models.spec_tree import SpecTree

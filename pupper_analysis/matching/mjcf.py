@@ -23,31 +23,6 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
 
 
-def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
-    """Names the bodies and joints that have no name, by names that are not taken.
-
-    Returns:
-        The names that joints were given.
-    """
-
-    def new(name: str, known: set[str]) -> str:
-        while name in known:
-            name += "_"
-        known.add(name)
-        return name
-
-    bodies = {body.name for body in spec.bodies}
-    for number, body in enumerate(spec.bodies):
-        if not body.name:
-            body.name = new(f"body_{number}", bodies)
-    joints, notes = {joint.name for joint in spec.joints} | taken, []
-    for joint in spec.joints:
-        if not joint.name and joint.type != JointKind.FREE:
-            joint.name = new(f"{joint.parent.name}_joint", joints)
-            notes.append(diagnose("joint-named", subject=("joint", joint.name)))
-    return notes
-
-
 def list_hinges(spec: mujoco.MjSpec, source: Path) -> tuple[list[str], list[str], list[Diagnostic]]:
     """Returns the names of the hinges and slides, and of the ball joints, which are taken out.
 

@@ -19,6 +19,7 @@ from pupper_analysis.diagnostics import Diagnostic, diagnose
 from pupper_analysis.errors import ModelError
 from pupper_analysis.inputs import read_input
 from pupper_analysis.models import standard_input
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.lenient import is_retired, without_retired
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import MAX_BYTES, MAX_NUMBER
@@ -188,6 +189,31 @@ def silence_mujoco() -> Iterator[None]:
         yield
     finally:
         _SILENCE.end()
+
+
+def name_all(spec: mujoco.MjSpec, taken: set[str]) -> list[Diagnostic]:
+    """Names the bodies and joints that have no name, by names that are not taken.
+
+    Returns:
+        The names that joints were given.
+    """
+
+    def new(name: str, known: set[str]) -> str:
+        while name in known:
+            name += "_"
+        known.add(name)
+        return name
+
+    bodies = {body.name for body in spec.bodies}
+    for number, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = new(f"body_{number}", bodies)
+    joints, notes = {joint.name for joint in spec.joints} | taken, []
+    for joint in spec.joints:
+        if not joint.name and joint.type != JointKind.FREE:
+            joint.name = new(f"{joint.parent.name}_joint", joints)
+            notes.append(diagnose("joint-named", subject=("joint", joint.name)))
+    return notes
 
 
 def to_xml(spec: mujoco.MjSpec) -> str:

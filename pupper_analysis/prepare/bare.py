@@ -12,9 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.joint_kinds import scalar_joints
-from pupper_analysis.models.mjcf import compile_spec, silence_mujoco
+from pupper_analysis.models.mjcf import compile_spec, name_all, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import (

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
 from pupper_analysis.errors import ModelError, PupperAnalysisError
 from pupper_analysis.matching.match import match_models
-from pupper_analysis.matching.mjcf import name_all
 from pupper_analysis.models.additions import GRIP, Addition, Floor, Options
 from pupper_analysis.models.description import Description
+from pupper_analysis.models.mjcf import name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare import drives, keyframes, notes, start, touching

@@ -15,7 +15,6 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.compare import compare_models
 from pupper_analysis.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import (
@@ -184,6 +183,9 @@ def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Ca
     alike = computed is not None and abs(computed.torque_error - run.torque_error) <= SAME
     if file is None or robot.description.converted or not alike:
         return ()
+    # Forty modules, which hardly a verdict needs.
+    from pupper_analysis.checks.compare import compare_models
+
     with contextlib.suppress(PupperAnalysisError):
         found = compare_models(robot.description.urdf_source, file.path)
         felt = [one.diagnostic for one in found.differences if one.weight[0] > 0]

@@ -12,7 +12,7 @@ import numpy as np
 from pupper_analysis.checks.mjcf_only.effect import NamedModel
 from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
 from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree, name_all
+from pupper_analysis.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree
 from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.matching.trees import Reference
 from pupper_analysis.matching.urdf import (
@@ -23,7 +23,7 @@ from pupper_analysis.matching.urdf import (
 )
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind
-from pupper_analysis.models.mjcf import compile_spec
+from pupper_analysis.models.mjcf import compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.transmission import actuator_gear

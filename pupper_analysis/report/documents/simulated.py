@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pupper_analysis.analysis.robot import Analysis
 from pupper_analysis.report import document as doc
 from pupper_analysis.report import plots
 from pupper_analysis.report.documents.loads import proof_text
 from pupper_analysis.report.documents.quantities import quantity_columns
 from pupper_analysis.report.documents.sources import page_of
 from pupper_analysis.report.words import text
-from pupper_analysis.simulation.gain_sweep import GainSweep
 from pupper_analysis.simulation.verify import StandVerification
+
+if TYPE_CHECKING:
+    from pupper_analysis.analysis.robot import Analysis
+    from pupper_analysis.simulation.gain_sweep import GainSweep
 
 
 def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
