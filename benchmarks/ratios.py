@@ -7,6 +7,7 @@ meanwhile: a ratio is the least of three medians, and none is looked at again th
 from __future__ import annotations
 
 import csv
+import re
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -16,11 +17,9 @@ from typing import NamedTuple
 from measure import Job, take_turns
 
 SLOWER = 1.2
-"""Times of the recorded ratio that are too many, on the processor of the record."""
+"""Times of the recorded ratio that are too many."""
 
-ELSEWHERE = 2.0
-"""On another one, of which Python's share of a call may be so much more: of the same commit,
-statics took 1.7 times PlaCo's on a Xeon and 3.0 times on an EPYC."""
+FILE = "benchmarks-ratios.csv"
 
 TRIES = 3
 
@@ -49,13 +48,54 @@ class Compared(NamedTuple):
         return self.now <= self.most
 
 
-def read_recorded(folder: Path) -> tuple[dict[str, float], str]:
-    """Returns the recorded ratios, {job: ratio}, and the processor of the record."""
-    with (folder / "benchmarks-calls.csv").open(encoding="utf-8", newline="") as file:
-        rows = {row["job"]: row["ratio"] for row in csv.DictReader(file)}
-    with (folder / "benchmarks-setting.csv").open(encoding="utf-8", newline="") as file:
-        setting = {row["what"]: row["value"] for row in csv.DictReader(file)}
-    return {job: float(ratio) for job, ratio in rows.items() if ratio != "-"}, setting["processor"]
+Record = dict[str, dict[str, float]]
+"""{family of processors: {job: ratio}}: Python's share of a call differs between them."""
+
+
+def family(processor: str) -> str:
+    """Returns maker and line of a processor's name, by which ratios are recorded.
+
+    Of ``Intel(R) Xeon(R) Platinum 8370C`` that is ``Intel Xeon``.
+    """
+    words = re.sub(r"\([^)]*\)|\b\w*\d\w*\b|\bGen\b", " ", processor)
+    return " ".join(re.findall("[A-Za-z]+", words)[:2])
+
+
+def read_recorded(folder: Path) -> Record:
+    """Returns the recorded ratios; none if there is no record."""
+    path, record = folder / FILE, Record()
+    if not path.exists():
+        return record
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            job = row.pop("job")
+            for name, ratio in row.items():
+                if ratio != "-":
+                    record.setdefault(name, {})[job] = float(ratio)
+    return record
+
+
+def record_rows(record: Record) -> list[tuple[str, ...]]:
+    """Returns a record as a table, a column for each family."""
+    jobs = dict.fromkeys(job for own in record.values() for job in own)
+    return [
+        ("job", *record),
+        *(
+            (job, *(f"{own[job]:.3g}" if job in own else "-" for own in record.values()))
+            for job in jobs
+        ),
+    ]
+
+
+def expected(record: Record, name: str) -> dict[str, float]:
+    """Returns {job: ratio} of a family; of one without a record the largest of all families'."""
+    if name in record:
+        return record[name]
+    largest: dict[str, float] = {}
+    for own in record.values():
+        for job, ratio in own.items():
+            largest[job] = max(ratio, largest.get(job, 0.0))
+    return largest
 
 
 def measure_ratio(job: Job) -> float:
@@ -68,7 +108,6 @@ def measure_ratio(job: Job) -> float:
 def compare(
     jobs: Sequence[Job],
     recorded: Mapping[str, float],
-    slower: float,
     measure: Callable[[Job], float],
 ) -> list[Compared]:
     """Compares the jobs' ratios with the recorded ones.
@@ -76,7 +115,6 @@ def compare(
     Args:
         jobs: Those with a bare engine.
         recorded: {job: ratio}; what has none is not measured.
-        slower: How many times as much a ratio may be.
         measure: Measures a job's ratio once.
     """
     found = []
@@ -86,7 +124,7 @@ def compare(
         was, now = recorded[job.name], float("inf")
         for _ in range(TRIES):
             now = min(now, measure(job))
-            if now <= slower * was:
+            if now <= SLOWER * was:
                 break
-        found.append(Compared(job.name, was, now, slower * was))
+        found.append(Compared(job.name, was, now, SLOWER * was))
     return found

@@ -106,7 +106,12 @@ class EffortLimit(Result):
 
 
 def effort_of(
-    model: mujoco.MjModel, joint: int, effort: float | None = None, *, name: str = ""
+    model: mujoco.MjModel,
+    joint: int,
+    effort: float | None = None,
+    *,
+    name: str = "",
+    drives: Sequence[int] | None = None,
 ) -> EffortLimit:
     """Returns what a joint's motor can give by both files.
 
@@ -115,8 +120,10 @@ def effort_of(
         joint: The id of a hinge or slide in it.
         effort: The URDF's for the joint (N m); None or 0 where it does not say, as exporters do.
         name: The joint's in the URDF; by default as in the MJCF.
+        drives: Its actuators, where they are known.
     """
-    own, drives, gear = str(model.joint(joint).name), drives_of(model, joint), 1.0
+    own, gear = str(model.joint(joint).name), 1.0
+    drives = drives_of(model, joint) if drives is None else drives
     stated = _stated(model, joint, drives)
     if effort is not None and 0 < effort < math.inf:
         gear = _gear_left_out(model, drives, stated, effort) or 1.0

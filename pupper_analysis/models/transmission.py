@@ -42,6 +42,15 @@ def drives_of(model: mujoco.MjModel, joint: int) -> list[int]:
     return [actuator for actuator in there if is_at_one_joint(model, actuator)]
 
 
+def drives_by_joint(model: mujoco.MjModel) -> dict[int, list[int]]:
+    """Returns {joint: its actuators} of the hinges and slides that have some; see ``drives_of``."""
+    found: dict[int, list[int]] = {}
+    for actuator, joint in enumerate(model.actuator_trnid[:, 0].tolist()):
+        if is_at_one_joint(model, actuator):
+            found.setdefault(joint, []).append(actuator)
+    return found
+
+
 @dataclass(frozen=True)
 class ActuatorLaw:
     """The force of an actuator at a hinge or slide: gain ctrl - stiffness l - damping dl/dt.

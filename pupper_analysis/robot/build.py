@@ -233,9 +233,9 @@ def _hash(
         q = pin.integrate(model, pin.neutral(model), np.full(model.nv, angle))
         joints = joint_placements(model, q)
         feet = [joints[frame.parentJoint] * frame.placement for frame in frames]
-        for placement in (*joints, *feet):
-            # To a nanometre: processors differ in the last digit. 0.0: -0.0 is the same number.
-            parts.append((np.round(placement.homogeneous, 9) + 0.0).tobytes())
+        places = np.array([placement.homogeneous for placement in (*joints, *feet)])
+        # To a nanometre: processors differ in the last digit. 0.0: -0.0 is the same number.
+        parts += [place.tobytes() for place in np.round(places, 9) + 0.0]
     parts += [inertia.toDynamicParameters().tobytes() for inertia in model.inertias]
     parts += [model.lowerPositionLimit.tobytes(), model.upperPositionLimit.tobytes()]
     return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]

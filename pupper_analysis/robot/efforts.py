@@ -13,6 +13,7 @@ import pinocchio as pin
 from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import EffortLimit, Motor, effort_of, placeholder_efforts
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.transmission import drives_by_joint
 from pupper_analysis.robot.coordinates import PinocchioConvention
 
 if TYPE_CHECKING:
@@ -40,8 +41,10 @@ def efforts_of(
             has that limit, it is told with the statements of the file itself.
     """
     urdf, limits = pin_model.effortLimit.take(convention.v_index).tolist(), []
+    drives = drives_by_joint(mj_model)
     for name, effort in zip(joint_names, urdf, strict=True):
-        limit, first = effort_of(mj_model, mj_model.joint(name).id, effort), before.get(name)
+        joint, first = int(mj_model.joint(name).id), before.get(name)
+        limit = effort_of(mj_model, joint, effort, drives=drives.get(joint, ()))
         same = first is not None and _alike(first.lower, limit.lower)
         same = same and first is not None and _alike(first.upper, limit.upper)
         limits.append(first if same and first is not None else limit)
