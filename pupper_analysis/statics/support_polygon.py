@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -49,6 +48,8 @@ def margin_of_place(place: Corner, points: tuple[Corner, ...]) -> float:
     inside = _depth_inside(place, points)
     if inside is not None:
         return inside
+    import shapely  # slow to import
+
     polygon, projection = shapely.MultiPoint(points).convex_hull, shapely.Point(place)
     if polygon.geom_type == "Polygon" and polygon.contains(projection):
         return float(polygon.exterior.distance(projection))
@@ -105,6 +106,8 @@ def _ring(points: tuple[Corner, ...]) -> tuple[tuple[float, ...], ...]:
 
 def support_polygon(contacts: Array) -> Array:
     """Returns the corners (n, 2) of the convex hull of contact points (k, 3), counter-clockwise."""
+    import shapely  # slow to import
+
     hull = shapely.MultiPoint(contacts[:, :2]).convex_hull
     ring = shapely.geometry.polygon.orient(hull).exterior
     corners: Array = np.array(shapely.get_coordinates(ring))[:-1]
