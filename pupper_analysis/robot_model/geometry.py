@@ -170,15 +170,26 @@ def extent_points(bodies: Sequence[Link], frame: Link) -> Array | None:
     Returns:
         None if they have no shapes, or the extent of one is not known.
     """
-    to_frame = frame.pose.inverse()
-    parts = []
+    points, whole = known_points(bodies, frame)
+    return points if whole else None
+
+
+def known_points(bodies: Sequence[Link], frame: Link) -> tuple[Array | None, bool]:
+    """Returns points of those shapes whose extent is known, and whether that is all of them.
+
+    Returns:
+        Points (n, 3) as ``extent_points`` has them, None if no shape is known; and whether none is
+        left out, such as a mesh that is not read.
+    """
+    to_frame, parts, whole = frame.pose.inverse(), [], True
     for body in bodies:
         for shape in body.shapes:
             points = shape_points(shape)
             if points is None:
-                return None
-            parts.append((to_frame * body.pose).point(points))
-    return np.concatenate(parts) if parts else None
+                whole = False
+            else:
+                parts.append((to_frame * body.pose).point(points))
+    return (np.concatenate(parts) if parts else None), whole
 
 
 def link_points(robot: RobotModel, body: Link) -> Array:

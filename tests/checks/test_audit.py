@@ -203,6 +203,19 @@ CASES = [
     ),
     # ---- shapes
     Case(
+        "shape-off-link",
+        "urdf",
+        "link 'FL_thigh'",
+        ('<link name="FL_thigh">', "<collision"),
+        (
+            Edit(
+                '<link name="FL_thigh">',
+                r'(?s)<collision>\s*<origin xyz="0 0 -0.04"/>',
+                '<collision>\n      <origin xyz="0 0.03 -0.04"/>',
+            ),
+        ),
+    ),
+    Case(
         "shape-ends-off-joint",
         "mjcf",
         "body 'FL_thigh'",
@@ -268,6 +281,13 @@ CASES = [
     ),
     urdf(
         "effort-or-velocity-zero", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="0"'
+    ),
+    Case(
+        "limits-away-from-stand",
+        "urdf",
+        "joint 'FL_KFE'",
+        ('<joint name="FL_KFE"', "<limit"),
+        (Edit(FL_HFE, 'upper="1.2"', 'upper="0.1"'),),
     ),
     urdf("effort-placeholder", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="1000"'),
     # ---- values

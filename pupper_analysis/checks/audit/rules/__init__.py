@@ -9,6 +9,7 @@ from pupper_analysis.checks.audit.rules import (  # noqa: F401, I001  (the order
     mirror,
     joints,
     limits,
+    legs,
     values,
     numbers,
     files,

@@ -8,12 +8,15 @@ import numpy as np
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.robot_model.geometry import extent_points, link_points
+from pupper_analysis.robot_model.geometry import known_points, link_points
 from pupper_analysis.robot_model.model import Array, Inertial, Link, RobotModel
 
 FACTOR = 100.0
 """How far an inertia may be from that of a solid box: units slip by 1000 or more."""
 
+UNREAD = 8.0
+"""Times m R^2 that an inertia may be where some mesh is not read, and R is that of the shapes that
+are, and of the joints."""
 
 TINY = 1e-10
 """What counts as no inertia, per mass (m^2): a radius of gyration of 0.01 mm."""
@@ -76,24 +79,27 @@ def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
     """Compares the greatest moment with what a body of this mass and size can have.
 
     An inertia is at most m R^2, with R the distance of the furthest point from the com; twice that
-    is allowed, as shapes may be simplified. Without shapes, R is the way to the furthest joint or
-    frame, and 100 times that is allowed. At the lower end, it is compared with that of a solid box
-    of the body's mass around its own shapes, m (a^2 + b^2) / 12.
+    is allowed, as shapes may be simplified, 8 times where meshes are not read. Without shapes, R is
+    the way to the furthest joint or frame, and 100 times that is allowed. At the lower end,
+    it is compared with that of a solid box of the body's mass around its own shapes,
+    m (a^2 + b^2) / 12.
     """
     for body, inertial in _stated(robot):
         greatest = float(inertial.moments[-1])
         if greatest <= 0 or robot.is_negligible(body):
             continue
-        points = extent_points(robot.fixed_group(body.name), body)
+        points, whole = known_points(robot.fixed_group(body.name), body)
         shaped = points is not None
-        if points is None:
-            points = link_points(robot, body)
+        allowed = (2.0 if whole else UNREAD) if shaped else FACTOR
+        if points is None or not whole:
+            ends = link_points(robot, body)
+            points = ends if points is None else np.concatenate([points, ends])
         reach = float(np.linalg.norm(points - inertial.com, axis=1).max())
         if not shaped:
             reach = max(reach, REACH)
-        own = extent_points([body], body)
+        own, _ = known_points([body], body)
         expected = 0.0 if own is None else _solid_box(own, inertial.mass)
-        if greatest > (2.0 if shaped else FACTOR) * inertial.mass * reach**2:
+        if greatest > allowed * inertial.mass * reach**2:
             told = diagnose(
                 "inertia-too-large",
                 moment=Quantity(greatest, "kg m^2"),

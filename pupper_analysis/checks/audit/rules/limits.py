@@ -82,7 +82,7 @@ def _limits_without_effect(joint: Joint) -> Diagnostic | None:
 
 @rule
 def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
-    """Finds integer limits of 12 to 360 rad, and a file in degrees with none above 2 pi.
+    """Finds limits of 12 to 400 rad, and a file in degrees with none above 2 pi.
 
     Limits of 10 rad are a habit of those who want none.
     """
@@ -91,8 +91,7 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
     ]
     for joint in hinges:
         limits = (joint.lower, joint.upper)
-        integers = all(abs(value - round(value)) < 1e-9 for value in limits)
-        if integers and 12 <= max(map(abs, limits)) <= 360:
+        if 12 <= max(map(abs, limits)) <= 400:
             lower, upper = (Quantity(value, "rad") for value in limits)
             told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
             yield Found("joint", joint.name, told, "limit")

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.checks.audit.registry import Found, rule
 from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.robot_model.geometry import extent_points, link_points
+from pupper_analysis.robot_model.geometry import extent_points, known_points, link_points
 from pupper_analysis.robot_model.model import Array, Link, RobotModel
 
 DENSEST = 20_000.0
@@ -18,6 +18,9 @@ DENSEST = 20_000.0
 The hull is the largest volume that a body of these shapes can have. Of 1500 links of robots in use
 the densest has 15600, a wrist whose mesh leaves out what is screwed to it.
 """
+
+UNREAD = 5.0
+"""Times that, where some mesh is not read: the shapes that are may be smaller than the link."""
 
 LIGHTEST = 2.0
 """Likewise below which none is (kg/m^3): air has 1.2, the lightest foam 10; the links, 8.8."""
@@ -46,18 +49,19 @@ def density_implausible(robot: RobotModel) -> Iterator[Found]:
         mass = sum(part.mass for part in group)
         if mass < SHARE * robot.total_mass or mass <= 0:
             continue
-        points = extent_points(group, body)
-        if points is None:
-            continue
+        points, whole = known_points(group, body)
+        if points is None or not (whole or body.moving):
+            continue  # of a base, what is not read may be nearly all
+        most = DENSEST if whole else UNREAD * DENSEST
         links = link_points(robot, body)
         own, way = _extent(points), _extent(links)
         if own < max(SMALL, TOKEN * way):
             continue
         volume = _volume(np.concatenate([points, links]))
         density = mass / volume if volume > 0 else np.inf
-        if volume > 0 and not LIGHTEST <= density <= DENSEST:
+        if volume > 0 and not (LIGHTEST if whole else 0.0) <= density <= most:
             told = diagnose(
-                "denser-than-metal" if density > DENSEST else "lighter-than-foam",
+                "denser-than-metal" if density > most else "lighter-than-foam",
                 mass=Quantity(mass, "kg"),
                 volume=Quantity(volume, "m^3"),
                 density=Quantity(density, "kg/m^3"),

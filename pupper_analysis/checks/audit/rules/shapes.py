@@ -92,6 +92,62 @@ def shape_ends_off_joint(robot: RobotModel) -> Iterator[Found]:
                 yield Found(robot.link_tag, body.name, told, _tag(robot, shape))
 
 
+@rule
+def shape_off_link(robot: RobotModel) -> Iterator[Found]:
+    """Compares rods and slabs that run along a limb's link with the way from joint to joint.
+
+    Of 119 in use none is off that way by more than 3 % of it beyond its own half width, nor its
+    middle by more than a fifth along it; a tenth and two fifths are allowed.
+    """
+    for body in robot.links.values():
+        ends = [
+            body.pose.inverse().point(child.pose.position)
+            for part in robot.fixed_group(body.name)
+            for child in robot.children(part.name)
+            if child.moving
+        ]
+        if not body.moving or len(ends) != 1:
+            continue
+        anchor = body.pose.inverse().point(body.joints[-1].position)
+        way, length = ends[0] - anchor, float(np.linalg.norm(ends[0] - anchor))
+        for shape in body.shapes:
+            if not shape.collides or shape.kind not in ("box", "cylinder", "capsule"):
+                continue
+            axis, half, width = _rod(shape)
+            along = 0.6 < 2 * half / max(length, SHORT) < 1.4 and half > 2 * width
+            if length < SHORT or not along or abs(way @ axis) < ALONG * length:
+                continue
+            middle = shape.pose.position - anchor - way / 2
+            ahead = float(middle @ way) / length
+            aside = float(np.linalg.norm(middle - ahead * way / length))
+            if aside - width > 0.1 * length or abs(ahead) > 0.4 * length:
+                told = diagnose(
+                    "shape-off-link",
+                    shape=Term(shape.kind),
+                    aside=Quantity(aside, "m"),
+                    ahead=Quantity(abs(ahead), "m"),
+                    way=Quantity(length, "m"),
+                )
+                yield Found(robot.link_tag, body.name, told, _tag(robot, shape))
+
+
+SHORT = 0.03
+"""m: of joints that are nearer, no shape shows where a link is."""
+
+ALONG = 0.966
+"""Cosine of 15 degrees: what is more inclined does not run along its link."""
+
+
+def _rod(shape: Shape) -> tuple[Array, float, float]:
+    """Returns the direction (3,) in which a shape is longest, half its length, half its width."""
+    if shape.kind == "box":
+        order = np.argsort(shape.size)
+        direction: Array = shape.pose.rotation[:, order[2]]
+        return direction, shape.size[order[2]], shape.size[order[1]]
+    radius, half = shape.size
+    return shape.pose.rotation[:, 2], half + (radius if shape.kind == "capsule" else 0.0), radius
+
+
 def _tag(robot: RobotModel, shape: Shape) -> str:
     if robot.format == "mjcf":
         return "geom"
