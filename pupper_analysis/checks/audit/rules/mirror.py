@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries
 from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
 from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Vector, describe_bound, diagnose
+from pupper_analysis.diagnostics import Quantity, Term, Vector, describe_bound, diagnose
+from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.robot_model.geometry import known_points
 from pupper_analysis.robot_model.model import HINGE, Array, Inertial, Joint, Link, RobotModel
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
@@ -230,3 +233,83 @@ def mirror_limits(robot: RobotModel) -> Iterator[Found]:
         else:
             continue
         yield Found("joint", other.name, told, "limit")
+
+
+DRIVE = 0.02
+"""Relative: published motors of one kind are stated alike to the digit."""
+
+ALIKE = 3
+"""Pairs that agree for each one that does not: where motors were identified one by one, none do."""
+
+
+@rule
+def mirror_drive(robot: RobotModel) -> Iterator[Found]:
+    """Compares damping, dry friction, armature and springs (2 %), where most partners are alike."""
+    pairs = [(one, other) for _, one, other in _joint_pairs(robot)]
+    for attribute in PASSIVE:
+        kind, differing, alike = attribute.kind, [], 0
+        for one, other in pairs:
+            its, own = one.stated.get(kind), other.stated.get(kind)
+            if own is None or its is None:
+                continue
+            if np.isclose(own, its, rtol=DRIVE, atol=0.0):
+                alike += 1
+            else:
+                differing.append((one, other, own, its))
+        if alike < ALIKE * len(differing):
+            continue
+        for one, other, own, its in differing:
+            unit = attribute.unit(other.kind != HINGE)
+            told = diagnose(
+                "mirror-drive",
+                what=Term(kind),
+                own=Quantity(own, unit),
+                other=one.name,
+                its=Quantity(its, unit),
+            )
+            yield Found("joint", other.name, told, robot.words(attribute)[1])
+
+
+SHAPES = 0.01
+"""m: of what touches, plus a tenth of its size: left and right meshes are cut otherwise."""
+
+
+@rule
+def mirror_shapes(robot: RobotModel) -> Iterator[Found]:
+    """Compares what touches: whether there is anything, and how far it reaches."""
+    for mirror, one, other in _in_place(robot):
+        pair = [_touching(robot, link) for link in (one, other)]
+        if not any(pair):
+            continue
+        if not all(pair):
+            bare, whole = (one, other) if not pair[0] else (other, one)
+            told = diagnose("mirror-without-shapes", other=whole.name)
+            yield Found(robot.link_tag, bare.name, told)
+            continue
+        extents = [_extent(link, parts) for link, parts in zip((one, other), pair, strict=True)]
+        if extents[0] is None or extents[1] is None:
+            continue
+        image = np.array([mirror.point(point) for point in extents[0]])
+        ends = [
+            np.array([points.min(axis=0), points.max(axis=0)]) for points in (image, extents[1])
+        ]
+        gap = float(np.abs(ends[0] - ends[1]).max())
+        size = float(np.ptp(ends[0], axis=0).max())
+        if gap > SHAPES + 0.1 * size:
+            told = diagnose("mirror-shapes", gap=Quantity(gap, "m"), other=one.name)
+            yield Found(robot.link_tag, other.name, told)
+
+
+def _touching(robot: RobotModel, link: Link) -> list[Link]:
+    """Returns a link, and what is fixed to it, with the shapes alone that touch."""
+    parts = [
+        replace(part, shapes=tuple(shape for shape in part.shapes if shape.collides))
+        for part in robot.fixed_group(link.name)
+    ]
+    return [part for part in parts if part.shapes]
+
+
+def _extent(link: Link, parts: list[Link]) -> Array | None:
+    """Returns points (n, 3) of what touches, in the base's axes (m); None if some is not known."""
+    points, whole = known_points(parts, link)
+    return link.pose.point(points) if whole and points is not None else None
