@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -182,7 +183,7 @@ def compare_models(
     touching, untold = _touching(matched, urdf_file, mjcf_file, placed)
     differences = tuple(sorted((*placed, *touching), key=lambda difference: difference.rank))
     unmatched = matched.only_urdf or matched.only_mjcf
-    objections = tuple(_objections(explanation, tolerances))
+    objections = (*_legs_without_base(matched), *_objections(explanation, tolerances))
     if mount is not None and same_mount:
         objections = (*objections, mount.diagnostic)
     return Comparison(
@@ -213,6 +214,18 @@ def compare_models(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+
+
+_LEGS = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)
+"""In names of joints that are not those of an arm or a hand, whose base is bolted down."""
+
+
+def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
+    """Yields that an MJCF lacks the base of its legs; that of an arm has no effect."""
+    left = [note for note in matched.notes if note.code == "mass-of-base-left-out"]
+    legs = [name for name in matched.robot.joint_names if _LEGS.search(name)]
+    if left and len(legs) > 1:
+        yield diagnose("base-of-legs-left-out", mass=left[0].values["mass"], joints=legs)
 
 
 def _touching(

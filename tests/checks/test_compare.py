@@ -359,3 +359,39 @@ def test_a_fixed_base_can_be_compared_in_both_engines(tmp_path: Path) -> None:
     assert comparison.agree
     assert all(len(q.edges) >= 4 for q in comparison.check.quantities)
     assert comparison.check.passed
+
+
+def test_legs_without_their_base_do_not_agree_and_a_bolted_hand_does(tmp_path: Path) -> None:
+    inertial = (
+        '<inertial><mass value="{0}"/><inertia ixx="{1}" iyy="{1}" izz="{1}" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    joint = (
+        '<joint name="{0}" type="revolute"><parent link="base"/><child link="{0}_link"/>'
+        '<origin xyz="{1} 0 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="5" velocity="5"/></joint>'
+    )
+    body = (
+        '<body name="{0}_link" pos="{1} 0 0"><joint name="{0}" axis="0 1 0" range="-1 1" '
+        'actuatorfrcrange="-5 5"/><inertial pos="0 0 0" mass="1" '
+        'diaginertia="0.01 0.01 0.01"/></body>'
+    )
+    for names, agree in ((("left_hip", "right_hip"), False), (("thumb", "index"), True)):
+        places = list(zip(names, (0.1, -0.1), strict=True))
+        links = "".join(
+            f'<link name="{name}_link">{inertial.format(1, 0.01)}</link>{joint.format(name, x)}'
+            for name, x in places
+        )
+        urdf, mjcf = tmp_path / "a.urdf", tmp_path / "a.xml"
+        urdf.write_text(
+            f'<robot name="a"><link name="base">{inertial.format(16, 0.1)}</link>{links}</robot>'
+        )
+        mjcf.write_text(
+            '<mujoco><compiler angle="radian"/><worldbody>'
+            f"{''.join(body.format(name, x) for name, x in places)}</worldbody></mujoco>"
+        )
+        compared = compare_models(urdf, mjcf)
+        assert "mass-of-base-left-out" in {note.code for note in compared.notes}
+        assert compared.agree == agree, [*compared.objections, *compared.differences]
+        told = [objection.code for objection in compared.objections]
+        assert told == ([] if agree else ["base-of-legs-left-out"])

@@ -93,7 +93,9 @@ def _torques(diff: ModelDiff) -> Iterable[doc.Block]:
         if abs(pair[1] - pair[0]) > _LEAST_CHANGE * max(pair)
     }
     if not changed:
-        yield doc.Lines((text("the-torques-that-hold"),))
+        less = text("torques-change-by-less", most=f"{100 * _LEAST_CHANGE:g}")
+        moved = any(old != new for old, new in diff.torques.values())
+        yield doc.Lines((less if moved else text("the-torques-that-hold"),))
         return
     rows: list[tuple[doc.Cell, ...]] = [
         (
