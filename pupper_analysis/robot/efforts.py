@@ -101,21 +101,33 @@ def _alike(one: float, other: float) -> bool:
 
 def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:
     """Tells whether a verdict rests on efforts that look like placeholders; not on asked ones."""
+    stated = {
+        limit.joint: max(-limit.lower, limit.upper)
+        for limit in robot.efforts
+        if limit.origin is None or limit.origin.file
+    }
+    joints = list(placeholders_among(robot, stated))
+    if not joints:
+        return ()
+    return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
+
+
+def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
+    """Returns which efforts look like placeholders, and why; see ``placeholder_efforts``.
+
+    Args:
+        robot: The robot, whose masses and armatures they are held against.
+        efforts: {joint: effort (N m)}; those of slides are left out.
+    """
     model = robot.mj_model
-    weights = np.bincount(model.body_weldid, model.body_mass, model.nbody)
-    motors = []
-    for limit in robot.efforts:
-        joint = model.joint(limit.joint).id
-        asked = limit.origin is not None and not limit.origin.file
-        if model.jnt_type[joint] != JointKind.HINGE or asked:
+    weights, motors = np.bincount(model.body_weldid, model.body_mass, model.nbody), []
+    for name, effort in efforts.items():
+        joint = model.joint(name).id
+        if model.jnt_type[joint] != JointKind.HINGE:
             continue
         link = int(model.body_weldid[model.jnt_bodyid[joint]])
         carrier = int(model.body_weldid[model.body_parentid[link]])
         mass = float(weights[link] + weights[carrier])
-        armature = float(model.dof_armature[model.jnt_dofadr[joint]])
-        motors.append(Motor(limit.joint, max(-limit.lower, limit.upper), mass, armature))
-    found = list(placeholder_efforts(motors, robot.total_mass))
-    if not found:
-        return ()
-    joints = [joint for several, _ in found for joint in several]
-    return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
+        motors.append(Motor(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]])))
+    found = placeholder_efforts(motors, robot.total_mass)
+    return {joint: why for joints, why in found for joint in joints}

@@ -21,6 +21,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.results import Result
+from pupper_analysis.robot.efforts import placeholders_among
 from pupper_analysis.sync.frames import Key, MatchedRobots, pair_robots
 from pupper_analysis.sync.mjcf_side import MjcfSide
 from pupper_analysis.sync.urdf_side import UrdfSide
@@ -173,6 +174,11 @@ def make_plan(
         side.plan(keys)
         plan.left |= side.left
         plan.notes |= side.notes
+        stated = (both.urdf if other == "urdf" else both.mjcf).joints
+        efforts = {name: stated[name].effort for name in matched.robot.joint_names}
+        for name, why in placeholders_among(matched.robot, efforts).items():
+            if ("effort", name) in keys and ("effort", name) not in plan.left:
+                plan.notes["effort", name] = diagnose("effort-taken-is-placeholder", why=why)
     return plan
 
 

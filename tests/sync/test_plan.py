@@ -568,3 +568,14 @@ def test_bytes_of_a_tag(tmp_path: Path) -> None:
         b"\t<b x='1>2' y=\"3\"\n\t   z = '5' new='&lt;&amp;&apos;&quot;&gt;'/>\n"
         b'\t<c><in x="1"/></c><d><in x="2"/></d><e>text</e>\n</a>\n'
     )
+
+
+def test_an_effort_that_nobody_meant_is_not_copied_without_a_word(tmp_path: Path) -> None:
+    joint = ROBOT["thigh0"].joint
+    files = pair(tmp_path, urdf=changed(ROBOT, "thigh0", effort=5000.0))
+    result = sync(files, "urdf")
+    assert [edit.new for edit in result.edits if "5000" in edit.new]
+    (note,) = result.notes.values()
+    assert note.code == "effort-taken-is-placeholder"
+    assert list(result.notes) == [f"joint {joint}: effort"]
+    assert sync(files, "mjcf").notes == {}
