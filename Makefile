@@ -6,10 +6,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 LOWEST := .venv-lowest
 # Quick ones, which between them use every package that is required.
-LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,test_results checks/test_engines cli/test_shared \
-  models/test_loading report/test_audit report/test_figures report/test_printed report/test_study \
-  robot/test_robot simulation/test_verify statics/test_equilibrium study/test_outcome study/test_running \
-  study/test_study))
+LOWEST_TESTS := $(addprefix tests/,$(addsuffix .py,base/test_results cli/test_shared \
+  models/test_loading present/test_figures present/test_printed robot/compare/test_engines robot/test_robot \
+  simulation/test_verify statics/test_equilibrium tools/audit/test_document tools/study/test_document \
+  tools/study/test_outcome tools/study/test_running tools/study/test_study))
 # Inputs of the fuzzer, and more options of tests/fuzz.py.
 N ?= 2000
 FUZZ ?=

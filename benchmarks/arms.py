@@ -30,14 +30,14 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.hold import Hold, hold_posture
-from pupper_analysis.posture.force import withstood
-from pupper_analysis.posture.verify import verify_posture
-from pupper_analysis.posture.ways import Ways
-from pupper_analysis.report.verdict import verdict_word
+from pupper_analysis.present.verdict import verdict_word
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.hold.force import withstood
+from pupper_analysis.tools.hold.hold import Hold, hold_posture
+from pupper_analysis.tools.hold.verify import verify_posture
+from pupper_analysis.tools.hold.ways import Ways
 
 Array = NDArray[np.float64]
 

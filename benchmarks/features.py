@@ -23,10 +23,10 @@ import numpy as np
 from tables import write_csv
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.report.verdict import in_words
+from pupper_analysis.present.verdict import in_words
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.tools.stand.stance import study_stance
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.support import legged  # the tests' hand-made robots

@@ -32,10 +32,6 @@ import mujoco
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.identification.links import bodies_of
-from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.stands.fit import fit_stands
-from pupper_analysis.identification.stands.result import StandFit
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.ground import Ground
@@ -45,7 +41,11 @@ from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
-from pupper_analysis.study.parameters import scale_robot
+from pupper_analysis.tools.fit.links import bodies_of
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.stands.fit import fit_stands
+from pupper_analysis.tools.fit.stands.result import StandFit
+from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS, COM, OFFSET, KP, FRICTION = 0.15, 0.01, math.radians(1.5), 0.15, 0.3
 IMU, SLOPE = math.radians(1.0), math.radians(0.2)

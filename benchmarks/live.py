@@ -26,14 +26,14 @@ import click
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.live import viser_parts
-from pupper_analysis.live.documents import stance_document
-from pupper_analysis.live.model import Answer, Model, predict_sag
-from pupper_analysis.live.panels import Panels
-from pupper_analysis.live.scene import Scene
-from pupper_analysis.live.server import LOOPBACK, Page
-from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import LiveVariants
+from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live.documents import stance_document
+from pupper_analysis.tools.live.model import Answer, Model, predict_sag
+from pupper_analysis.tools.live.panels import Panels
+from pupper_analysis.tools.live.scene import Scene
+from pupper_analysis.tools.live.server import LOOPBACK, Page
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.variants import LiveVariants
 
 
 class Still:

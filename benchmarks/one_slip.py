@@ -27,9 +27,9 @@ import pinocchio as pin
 from lxml import etree
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.tools.stand.stance import study_stance
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import guarded

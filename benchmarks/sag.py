@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 import pupper_analysis as pa
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground

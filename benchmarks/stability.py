@@ -23,10 +23,20 @@ from numpy.typing import NDArray
 
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.robot.stability import LASTING, Mode, Stability, step_stability
+from pupper_analysis.robot.stability import (
+    LASTING,
+    Mode,
+    Stability,
+    step_stability,
+)
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.nudge import LEFT, NUDGE, measure_response
-from pupper_analysis.simulation.rollout import STATE, full_state, place_on_ground, simulate
+from pupper_analysis.simulation.rollout import (
+    STATE,
+    full_state,
+    place_on_ground,
+    simulate,
+)
 
 Array = NDArray[np.float64]
 

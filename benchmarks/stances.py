@@ -24,8 +24,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground

@@ -38,10 +38,10 @@ import numpy as np
 
 import pupper_analysis as pa
 from pupper_analysis.simulation import rollout, verify
-from pupper_analysis.study import running
-from pupper_analysis.study import study as whole
-from pupper_analysis.study.dask import open_cluster
-from pupper_analysis.study.design import Maker
+from pupper_analysis.tools.study import running
+from pupper_analysis.tools.study import study as whole
+from pupper_analysis.tools.study.dask import open_cluster
+from pupper_analysis.tools.study.design import Maker
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
 AXES = {  # 10 000 designs of v3
@@ -156,7 +156,7 @@ def draw_growth(marks: np.ndarray, workers: int) -> None:
     """Draws (designs, processor time (s), memory (MB), wall time (s)), one row each."""
     from matplotlib.figure import Figure
 
-    from pupper_analysis.report.figures.style import (
+    from pupper_analysis.present.figures.style import (
         BLUE,
         DPI,
         FONT,
@@ -302,7 +302,7 @@ def overhead() -> None:
 
 def finding() -> None:
     """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
-    from pupper_analysis.report.figures.study import pareto_figure
+    from pupper_analysis.tools.study.figures import pareto_figure
 
     vary = {
         "leg_scale": pa.study.linspace(0.8, 1.6, 9),
@@ -335,7 +335,7 @@ VICTIM = """
 import sys
 sys.path.insert(0, {here!r})
 import studies, pupper_analysis as pa
-from pupper_analysis.study import running
+from pupper_analysis.tools.study import running
 running.SHARD_SECONDS = 0.1
 if __name__ == "__main__":
     studies.to_kill().execute(sys.argv[1], workers=2)

@@ -16,10 +16,11 @@ from measure import Accuracy, Job, Rival, median_seconds
 from rich.console import Console
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.robot import analyze_variant, leg_lengths
-from pupper_analysis.report.documents.analysis import analysis_document
-from pupper_analysis.report.terminal import print_document
+from pupper_analysis.present.terminal import print_document
+from pupper_analysis.robot.joints import leg_lengths
 from pupper_analysis.robot.stability import LASTING
+from pupper_analysis.tools.analyze.analysis import analyze_variant
+from pupper_analysis.tools.analyze.document import analysis_document
 
 STEP = 0.02
 """rad: of the tutorial's grid, whose own is not told; this takes it as long as ours takes."""
@@ -126,9 +127,9 @@ def start_up(repeats: int) -> dict[str, float]:
 
 def default_run(names: Iterable[str]) -> dict[str, float]:
     """Returns how long each stage of the default run takes for some variants, {stage: s}."""
-    from pupper_analysis.report import render
-    from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
-    from pupper_analysis.report.figures.pose import pose_figure
+    from pupper_analysis.present import render
+    from pupper_analysis.present.figures.pose import pose_figure
+    from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 
     taken: dict[str, float] = {}
 

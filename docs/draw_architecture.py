@@ -1,10 +1,10 @@
-"""Draws docs/images/architecture.svg from the code: the rooms by floor, and who imports whom.
+"""Draws docs/images/architecture.svg from the code: the folders by floor, and who imports whom.
 
     python docs/draw_architecture.py
 
-A room is a folder of the package. Its floor follows from the imports: a room stands one floor above
-the highest room that it imports. Imports are counted by ``ast``, so that those within functions
-count too. The modules at the package's top (errors, results, ...) serve all rooms and are one box.
+A folder's floor follows from the imports: it stands above all that it imports. Imports are counted
+by ``ast``, so that those within functions count too. A dot in a folder's row says that it imports
+the folder of that column; a tool's box says which other tools it knows.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+from matplotlib.patches import Circle, FancyBboxPatch
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pupper_analysis"
 PICTURE = Path(__file__).resolve().parent / "images" / "architecture.svg"
+TOOLS = "tools"
 
-SHARED = "shared"
-"""What the modules at the package's top are called together."""
+Graph = Mapping[str, Mapping[str, int]]
 
-_WIDTH, _HEIGHT = 5.9, 0.62  # of a room
-_COLUMN, _FLOOR = 7.2, 1.0  # from room to room, and from floor to floor
-_MANY = 10  # imports of one room by another that make a thick arrow
+_MANY, _SOME = 30, 8  # imports of one folder by another that make a large dot, and a middling one
+_BLUE, _PALE, _GREY = "#33567a", "#eaf1f8", "#8e9dae"
+_ACROSS = 5  # tools in a row
 
 
-def imported(path: Path) -> Iterator[str]:
-    """Yields the rooms from which a module imports something, once for each module there."""
+def imported(path: Path) -> Iterator[tuple[str, ...]]:
+    """Yields the modules of the package that a module imports, as parts, each once."""
     modules = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.ImportFrom) and node.level == 0:
@@ -45,55 +45,67 @@ def imported(path: Path) -> Iterator[str]:
             modules |= {f"{PACKAGE.name}.{name}" for name in names} if here else {str(node.module)}
         elif isinstance(node, ast.Import):
             modules |= {alias.name for alias in node.names}
-    for module in modules:
+    for module in sorted(modules):
         package, *rest = module.split(".")
-        if package == PACKAGE.name and rest:
-            yield _room(rest[0]) if (PACKAGE / rest[0]).is_dir() else SHARED
+        if package == PACKAGE.name and rest and (PACKAGE / rest[0]).is_dir():
+            yield tuple(rest)
 
 
-def _room(folder: str) -> str:
-    return SHARED if folder == "diagnostics" else folder  # which errors use
-
-
-def room_graph() -> dict[str, Counter[str]]:
-    """Returns {room: {room that it imports: number of imports, one per pair of modules}}."""
-    graph: dict[str, Counter[str]] = {SHARED: Counter()}
-    for path in sorted(PACKAGE.rglob("*.py")):
-        parts = path.relative_to(PACKAGE).parts
-        if parts[0] in ("__init__.py", "__main__.py"):  # the door: it names what all rooms have
-            continue
-        room = _room(parts[0]) if len(parts) > 1 else SHARED
-        graph.setdefault(room, Counter()).update(there for there in imported(path) if there != room)
+def folder_graph() -> dict[str, Counter[str]]:
+    """Returns {folder: {folder that it imports: number of imports, one per pair of modules}}."""
+    graph: dict[str, Counter[str]] = {}
+    for path in sorted(PACKAGE.glob("*/**/*.py")):
+        folder = path.relative_to(PACKAGE).parts[0]
+        below = (there[0] for there in imported(path) if there[0] != folder)
+        graph.setdefault(folder, Counter()).update(below)
     return graph
 
 
-def floors(graph: Mapping[str, Mapping[str, int]]) -> dict[str, int]:
-    """Returns {room: floor}, 0 for those that import none.
+def tool_graph() -> dict[str, list[str]]:
+    """Returns {tool: the other tools that it imports}."""
+    graph: dict[str, list[str]] = {}
+    for folder in sorted(path.parent for path in (PACKAGE / TOOLS).glob("*/__init__.py")):
+        known = {
+            there[1]
+            for path in folder.rglob("*.py")
+            for there in imported(path)
+            if there[0] == TOOLS and len(there) > 1
+        }
+        graph[folder.name] = sorted(known - {folder.name})
+    return graph
+
+
+def floors(graph: Graph) -> list[str]:
+    """Returns the folders from the ground up: by what they import, then by how many import them.
 
     Raises:
-        graphlib.CycleError: If rooms import each other.
+        graphlib.CycleError: If folders import each other.
     """
-    floor: dict[str, int] = {}
-    for room in TopologicalSorter(graph).static_order():
-        floor[room] = 1 + max((floor[below] for below in graph[room]), default=-1)
-    return floor
+    sorter = TopologicalSorter(graph)
+    sorter.prepare()
+    found: list[str] = []
+    while sorter.is_active():
+        ready = sorter.get_ready()
+        found += sorted(
+            ready, key=lambda one: (-sum(one in below for below in graph.values()), one)
+        )
+        sorter.done(*ready)
+    return found
 
 
-def purpose(room: str) -> str:
-    """Returns the first sentence of a room's docstring, without its full stop."""
-    if room == SHARED:
-        parts = [*PACKAGE.glob("*.py"), *PACKAGE.glob("diagnostics")]
-        return ", ".join(sorted(p.stem for p in parts if not p.stem.startswith("_")))
-    text = ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text())) or ""
-    return text.splitlines()[0].removesuffix(".")
+def purpose(folder: str) -> str:
+    """Returns the first sentence of a folder's docstring, without its full stop."""
+    text = ast.get_docstring(ast.parse((PACKAGE / folder / "__init__.py").read_text())) or ""
+    return re.split(r"\.(?:\s|$)|\n", text)[0]
 
 
-def facts(graph: Mapping[str, Mapping[str, int]]) -> dict[str, object]:
+def facts(graph: Graph, tools: Mapping[str, list[str]]) -> dict[str, object]:
     """Returns what the picture shows, as JSON has it; it is embedded in the picture."""
     return {
-        "floors": dict(sorted(floors(graph).items())),
-        "arrows": {room: sorted(graph[room]) for room in sorted(graph)},
-        "purposes": {room: purpose(room) for room in sorted(graph)},
+        "floors": floors(graph),
+        "arrows": {folder: dict(sorted(graph[folder].items())) for folder in sorted(graph)},
+        "purposes": {folder: purpose(folder) for folder in sorted(graph)},
+        "tools": tools,
     }
 
 
@@ -106,117 +118,58 @@ def embedded() -> dict[str, object]:
     return shown
 
 
-LEGEND = f"""Arrows point to what is imported.
-thick: {_MANY} imports or more
-grey: past a room that imports it too
-All rooms import the package's top:
-these arrows are left out."""
-
-
-def places(floor: Mapping[str, int]) -> dict[str, tuple[float, float]]:
-    """Returns the centre of each room: those of one floor side by side, in order of their names.
-
-    The last of a floor is in the first column, where what is above and below it is.
-    """
-    centres: dict[str, tuple[float, float]] = {}
-    for room in sorted(floor, reverse=True):
-        column = sum(floor[other] == floor[room] for other in centres)
-        centres[room] = (column * _COLUMN, floor[room] * _FLOOR)
-    return centres
-
-
-def needed(graph: Mapping[str, Mapping[str, int]], room: str, below: str) -> bool:
-    """Says whether an arrow is the only way down from a room to another."""
-    return not any(
-        below in _all_below(graph, between) for between in graph[room] if between != below
-    )
-
-
-def _all_below(graph: Mapping[str, Mapping[str, int]], room: str) -> set[str]:
-    return set(graph[room]).union(*(_all_below(graph, below) for below in graph[room]))
-
-
-def draw(graph: Mapping[str, Mapping[str, int]], path: Path) -> None:
-    """Draws the rooms, and the arrows from each to those that it imports."""
-    floor = floors(graph)
-    centres = places(floor)
+def draw(graph: Graph, tools: Mapping[str, list[str]], path: Path) -> None:
+    """Draws the folders, what each imports, and the tools."""
+    order = floors(graph)
+    core = [folder for folder in order if folder != TOOLS]
+    rows = -(-len(tools) // _ACROSS)
     # A fixed salt, no date: what has not changed gives the same file, byte for byte.
     settings = {"svg.hashsalt": "architecture", "svg.fonttype": "none", "font.family": "sans-serif"}
     with rc_context(settings):
-        figure = Figure(figsize=(11.5, 8.6))
+        height = 0.62 * (len(order) + rows) + 1.9
+        figure = Figure(figsize=(12, height))
         FigureCanvasSVG(figure)
         axes = figure.add_axes((0, 0, 1, 1))
         axes.set_axis_off()
-        axes.set_xlim(-_WIDTH / 2 - 2.6, _COLUMN + _WIDTH / 2 + 0.2)
-        axes.set_ylim(-0.5, max(floor.values()) * _FLOOR + 0.6)
-        for room, centre in centres.items():
-            _box(axes, room, centre)
-            for rank, below in enumerate(sorted(graph[room], key=lambda other: -floor[other])):
-                if below != SHARED:
-                    only = needed(graph, room, below)
-                    _arrow(axes, centre, centres[below], graph[room][below], rank, only)
-        axes.text(_COLUMN - _WIDTH / 2, 0.5, LEGEND, fontsize=9, verticalalignment="center")
-        description = json.dumps(facts(graph), sort_keys=True)
-        metadata = {"Date": None, "Title": "Rooms of the package", "Description": description}
+        axes.set_xlim(0, 12)
+        axes.set_ylim(0, height)
+        for index, (name, known) in enumerate(sorted(tools.items())):
+            x, y = 0.15 + 2.35 * (index % _ACROSS), height - 1.3 - 0.62 * (index // _ACROSS)
+            _box(axes, (x, y), 2.25, name, f"knows {', '.join(known)}" if known else "")
+        words = {"fontsize": 11, "verticalalignment": "center"}
+        axes.text(0.15, height - 0.35, f"{TOOLS}/", fontweight="bold", **words)
+        axes.text(1.0, height - 0.35, purpose(TOOLS) if TOOLS in graph else "", **words)
+        shown = [*core, *([TOOLS] if TOOLS in graph else [])]
+        for row, folder in enumerate(shown):
+            y = 0.1 + 0.62 * row
+            if folder == TOOLS:
+                axes.text(7.0, y + 0.25, f"{TOOLS}/", horizontalalignment="right", **words)
+            else:
+                _box(axes, (0.15, y), 7.0, f"{folder}/", purpose(folder))
+            for column, below in enumerate(core):
+                if graph[folder].get(below):
+                    _dot(axes, (7.5 + 0.42 * column, y + 0.25), graph[folder][below])
+        for column, below in enumerate(core):
+            place = (7.45 + 0.42 * column, 0.1 + 0.62 * len(shown))
+            axes.text(*place, below, fontsize=10, rotation=45, verticalalignment="bottom")
+        description = json.dumps(facts(graph, tools), sort_keys=True)
+        metadata = {"Date": None, "Title": "Folders of the package", "Description": description}
         figure.savefig(path, metadata=metadata if path.suffix == ".svg" else None)
 
 
-def _box(axes: Axes, room: str, centre: tuple[float, float]) -> None:
-    x, y = centre
-    corner = (x - _WIDTH / 2, y - _HEIGHT / 2)
+def _box(axes: Axes, corner: tuple[float, float], width: float, name: str, words: str) -> None:
+    x, y = corner
     style = "round,pad=0,rounding_size=0.08"
-    box = FancyBboxPatch(
-        corner, _WIDTH, _HEIGHT, boxstyle=style, facecolor="#eaf1f8", edgecolor="#33567a", zorder=3
-    )
+    box = FancyBboxPatch(corner, width, 0.5, boxstyle=style, facecolor=_PALE, edgecolor=_BLUE)
     axes.add_patch(box)
-    name = "the package's top" if room == SHARED else f"{room}/"
-    text = {"horizontalalignment": "center", "verticalalignment": "center", "zorder": 4}
-    axes.text(x, y + 0.13, name, fontsize=12, fontweight="bold", **text)
-    axes.text(x, y - 0.15, purpose(room), fontsize=8.5, **text)
+    axes.text(x + 0.12, y + 0.35, name, fontsize=11, fontweight="bold", verticalalignment="center")
+    axes.text(x + 0.12, y + 0.14, words, fontsize=9, verticalalignment="center")
 
 
-def _arrow(
-    axes: Axes,
-    start: tuple[float, float],
-    end: tuple[float, float],
-    imports: int,
-    rank: int,
-    only: bool,
-) -> None:
-    """Draws an arrow: down to the next floor, past others on the left, or to another column."""
-    same = start[0] == end[0]
-    down = start[1] - end[1]
-    if same and down > 1.5 * _FLOOR:
-        side = start[0] - _WIDTH / 2
-        # Arrows leave a room one below the other, and arrive above those from further up.
-        tail = (side, start[1] + 0.2 - 0.06 * rank)
-        tip = (side, end[1] + 0.25 - 0.05 * down)
-        bend = f"arc3,rad={0.26 + 0.008 * down:.3f}"
-    elif same:
-        tail, tip = (start[0], start[1] - _HEIGHT / 2), (end[0], end[1] + _HEIGHT / 2)
-        bend = "arc3,rad=0"
-    elif start[0] < end[0]:  # to the next column, from above: the furthest goes furthest out
-        tail = (start[0] + _WIDTH / 2, start[1])
-        tip = (end[0] + (down - 3 * _FLOOR) * 0.25 * _FLOOR, end[1] + _HEIGHT / 2)
-        bend = "arc3,rad=-0.2"
-    else:
-        tail = (start[0] - 1.5 + 0.5 * down, start[1] - _HEIGHT / 2)
-        tip = (end[0] + _WIDTH / 2, end[1])
-        bend = "arc3,rad=-0.2"
-    arrow = FancyArrowPatch(
-        tail,
-        tip,
-        connectionstyle=bend,
-        arrowstyle="-|>",
-        mutation_scale=11,
-        linewidth=2.2 if imports >= _MANY else 1.0,
-        color="#33567a" if only else "#8e9dae",
-        zorder=2 if only else 1,
-        shrinkA=0,
-        shrinkB=0,
-    )
-    axes.add_patch(arrow)
+def _dot(axes: Axes, centre: tuple[float, float], imports: int) -> None:
+    radius = 0.15 if imports >= _MANY else 0.1 if imports >= _SOME else 0.06
+    axes.add_patch(Circle(centre, radius, color=_BLUE if imports >= _SOME else _GREY))
 
 
 if __name__ == "__main__":
-    draw(room_graph(), PICTURE)
+    draw(folder_graph(), tool_graph(), PICTURE)

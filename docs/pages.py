@@ -20,9 +20,9 @@ import click
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.checks.audit.registry import FORMATS, RULES
-from pupper_analysis.diagnostics.catalogue import LINED
-from pupper_analysis.report.formats import escape_control
+from pupper_analysis.base.diagnostics.catalogue import LINED, word_files
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.tools.audit.registry import FORMATS, RULES
 
 PACKAGE = Path(pa.__file__).parent
 DATA = Path(__file__).resolve().parent / "data"
@@ -103,14 +103,18 @@ def audit_rules(words: Mapping[str, Any], language: str) -> str:
 def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
     """Returns the page of all codes, with the words of their entries."""
     parts = [f"# {words['codes']}\n\n{words['codes-about']}\n"]
-    for path in sorted((PACKAGE / "diagnostics/catalogue").glob("*.toml")):
+    for whose, path in word_files().items():
         if path.name not in LINED:
             entries = tomllib.loads(path.read_text("utf-8"))
+            for lined in ("texts", "meanings"):
+                entries.pop(lined, None)
+            if not entries:
+                continue
             rows = [
                 (f"`{code}`", entry.get("severity", "note"), _plain(_readable(entry[language])))
                 for code, entry in entries.items()
             ]
-            parts.append(f"## {path.stem}\n\n" + _table(words["code-columns"], rows))
+            parts.append(f"## {whose}\n\n" + _table(words["code-columns"], rows))
     return "\n".join(parts)
 
 
@@ -124,7 +128,10 @@ def _readable(template: str) -> str:
 
 def result_fields(words: Mapping[str, Any], language: str) -> str:
     """Returns the page of what the fields of results mean."""
-    meanings = tomllib.loads((PACKAGE / "diagnostics/catalogue/meanings.toml").read_text("utf-8"))
+    meanings: dict[str, Any] = {}
+    for whose, path in word_files().items():
+        read = tomllib.loads(path.read_text("utf-8"))
+        meanings |= read if whose == "meanings" else read.get("meanings", {})
     parts = [f"# {words['results']}\n\n{words['results-about']}\n"]
     for name, fields in sorted(meanings.items()):
         rows = [(f"`{field}`", _plain(said[language])) for field, said in fields.items()]

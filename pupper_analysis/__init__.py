@@ -11,8 +11,8 @@ Everything public speaks MuJoCo's qpos and qvel, with the joints in actuator ord
 ``pupper_analysis.robot.coordinates``. Names are imported when they are first used.
 """
 
-from pupper_analysis.drivers import import_mujoco
-from pupper_analysis.exports import exports_of
+from pupper_analysis.base.drivers import import_mujoco
+from pupper_analysis.base.exports import exports_of
 
 __version__ = "0.2.0"
 

@@ -1,117 +1,36 @@
-from . import (
-    analysis as analysis,
-)
-from . import (
-    checks as checks,
-)
-from . import (
-    convert as convert,
-)
-from . import (
-    errors as errors,
-)
-from . import (
-    guard as guard,
-)
-from . import (
-    identification as identification,
-)
-from . import (
-    matching as matching,
-)
-from . import (
-    posture as posture,
-)
-from . import (
-    pupper as pupper,
-)
-from . import (
-    report as report,
-)
-from . import (
-    results as results,
-)
-from . import (
-    robot as robot,
-)
-from . import (
-    simulation as simulation,
-)
-from . import (
-    stance as stance,
-)
-from . import (
-    statics as statics,
-)
-from . import (
-    study as study,
-)
-from . import (
-    sync as sync,
-)
-from .analysis.best import best_stance as best_stance
-from .analysis.hold import hold_posture as hold_posture
-from .analysis.judge import judge_stand as judge_stand
-from .analysis.payload import payload_limit as payload_limit
-from .analysis.robot import analyze_variant as analyze_variant
-from .checks.audit import audit_model as audit_model
-from .checks.compare import compare_models as compare_models
-from .checks.engines import cross_check as cross_check
-from .checks.versions.compare import diff_models as diff_models
-from .convert.load import load_robot as load_robot
-from .convert.model import convert_model as convert_model
-from .errors import (
-    ConfigurationError as ConfigurationError,
-)
-from .errors import (
-    MissingPackageError as MissingPackageError,
-)
-from .errors import (
-    ModelError as ModelError,
-)
-from .errors import (
-    NoEquilibriumError as NoEquilibriumError,
-)
-from .errors import (
-    NoStiffnessError as NoStiffnessError,
-)
-from .errors import (
-    NotSettlingError as NotSettlingError,
-)
-from .errors import (
-    NotStandingError as NotStandingError,
-)
-from .errors import (
-    OutputError as OutputError,
-)
-from .errors import (
-    PupperAnalysisError as PupperAnalysisError,
-)
-from .errors import (
-    StanceUnreachableError as StanceUnreachableError,
-)
-from .errors import (
-    StaticsInfeasibleError as StaticsInfeasibleError,
-)
-from .errors import (
-    StudyError as StudyError,
-)
-from .errors import (
-    UnknownNameError as UnknownNameError,
-)
-from .errors import (
-    VariantError as VariantError,
-)
-from .identification.fit import fit as fit
-from .identification.measurements.log_files import read_log as read_log
-from .identification.measurements.stands import read_stands as read_stands
+from . import present as _present
+from . import pupper as pupper
+from . import robot as robot
+from . import simulation as simulation
+from . import stance as stance
+from . import statics as statics
+from . import tools as _tools
+from .base import errors as errors
+from .base import results as results
+from .base.errors import ConfigurationError as ConfigurationError
+from .base.errors import MissingPackageError as MissingPackageError
+from .base.errors import ModelError as ModelError
+from .base.errors import NoEquilibriumError as NoEquilibriumError
+from .base.errors import NoStiffnessError as NoStiffnessError
+from .base.errors import NotSettlingError as NotSettlingError
+from .base.errors import NotStandingError as NotStandingError
+from .base.errors import OutputError as OutputError
+from .base.errors import PupperAnalysisError as PupperAnalysisError
+from .base.errors import StanceUnreachableError as StanceUnreachableError
+from .base.errors import StaticsInfeasibleError as StaticsInfeasibleError
+from .base.errors import StudyError as StudyError
+from .base.errors import UnknownNameError as UnknownNameError
+from .base.errors import VariantError as VariantError
+from .prepare.convert.load import load_robot as load_robot
+from .prepare.judge import judge_stand as judge_stand
 from .pupper.load import load_variant as load_variant
-from .pupper.studies import Study as Study
 from .pupper.variants import VARIANTS as VARIANTS
+from .robot import matching as matching
+from .robot.compare.compare import compare_models as compare_models
+from .robot.compare.engines import cross_check as cross_check
 from .robot.configuration import Configuration as Configuration
 from .robot.ground import Ground as Ground
 from .robot.robot import Robot as Robot
-from .simulation.push import push_recovery as push_recovery
 from .simulation.verify import verify_stand as verify_stand
 from .stance.judge import Stand as Stand
 from .stance.sag.steady_state import steady_state as steady_state
@@ -119,7 +38,32 @@ from .stance.stand import solve_stand as solve_stand
 from .stance.stands import solve_stands as solve_stands
 from .stance.task import StandTask as StandTask
 from .statics.equilibrium import gravity_compensation as gravity_compensation
-from .study.table import read_study as read_study
-from .sync.models import sync_models as sync_models
+from .tools import check as _check
+from .tools import convert as convert
+from .tools import fit as _fit
+from .tools import hold as _hold
+from .tools import study as study
+from .tools import sync as sync
+from .tools.analyze.analysis import analyze_variant as analyze_variant
+from .tools.audit.audit import audit_model as audit_model
+from .tools.best.best import best_stance as best_stance
+from .tools.convert.model import convert_model as convert_model
+from .tools.diff.compare import diff_models as diff_models
+from .tools.fit.fit import fit as fit
+from .tools.fit.measurements.log_files import read_log as read_log
+from .tools.fit.measurements.stands import read_stands as read_stands
+from .tools.hold.hold import hold_posture as hold_posture
+from .tools.payload.limit import payload_limit as payload_limit
+from .tools.push.recovery import push_recovery as push_recovery
+from .tools.study.of_variants import Study as Study
+from .tools.study.table import read_study as read_study
+from .tools.sync.models import sync_models as sync_models
+
+analysis = _tools
+checks = _tools
+guard = _check
+identification = _fit
+posture = _hold
+report = _present
 
 __version__: str

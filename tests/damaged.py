@@ -28,18 +28,23 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.cli.stance_file import read_stance_file
-from pupper_analysis.convert.mesh_files import UnreadableError, check_detail, obj_of, read_mesh
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.guard.baseline import read_baseline
-from pupper_analysis.guard.config import read_config
-from pupper_analysis.identification.measurements.log_files import read_log
-from pupper_analysis.identification.measurements.stands import read_stands
-from pupper_analysis.matching.match import read_mapping
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.pupper.studies import Study
-from pupper_analysis.study.store import Store
+from pupper_analysis.prepare.convert.mesh_files import (
+    UnreadableError,
+    check_detail,
+    obj_of,
+    read_mesh,
+)
+from pupper_analysis.robot.matching.match import read_mapping
+from pupper_analysis.tools.check.baseline import read_baseline
+from pupper_analysis.tools.check.config import read_config
+from pupper_analysis.tools.fit.measurements.log_files import read_log
+from pupper_analysis.tools.fit.measurements.stands import read_stands
+from pupper_analysis.tools.study.of_variants import Study
+from pupper_analysis.tools.study.store import Store
 from tests.support.robots import mjcf_text, quadruped, urdf_text
 
 SECONDS = 20

@@ -18,9 +18,9 @@ import numpy as np
 import orjson
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.payload import NEAR, _Search
-from pupper_analysis.results import to_json
+from pupper_analysis.base.results import to_json
 from pupper_analysis.robot.tool import find_place
+from pupper_analysis.tools.payload.limit import NEAR, _Search
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load, stand_of
 

@@ -19,8 +19,13 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import ConfigurationError
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")

@@ -8,7 +8,12 @@ from enum import StrEnum
 from os import PathLike
 from typing import Any, Self, TypeAlias, TypeVar
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 
 Problem: TypeAlias = Diagnostic | str
 """What is wrong: a diagnostic, or words of another program's, which are in its language."""

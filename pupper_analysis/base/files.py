@@ -17,11 +17,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, TextIO
 
-from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.errors import OutputError
-from pupper_analysis.kinds import Kind
-from pupper_analysis.runs import current_run
-from pupper_analysis.temporary import hidden_beside, write_new
+from pupper_analysis.base.diagnostics import Term, diagnose
+from pupper_analysis.base.errors import OutputError
+from pupper_analysis.base.kinds import Kind
+from pupper_analysis.base.runs import current_run
+from pupper_analysis.base.temporary import hidden_beside, write_new
 
 STANDARD_OUTPUT: Final = Path("-")
 """Stands for standard output where a file is asked for; a file of that name needs its folder's."""

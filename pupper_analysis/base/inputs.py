@@ -13,10 +13,10 @@ import tomllib
 from pathlib import Path
 from typing import Any, Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError
-from pupper_analysis.files import reason_of
-from pupper_analysis.runs import note_input
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.files import reason_of
+from pupper_analysis.base.runs import note_input
 
 MOST_TEXT: Final = 20_000_000
 """Bytes of a text that is read as a whole: a model, settings."""

@@ -12,10 +12,10 @@ import numpy as np
 import orjson
 from numpy.typing import ArrayLike
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError, MissingPackageError
-from pupper_analysis.frozen import freeze
-from pupper_analysis.kinds import GENERATOR
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
+from pupper_analysis.base.frozen import freeze
+from pupper_analysis.base.kinds import GENERATOR
 
 if TYPE_CHECKING:
     import pandas as pd

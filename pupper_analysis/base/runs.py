@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import OutputError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import OutputError
 
 Identity: TypeAlias = tuple[int, int]
 """Device and number of a file: the same of all its names, links and hard links alike."""

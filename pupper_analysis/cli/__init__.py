@@ -12,12 +12,23 @@ from pathlib import Path
 import click
 
 import pupper_analysis
-from pupper_analysis.cli.lazy import LazyGroup, Place
-from pupper_analysis.cli.process import Ended, ending_signals, go_on, patient_output
-from pupper_analysis.cli.shared import BAD_INPUT, CONTEXT, INTERNAL, VERIFIED
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.runs import running
+from pupper_analysis.base.tools import own_tools
+from pupper_analysis.cli.lazy import LazyGroup
+from pupper_analysis.cli.process import (
+    Ended,
+    ending_signals,
+    go_on,
+    patient_output,
+)
+from pupper_analysis.cli.shared import (
+    BAD_INPUT,
+    CONTEXT,
+    INTERNAL,
+    VERIFIED,
+)
 from pupper_analysis.models import standard_input
-from pupper_analysis.runs import running
 
 __all__ = ["BAD_INPUT", "find_command", "group", "main", "run"]
 
@@ -114,7 +125,7 @@ def _lack(error: Exception) -> str:
 
 
 def _say(text: str) -> None:
-    from pupper_analysis.report.formats import escape_control
+    from pupper_analysis.present.formats import escape_control
 
     go_on()  # what went wrong may be what a library made of the signal
     click.echo(f"error: {escape_control(text)}", err=True)
@@ -130,60 +141,11 @@ def main() -> None:
     run(group)
 
 
-COMMANDS = {
-    "analyze": Place(
-        "pupper_analysis.cli.variants",
-        "analyze",
-        "Take robots from their model files to a verified stand.",
-    ),
-    "stand": Place(
-        "pupper_analysis.cli.stances", "stand", "Solve a stance: its cost, and if it holds."
-    ),
-    "workspace": Place(
-        "pupper_analysis.cli.stances", "workspace", "How far can the base go, with feet planted?"
-    ),
-    "payload": Place(
-        "pupper_analysis.cli.stances", "payload", "How much can a stance carry, and what fails?"
-    ),
-    "best": Place("pupper_analysis.cli.stances", "best", "Search for the best stance."),
-    "path": Place(
-        "pupper_analysis.cli.motions", "path", "Move to a stance, in balance all the way."
-    ),
-    "push": Place("pupper_analysis.cli.motions", "push", "Push robots over: how hard, which way?"),
-    "hold": Place(
-        "pupper_analysis.cli.hold", "hold", "What an arm's motors hold, with its base fixed."
-    ),
-    "fit": Place("pupper_analysis.cli.fit", "fit", "What a robot really weighs, by measurements."),
-    "crosscheck": Place(
-        "pupper_analysis.cli.models", "crosscheck", "Find what makes a URDF and an MJCF disagree."
-    ),
-    "diff": Place(
-        "pupper_analysis.cli.guard",
-        "diff_command",
-        "What has changed between two versions of a model.",
-    ),
-    "sync": Place("pupper_analysis.cli.sync", "sync_command", "Make a URDF and an MJCF agree."),
-    "convert": Place(
-        "pupper_analysis.cli.convert", "convert_command", "Make an MJCF of a URDF, or back."
-    ),
-    "study": Place("pupper_analysis.cli.study", "study_command", "Measure thousands of designs."),
-    "audit": Place(
-        "pupper_analysis.cli.models",
-        "audit_command",
-        "Find what is wrong in one URDF, MJCF or USD.",
-    ),
-    "check": Place(
-        "pupper_analysis.cli.guard", "check_command", "Check all models of a repository, as its CI."
-    ),
-    "load": Place("pupper_analysis.cli.load", "load", "Load a robot, and tell what was added."),
-    "live": Place("pupper_analysis.cli.live", "live_command", "A page to play with stances."),
-    "view": Place("pupper_analysis.cli.windows", "view", "Show a robot in MuJoCo's viewer."),
-    "drop": Place("pupper_analysis.cli.windows", "drop", "Drop a robot, and see that it stands."),
-}
-"""{command: where it is, and what it does, in the order of the documentation}."""
+COMMANDS = tuple(own_tools())
+"""The names of our tools' commands."""
 
 
-@click.group("pupper-analysis", cls=LazyGroup, places=COMMANDS, context_settings=CONTEXT)
+@click.group("pupper-analysis", cls=LazyGroup, context_settings=CONTEXT)
 @click.version_option(pupper_analysis.__version__, "-V", "--version")
 @click.option(
     "--no-color",

@@ -1,42 +1,25 @@
-"""Commands that are imported when they are used: each needs modules that the others do not."""
+"""Commands of the tools, imported when they are used: each needs modules that the others do not."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib import import_module
-from typing import Any, NamedTuple
 
 import click
 
+from pupper_analysis.base.tools import other_tools, own_tools
 
-class Place(NamedTuple):
-    """Where a command is.
 
-    Attributes:
-        module: Its module.
-        attribute: Its name there.
-        short_help: What it does, in the list of all.
-    """
-
-    module: str
-    attribute: str
-    short_help: str
+def list_tools() -> list[str]:
+    """Returns the names of all tools, ours and others'."""
+    return sorted([*own_tools(), *other_tools()])
 
 
 class LazyGroup(click.Group):
-    """A group that knows its commands' names and what they do, and imports one that is asked for.
-
-    Args:
-        places: {name: where the command is}.
-    """
-
-    def __init__(self, *args: Any, places: Mapping[str, Place], **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self.places = places
+    """A group of the tools' commands, which imports one that is asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
         """Returns the names of all commands, as click asks for them."""
-        return sorted(self.places)
+        return list_tools()
 
     def get_command(
         self,
@@ -44,10 +27,10 @@ class LazyGroup(click.Group):
         cmd_name: str,
     ) -> click.Command | None:
         """Returns a command; None if there is none of that name."""
-        place = self.places.get(cmd_name)
-        if place is None:
+        tool = own_tools().get(cmd_name) or other_tools().get(cmd_name)
+        if tool is None:
             return None
-        command: click.Command = getattr(import_module(place.module), place.attribute)
+        command: click.Command = import_module(f"{tool.package}.command").command
         return command
 
     def format_commands(
@@ -56,7 +39,6 @@ class LazyGroup(click.Group):
         formatter: click.HelpFormatter,
     ) -> None:
         """Writes the list of all commands, and imports none."""
+        tools = {**own_tools(), **other_tools()}
         with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, place.short_help) for name, place in sorted(self.places.items())]
-            )
+            formatter.write_dl([(name, tools[name].question) for name in sorted(tools)])

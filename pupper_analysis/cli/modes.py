@@ -7,8 +7,8 @@ from collections.abc import Collection, Iterator, Mapping
 import click
 from click.core import ParameterSource
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 
 
 def refuse_unused(mode: str, uses: Mapping[str, Collection[str]]) -> None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
-from pupper_analysis.files import ClosedOutput
+from pupper_analysis.base.files import ClosedOutput
 
 
 class PatientStream(io.RawIOBase):

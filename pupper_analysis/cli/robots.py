@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
-from pupper_analysis.convert.files import RobotFiles
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
     from pupper_analysis.pupper.variants import VariantSpec
@@ -226,9 +226,9 @@ def told_apart(meant: Sequence[str | VariantSpec | RobotFiles], robots: list[Rob
 
 def print_notes(robot: Robot, *, everything: bool = False) -> None:
     """Prints what was assumed of a robot of files."""
-    from pupper_analysis.report.documents.standing import assumption_texts
-    from pupper_analysis.report.terminal import make_console
-    from pupper_analysis.report.terminal import print_notes as print_lines
+    from pupper_analysis.present.documents.standing import assumption_texts
+    from pupper_analysis.present.terminal import make_console
+    from pupper_analysis.present.terminal import print_notes as print_lines
 
     print_lines(make_console(), assumption_texts(robot), everything=everything)
 
@@ -254,3 +254,12 @@ def add_options(
         return command
 
     return add
+
+
+def shown_robot(meant: str | VariantSpec | RobotFiles, **more: bool) -> str | VariantSpec | Robot:
+    """Returns a variant as it is, and the robot of files, of which it is told what was assumed."""
+    if not isinstance(meant, RobotFiles):
+        return meant
+    robot = robot_from(meant, **more)
+    print_notes(robot)
+    return robot

@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
-from pupper_analysis import kinds
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.drivers import import_without_opengl
-from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.kinds import Folder, Kind
-from pupper_analysis.runs import note_input, running
-from pupper_analysis.units import UNITS
+from pupper_analysis.base import kinds
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.drivers import import_without_opengl
+from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.base.kinds import Folder, Kind
+from pupper_analysis.base.runs import note_input, running
+from pupper_analysis.base.units import UNITS
 
 if TYPE_CHECKING:
     from rich.status import Status
 
-    from pupper_analysis.report.document import Block, Report
-    from pupper_analysis.report.html.write import Reported
-    from pupper_analysis.results import Result
+    from pupper_analysis.base.results import Result
+    from pupper_analysis.present.document import Block, Report
+    from pupper_analysis.present.html.write import Reported
     from pupper_analysis.robot.robot import Robot
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -125,7 +125,7 @@ def _check_outputs(command: Command, context: click.Context) -> None:
     Where one of them goes to standard output (``-``), all else that is printed from here on goes
     to standard error.
     """
-    from pupper_analysis import files
+    from pupper_analysis.base import files
 
     taken: set[Path] = set()
     for option in command.outputs:
@@ -331,7 +331,7 @@ def show_results(
         overview: What compares the results.
         everything: Print what the short view leaves out.
     """
-    from pupper_analysis.report.documents.registry import build_report
+    from pupper_analysis.present.documents.registry import build_report
 
     markdown = style == "markdown"
     show_report(
@@ -342,19 +342,19 @@ def show_results(
 def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
     """Shows a report on the terminal, or as Markdown; its arguments are ``show_results``'s."""
     if style == "markdown":
-        from pupper_analysis.report.markdown import write_markdown
+        from pupper_analysis.present.markdown import write_markdown
 
         click.echo(write_markdown(report), nl=False)
     else:
-        from pupper_analysis.report.terminal import make_console, print_report
+        from pupper_analysis.present.terminal import make_console, print_report
 
         print_report(make_console(), report, everything=everything)
 
 
 def confirm_written(path: Path | str) -> None:
     """Confirms a file that was written; on standard error, where standard output has data."""
-    from pupper_analysis.files import STANDARD_OUTPUT
-    from pupper_analysis.report.formats import escape_control
+    from pupper_analysis.base.files import STANDARD_OUTPUT
+    from pupper_analysis.present.formats import escape_control
 
     if Path(path) != STANDARD_OUTPUT:
         style = click.get_current_context().params.get("style", "text")
@@ -363,9 +363,9 @@ def confirm_written(path: Path | str) -> None:
 
 def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
+    from pupper_analysis.base.files import whole_file
+    from pupper_analysis.base.results import marked_json
     from pupper_analysis.cli.process import go_on
-    from pupper_analysis.files import whole_file
-    from pupper_analysis.results import marked_json
 
     go_on()
     if path is not None:
@@ -380,7 +380,7 @@ def write_page(path: Path | None, results: Reported, robots: Iterable[Robot] = (
 
     go_on()
     if path is not None:
-        from pupper_analysis.report.html.write import write_report
+        from pupper_analysis.present.html.write import write_report
 
         write_report(results, path, robots=robots)
         confirm_written(path)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pupper_analysis.base.units import UNITS
 from pupper_analysis.cli import shared
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.units import UNITS
 
 if TYPE_CHECKING:
     from pupper_analysis.stance.task import StandTask

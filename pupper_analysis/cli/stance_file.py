@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, InputError
+from pupper_analysis.base.inputs import read_toml
 from pupper_analysis.cli.stance_fields import TYPED
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, InputError
-from pupper_analysis.inputs import read_toml
 
 _OF_ROBOT = ("payload", "payload_at", "kp", "kd", "integrator", "cone", "impratio")
 """Options besides those of the stance: the load, and the servos that hold it."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 from pupper_analysis.cli.robots import (
@@ -21,19 +23,25 @@ from pupper_analysis.cli.robots import (
     robot_from,
     told_apart,
 )
-from pupper_analysis.cli.stance_fields import TYPED, option_of, options_of, task_of
+from pupper_analysis.cli.stance_fields import (
+    TYPED,
+    option_of,
+    options_of,
+    task_of,
+)
 from pupper_analysis.cli.stance_file import stance_option
-from pupper_analysis.convert.files import RobotFiles
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
+    from pupper_analysis.base.results import Result
     from pupper_analysis.pupper.variants import VariantSpec
-    from pupper_analysis.results import Result
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.stance.stand import Stand
     from pupper_analysis.stance.task import StandTask
+    from pupper_analysis.statics.equilibrium import GravityCompensation
 
 AS_IS = click.option(
     "--as-is", is_flag=True, help="Add no servos to the MJCF and change no collision shapes."
@@ -177,12 +185,12 @@ def _refuse_idle(meant: Sequence[str | VariantSpec | RobotFiles]) -> None:
 
 def _print_first_difference(robot: Robot) -> None:
     """Prints what makes a robot's files those of two robots, as far as one thing does."""
-    from pupper_analysis.checks.compare import compare_models
-    from pupper_analysis.errors import ModelError
-    from pupper_analysis.report.comparison import by_cause, first_to_mend
-    from pupper_analysis.report.document import tell
-    from pupper_analysis.report.terminal import make_console
-    from pupper_analysis.report.terminal import print_notes as print_lines
+    from pupper_analysis.base.errors import ModelError
+    from pupper_analysis.present.comparison import by_cause, first_to_mend
+    from pupper_analysis.present.document import tell
+    from pupper_analysis.present.terminal import make_console
+    from pupper_analysis.present.terminal import print_notes as print_lines
+    from pupper_analysis.robot.compare.compare import compare_models
 
     files = robot.description
     try:
@@ -231,7 +239,7 @@ def _matching(option: str, pattern: str, robot: Robot) -> list[bool]:
     """Returns of each joint whether a pattern is its name's; refuses one of none."""
     from fnmatch import fnmatchcase
 
-    from pupper_analysis.errors import UnknownNameError
+    from pupper_analysis.base.errors import UnknownNameError
 
     chosen = [fnmatchcase(name, pattern) for name in robot.joint_names]
     if not any(chosen):
@@ -271,3 +279,21 @@ def parse_gain(option: str, texts: tuple[str, ...], robot: Robot) -> ArrayLike |
             )
         gains = [value if this else gain for this, gain in zip(chosen, gains, strict=True)]
     return gains
+
+
+at_option = click.option(
+    "--at",
+    default="0,0,0",
+    metavar="[FRAME,]X,Y,Z",
+    help="Position of the payload in the base frame, or that of a link, site or body (m); "
+    "e.g. 0,0,8cm or right_hand,0,0,5cm.",
+)
+
+
+def draw_stand(robot: Robot, stand: Stand, statics: GravityCompensation, path: Path | None) -> None:
+    """Draws a stand, if there is a file to draw it into."""
+    if path is not None:
+        from pupper_analysis.present.figures.pose import pose_figure
+
+        pose_figure(robot, stand, statics, path)
+        shared.confirm_written(path)

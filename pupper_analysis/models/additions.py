@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.model_tree import Number
 
 GRIP: Final[Mapping[str, Number]] = {"cone": "elliptic", "impratio": 100.0}

@@ -17,9 +17,9 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import inertia_of, placement_of, rotation_from_quaternion
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.arrays import inertia_of, placement_of, rotation_from_quaternion
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint

@@ -9,8 +9,8 @@ from typing import Any
 
 import mujoco
 
-from pupper_analysis.arrays import plain_state
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.arrays import plain_state
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.additions import Addition, Ball, put_all
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.spec_state import spec_from, state_of

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import mujoco
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.transmission import actuator_gear, drives_of
-from pupper_analysis.results import Result
 
 _EFFORT_TOLERANCE = 1e-6
 """Relative: numbers that a file rounds to seven digits are one."""

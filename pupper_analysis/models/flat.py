@@ -8,7 +8,7 @@ from typing import Final
 
 import mujoco
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.missing import gives_mass
 from pupper_analysis.models.mjcf import silence_mujoco
 

@@ -16,9 +16,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError, OutputError
-from pupper_analysis.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError, OutputError
+from pupper_analysis.base.inputs import MOST_TEXT, read_input
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.xml import LFS_POINTER
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import mujoco
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.ground_plane import add_plane
 
 _RETIRED: Final = (

@@ -7,16 +7,16 @@ from pathlib import Path
 
 from lxml import etree
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError
-from pupper_analysis.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.runs import note_input
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_from
 from pupper_analysis.models.places import NO_LINE, refusal_at
 from pupper_analysis.models.published import XACRO, expand_xacro, find_file
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.xml import parse_file_text, parse_xml
-from pupper_analysis.runs import note_input
 
 
 def read_model(path: str | Path, packages: Mapping[str, Path] | None = None) -> UrdfFile | MjcfFile:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import mujoco
 
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_tree import Node, Tree
 from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place, refuse_file

@@ -15,9 +15,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError
-from pupper_analysis.inputs import read_input
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.inputs import read_input
 from pupper_analysis.models import standard_input
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.lenient import is_retired, without_retired

@@ -11,14 +11,25 @@ from typing import Any, Final
 import mujoco
 from lxml import etree
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.arrays import plain_state
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.arrays import plain_state
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
 from pupper_analysis.models.missing import leave_out_missing
-from pupper_analysis.models.mjcf import compile_spec, no_number, silence_mujoco, spec_of
-from pupper_analysis.models.mjcf_tree import Node, Tree, index_of, stating_element, walk_elements
+from pupper_analysis.models.mjcf import (
+    compile_spec,
+    no_number,
+    silence_mujoco,
+    spec_of,
+)
+from pupper_analysis.models.mjcf_tree import (
+    Node,
+    Tree,
+    index_of,
+    stating_element,
+    walk_elements,
+)
 from pupper_analysis.models.places import (
     Place,
     innermost_element,

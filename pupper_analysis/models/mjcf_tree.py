@@ -12,10 +12,21 @@ from typing import Final
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.packages import existing_file
-from pupper_analysis.models.places import Place, line_of, quote_short, refusal_at, refuse_file
-from pupper_analysis.models.xml import MAX_DEPTH, MAX_ELEMENTS, NUMBER, parse_xml
+from pupper_analysis.models.places import (
+    Place,
+    line_of,
+    quote_short,
+    refusal_at,
+    refuse_file,
+)
+from pupper_analysis.models.xml import (
+    MAX_DEPTH,
+    MAX_ELEMENTS,
+    NUMBER,
+    parse_xml,
+)
 
 MAX_INCLUDES: Final = 1000
 """Most includes and attached models of an MJCF."""

@@ -12,9 +12,15 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import ArrayLike
 
-from pupper_analysis import arrays
-from pupper_analysis.arrays import inertia_entries, inertia_of, inertia_tensor
-from pupper_analysis.models.model_tree import COUPLING_TIME, FLOOR, HOME, IMU_SENSORS, Number
+from pupper_analysis.base import arrays
+from pupper_analysis.base.arrays import inertia_entries, inertia_of, inertia_tensor
+from pupper_analysis.models.model_tree import (
+    COUPLING_TIME,
+    FLOOR,
+    HOME,
+    IMU_SENSORS,
+    Number,
+)
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_text import add_element, write_numbers
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.models.urdf_tree import origin_of
 from pupper_analysis.models.xml import parse_numbers
 from pupper_analysis.models.xml_bytes import Element

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.runs import note_input
 from pupper_analysis.models.xml import LFS_POINTER, parse_xml
-from pupper_analysis.runs import note_input
 
 
 def existing_file(path: Path) -> Path | None:

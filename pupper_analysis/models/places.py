@@ -9,8 +9,8 @@ from typing import Final, TypeVar
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, Source
-from pupper_analysis.errors import InputError, ModelError
+from pupper_analysis.base.diagnostics import Diagnostic, Source
+from pupper_analysis.base.errors import InputError, ModelError
 
 T = TypeVar("T")
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.places import Place, one_line, refuse_file
 
 SCHEME: Final = "robot_descriptions:"

@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pupper_analysis.inputs import MOST_FILE, read_input
+from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.models.mjcf import silence_mujoco
 
 _LISTS = (

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, InputError
-from pupper_analysis.inputs import read_input
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, InputError
+from pupper_analysis.base.inputs import read_input
 
 NAME: Final = Path("standard input")
 """What it is called where a file's path would stand."""

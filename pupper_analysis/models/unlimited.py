@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree
 
 ENDLESS_SLIDE = 1e3

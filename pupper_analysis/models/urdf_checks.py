@@ -10,7 +10,7 @@ from typing import Final
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.places import line_of, quote_short, refusal_at
 from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER

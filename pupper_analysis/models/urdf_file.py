@@ -11,11 +11,18 @@ from types import MappingProxyType
 
 from lxml import etree
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.runs import current_run
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing_file, folders_of_package
-from pupper_analysis.models.places import Place, innermost_element, line_of, refusal_at, refuse_file
+from pupper_analysis.models.places import (
+    Place,
+    innermost_element,
+    line_of,
+    refusal_at,
+    refuse_file,
+)
 from pupper_analysis.models.unlimited import complete_limits, taken_as_unlimited
 from pupper_analysis.models.urdf_checks import (
     MAX_LINKS,
@@ -29,7 +36,6 @@ from pupper_analysis.models.urdf_checks import (
 )
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_xml
-from pupper_analysis.runs import current_run
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,20 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_of, inertia_tensor
+from pupper_analysis.base.arrays import (
+    INERTIA_ENTRIES,
+    inertia_entries,
+    inertia_of,
+    inertia_tensor,
+)
 from pupper_analysis.models.attributes import BY_KIND, JointAttribute
 from pupper_analysis.models.xml import parse_numbers, parse_text
-from pupper_analysis.models.xml_text import ANGLE_DIGITS, add_element, is_zero, write_numbers
+from pupper_analysis.models.xml_text import (
+    ANGLE_DIGITS,
+    add_element,
+    is_zero,
+    write_numbers,
+)
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import InputError, MissingPackageError
-from pupper_analysis.inputs import read_input
-from pupper_analysis.models.places import Place, one_line, refuse_file, refuse_input
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import InputError, MissingPackageError
+from pupper_analysis.base.inputs import read_input
+from pupper_analysis.models.places import (
+    Place,
+    one_line,
+    refuse_file,
+    refuse_input,
+)
 from pupper_analysis.models.xml import LFS_POINTER
 
 SUFFIXES: Final = (".usd", ".usda", ".usdc", ".usdz")

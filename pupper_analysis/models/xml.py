@@ -10,11 +10,17 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError
-from pupper_analysis.inputs import MOST_TEXT, decode_input
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.inputs import MOST_TEXT, decode_input
 from pupper_analysis.models import standard_input
-from pupper_analysis.models.places import Place, one_line, refusal_at, refuse_file, refuse_input
+from pupper_analysis.models.places import (
+    Place,
+    one_line,
+    refusal_at,
+    refuse_file,
+    refuse_input,
+)
 
 MAX_BYTES: Final = MOST_TEXT
 """Largest file that is read."""

@@ -10,7 +10,7 @@ from typing import Final
 from xml.parsers import expat
 from xml.sax.saxutils import escape
 
-from pupper_analysis.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.inputs import MOST_TEXT, read_input
 
 _ATTRIBUTE: Final = re.compile(rb"""\s([^\s=<>"'/]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 

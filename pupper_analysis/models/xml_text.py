@@ -12,7 +12,7 @@ import numpy as np
 from lxml import etree
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.inputs import read_text
+from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.xml import NUMBER
 
 NOISE = 1e-13

@@ -9,11 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.matching.mjcf import limbs_on_the_world, mjcf_tree
-from pupper_analysis.matching.pairs import without_affixes
-from pupper_analysis.matching.trees import at_zero
-from pupper_analysis.matching.urdf import urdf_tree
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.mjcf import silence_mujoco
@@ -22,6 +18,10 @@ from pupper_analysis.models.spec_tree import set_inertia
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import lowest_point
 from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.matching.mjcf import limbs_on_the_world, mjcf_tree
+from pupper_analysis.robot.matching.pairs import without_affixes
+from pupper_analysis.robot.matching.trees import at_zero
+from pupper_analysis.robot.matching.urdf import urdf_tree
 
 Array = NDArray[np.float64]
 

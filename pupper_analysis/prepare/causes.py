@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import Drive, drives_of
-from pupper_analysis.prepare.bare import FILTERS, SETTLES, Bare, loose_joints, other_motors
+from pupper_analysis.prepare.bare import (
+    FILTERS,
+    SETTLES,
+    Bare,
+    loose_joints,
+    other_motors,
+)
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
 

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 import mujoco
 
-from pupper_analysis.diagnostics import Diagnostic, Term
-from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.match import Match
+from pupper_analysis.base.diagnostics import Diagnostic, Term
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import has_free_joint
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.ready import Request, ready_robot
-from pupper_analysis.results import Result
+from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _FREE_IN_PARTS = 4

@@ -12,9 +12,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.models.additions import Addition, Options, Servo, Start
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.models.additions import (
+    Addition,
+    Options,
+    Servo,
+    Start,
+)
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
@@ -28,11 +33,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos
 from pupper_analysis.simulation.causes import too_stiff
 from pupper_analysis.simulation.settling import UPRIGHT, comes_to_rest
-from pupper_analysis.simulation.verify import (
-    ANOTHER_ROBOT,
-    StandVerification,
-    verify_stand,
-)
+from pupper_analysis.simulation.verify import ANOTHER_ROBOT, StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 from pupper_analysis.stance.stand import Stand, stand_statics
 

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.additions import Addition, Ball, Untouching
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.posture.posture import Posture
+from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.prepare.own_run import as_loaded, own_run_held
-from pupper_analysis.prepare.self_check import (
-    as_published_held,
-    as_published_in,
-    own_run_explained,
-)
+from pupper_analysis.prepare.self_check import as_published_held, as_published_in, own_run_explained
 from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.efforts import efforts_nobody_meant
@@ -26,6 +21,7 @@ from pupper_analysis.simulation.verdict import (
     judge_stance,
 )
 from pupper_analysis.simulation.verify import verify_stand
+from pupper_analysis.stance.posture import Posture
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation

@@ -8,7 +8,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from pupper_analysis.errors import UnknownNameError
+from pupper_analysis.base.errors import UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind, free_joints
 from pupper_analysis.models.mjcf import silence_mujoco

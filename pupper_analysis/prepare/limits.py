@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import mujoco
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.matching.match import Match
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
+from pupper_analysis.robot.matching.match import Match
 from pupper_analysis.robot.robot import Robot
 
 _NARROWER = 1e-3

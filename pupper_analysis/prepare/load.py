@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.draft import PassRun
 from pupper_analysis.prepare.passes import run_passes
 from pupper_analysis.prepare.ready import Request
 from pupper_analysis.prepare.simulable import check_simulable
-from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

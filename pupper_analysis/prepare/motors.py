@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint, law_of
 

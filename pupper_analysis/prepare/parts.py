@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.arrays import placement_of
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.matching.match import Match
+from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.matching.match import Match
 
 _MASS_TOLERANCE = 1e-3
 """Share of the weight within which the parts are what the URDF lacks; rounded files have 1e-4."""

@@ -13,18 +13,39 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import ModelError, PupperAnalysisError
-from pupper_analysis.matching.match import match_models
-from pupper_analysis.models.additions import GRIP, Addition, Floor, Options
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError
+from pupper_analysis.models.additions import (
+    GRIP,
+    Addition,
+    Floor,
+    Options,
+)
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.mjcf import name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.prepare import drives, keyframes, notes, start, touching
+from pupper_analysis.prepare import (
+    drives,
+    keyframes,
+    notes,
+    start,
+    touching,
+)
 from pupper_analysis.prepare.base import free_base, free_of_friction, lift_base_frame
 from pupper_analysis.prepare.draft import Draft, PassRun
-from pupper_analysis.prepare.feet import Foot, apart_at, find_feet, named_foot, with_feet
+from pupper_analysis.prepare.feet import (
+    Foot,
+    apart_at,
+    find_feet,
+    named_foot,
+    with_feet,
+)
 from pupper_analysis.prepare.limits import bound_turning_joints, couple_mimics, narrow_limits
 from pupper_analysis.prepare.motors import one_at_each_joint
 from pupper_analysis.prepare.parts import with_parts
@@ -36,6 +57,7 @@ from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
 from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowledge_of
 from pupper_analysis.robot.feet import limb_ends
 from pupper_analysis.robot.floor import level_ground
+from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground

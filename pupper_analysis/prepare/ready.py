@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import mujoco
 
-from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.urdf import urdf_mimics
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -19,6 +18,7 @@ from pupper_analysis.prepare.motors import joints_of_several_motors
 from pupper_analysis.prepare.solver import solver_error
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.floor import level_ground
+from pupper_analysis.robot.matching.urdf import urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import ModelError, PupperAnalysisError
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.bare import (
     Bare,
@@ -32,7 +32,12 @@ from pupper_analysis.prepare.causes import (
     candidate_causes,
     with_line,
 )
-from pupper_analysis.prepare.own_run import as_loaded, own_run, own_run_of, raw_model
+from pupper_analysis.prepare.own_run import (
+    as_loaded,
+    own_run,
+    own_run_of,
+    raw_model,
+)
 from pupper_analysis.robot.as_published import (
     LEFT,
     Cause,
@@ -184,7 +189,7 @@ def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Ca
     if file is None or robot.description.converted or not alike:
         return ()
     # Forty modules, which hardly a verdict needs.
-    from pupper_analysis.checks.compare import compare_models
+    from pupper_analysis.robot.compare.compare import compare_models
 
     with contextlib.suppress(PupperAnalysisError):
         found = compare_models(robot.description.urdf_source, file.path)

@@ -7,7 +7,7 @@ import math
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file

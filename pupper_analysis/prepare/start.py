@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import Start
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.bodies import check_bodies

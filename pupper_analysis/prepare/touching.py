@@ -8,14 +8,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import Apart, Untouching
-from pupper_analysis.posture.posture import find_posture
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.visuals import geoms_by_id
 from pupper_analysis.robot.build import equipped_robot
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 
 Array = NDArray[np.float64]

@@ -14,9 +14,15 @@ from itertools import zip_longest
 from rich.cells import cell_len
 from rich.text import Text
 
-from pupper_analysis.report.document import Cell, Column, Name, Number, Table
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present.document import (
+    Cell,
+    Column,
+    Name,
+    Number,
+    Table,
+)
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.words import in_english
 
 GAP = 2
 """Characters between columns."""

@@ -6,11 +6,16 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.differences import Difference, about_kind
-from pupper_analysis.checks.patterns import PatternCause
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.report.formats import Annotation, CheckedItem
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.differences import Difference, about_kind
+from pupper_analysis.robot.compare.patterns import PatternCause
 
 
 def by_cause(comparison: Comparison) -> tuple[tuple[PatternCause, ...], list[list[Difference]]]:

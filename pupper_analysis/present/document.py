@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.plots import Plot
+from pupper_analysis.present.plots import Plot
 
 if TYPE_CHECKING:
-    from pupper_analysis.checks.compare import Comparison
-    from pupper_analysis.diagnostics import Diagnostic
+    from pupper_analysis.base.diagnostics import Diagnostic
+    from pupper_analysis.robot.compare.compare import Comparison
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.stand import Stand
     from pupper_analysis.statics.equilibrium import GravityCompensation

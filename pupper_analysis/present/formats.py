@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
-from pupper_analysis.diagnostics import Diagnostic, fill_template, phrase
-from pupper_analysis.report.sarif import (
+from pupper_analysis.base.diagnostics import Diagnostic, fill_template, phrase
+from pupper_analysis.present.sarif import (
     SarifResult,
     SarifRule,
     code_and_values,

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from functools import singledispatch
 
-from pupper_analysis.report.document import (
+from pupper_analysis.present.document import (
     Cell,
     Column,
     Document,
@@ -24,8 +24,8 @@ from pupper_analysis.report.document import (
     Table,
     Words,
 )
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.words import in_english
 
 SIGNS = {"good": "✅", "bad": "❌", "warn": "⚠️"}
 """Before a verdict."""

@@ -20,10 +20,18 @@ from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.report.tiles import AHEAD, AZIMUTH, ELEVATION, RIGHT, SUN, UP, Tile
+from pupper_analysis.present.tiles import (
+    AHEAD,
+    AZIMUTH,
+    ELEVATION,
+    RIGHT,
+    SUN,
+    UP,
+    Tile,
+)
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.analysis.robot import leg_lengths
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.report.figures.skeleton import BOX_FACES, hull_corners
-from pupper_analysis.report.figures.style import save_figure
-from pupper_analysis.report.opengl import GROUND, render_tiles
-from pupper_analysis.report.tiles import LABEL, Tile, tiles_of
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.figures.skeleton import BOX_FACES, hull_corners
+from pupper_analysis.present.figures.style import save_figure
+from pupper_analysis.present.opengl import GROUND, render_tiles
+from pupper_analysis.present.tiles import LABEL, Tile, tiles_of
+from pupper_analysis.robot.joints import leg_lengths
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.results import to_json
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.results import to_json
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.text import Text
 
-from pupper_analysis.report.columns import STYLES, laid_out
-from pupper_analysis.report.document import (
+from pupper_analysis.present.columns import STYLES, laid_out
+from pupper_analysis.present.document import (
     Block,
     Document,
     Lines,
@@ -24,8 +24,8 @@ from pupper_analysis.report.document import (
     Table,
     Words,
 )
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.words import in_english
 
 MOST_NOTES = 8
 """Lines of notes in a short view: what is read before a table."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures.skeleton import Skeleton, draw_skeleton
+from pupper_analysis.present.figures.skeleton import Skeleton, draw_skeleton
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -7,10 +7,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Severity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.transmission import MadeServo
-from pupper_analysis.report.document import Text
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import Text
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.as_published import (
     Cause,
     OwnCommands,
@@ -19,7 +25,12 @@ from pupper_analysis.robot.as_published import (
     ServoSource,
     ServosUsed,
 )
-from pupper_analysis.simulation.verdict import Asked, Ending, Verdict, VerdictCode
+from pupper_analysis.simulation.verdict import (
+    Asked,
+    Ending,
+    Verdict,
+    VerdictCode,
+)
 
 FEW = 3
 """Joints that are named one by one, with what the file has there."""

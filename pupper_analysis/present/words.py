@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.diagnostics import fill_template, is_term, phrase
-from pupper_analysis.report.document import Name, Text, Words
+from pupper_analysis.base.diagnostics import fill_template, is_term, phrase
+from pupper_analysis.present.document import Name, Text, Words
 
 
 def text(key: str, **values: object) -> Text:

@@ -10,8 +10,8 @@ import numpy as np
 import yourdfpy
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.pupper.variants import BASES, Box, VariantSpec
 
 Array = NDArray[np.float64]

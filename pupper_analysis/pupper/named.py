@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, VariantError
-from pupper_analysis.inputs import is_input
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, VariantError
+from pupper_analysis.base.inputs import is_input
 from pupper_analysis.models.published import SCHEME
 from pupper_analysis.models.standard_input import NAME as STANDARD_INPUT
 from pupper_analysis.pupper.variants import VARIANTS

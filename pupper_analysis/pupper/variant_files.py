@@ -7,16 +7,21 @@ from pathlib import Path
 
 import mujoco
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError, VariantError
-from pupper_analysis.files import Writing, write_together
-from pupper_analysis.kinds import MODEL
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError, VariantError
+from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.places import one_line
 from pupper_analysis.pupper import derive_mjcf
-from pupper_analysis.pupper.variants import BASES, VariantSpec, model_folder, variant_spec
+from pupper_analysis.pupper.variants import (
+    BASES,
+    VariantSpec,
+    model_folder,
+    variant_spec,
+)
 
 _SAFE_SCALE = 20.0
 """Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""

@@ -8,9 +8,9 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
-from pupper_analysis.arguments import check_finite
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError, VariantError
+from pupper_analysis.base.arguments import check_finite
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError, VariantError
 
 _LONGEST_NAME = 200
 """Bytes: file systems allow 255, of which prefixes and suffixes take some."""

@@ -1,7 +1,7 @@
 """What a robot's MJCF does by itself, as it was published, and what was made up beside it.
 
 Facts, with names and numbers; ``prepare`` finds them, ``simulation/verdict.py`` weighs them, and
-``report/verdict.py`` puts them into words.
+``present/verdict.py`` puts them into words.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.transmission import Drive, MadeServo
 from pupper_analysis.robot.fall import BodyMotion
 

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.efforts import EffortLimit, EffortStatement
 from pupper_analysis.models.xml import to_text

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 _ROUNDING = 1e-6

@@ -24,8 +24,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.impedance import Softness
 

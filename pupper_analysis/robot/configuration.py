@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_type, check_vector
-from pupper_analysis.arrays import cross_matrices, rotation_from_quaternion
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.arguments import check_type, check_vector
+from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.robot.at_rest import AtRest
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.structure import Workspace

@@ -26,9 +26,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.transmission import is_at_one_joint
 

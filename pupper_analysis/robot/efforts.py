@@ -10,8 +10,13 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.models.efforts import EffortLimit, Motor, effort_of, placeholder_efforts
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.models.efforts import (
+    EffortLimit,
+    Motor,
+    effort_of,
+    placeholder_efforts,
+)
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.transmission import drives_by_joint
 from pupper_analysis.robot.coordinates import PinocchioConvention

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.description import Description
 from pupper_analysis.robot import contact
 

@@ -6,7 +6,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.spec_tree import SpecTree

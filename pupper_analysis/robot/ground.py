@@ -10,10 +10,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments, check_fields, check_finite, check_length
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.frozen import FrozenDict
+from pupper_analysis.base.arguments import (
+    check_arguments,
+    check_fields,
+    check_finite,
+    check_length,
+)
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.frozen import FrozenDict
 
 Array = NDArray[np.float64]
 Point = tuple[float, float]

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_vector
+from pupper_analysis.base.arguments import check_vector
 from pupper_analysis.robot.coordinates import normalise_quaternion
 from pupper_analysis.robot.structure import Structure
 

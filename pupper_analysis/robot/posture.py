@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
-from pupper_analysis.arguments import check_finite
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.arguments import check_finite
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.robot.robot import Robot
 

@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import plain_state
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.arrays import plain_state
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.conversion import acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit

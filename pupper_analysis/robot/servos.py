@@ -12,9 +12,9 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import real_array
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.base.arguments import real_array
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.robot.robot import Robot
 

@@ -17,8 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import Term, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot import contact
 
 if TYPE_CHECKING:

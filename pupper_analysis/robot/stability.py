@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.results import Result
 from pupper_analysis.robot.transition import STEP, copy_data, step_derivative
 
 Array = NDArray[np.float64]

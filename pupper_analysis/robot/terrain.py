@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.ground_plane import CONTACT_OF_GEOM
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.robot.build import rebuild_robot

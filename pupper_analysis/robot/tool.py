@@ -12,10 +12,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments, check_length, real_array
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_arguments, check_length, real_array
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 

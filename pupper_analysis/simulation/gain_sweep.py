@@ -15,13 +15,18 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.fall import FALLEN_TILT
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, model_with_servos, retune_servos, servo_gains
+from pupper_analysis.robot.servos import (
+    Servos,
+    model_with_servos,
+    retune_servos,
+    servo_gains,
+)
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation import monitor

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import open_loops
 from pupper_analysis.stance.stand import Stand

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot import contact
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.fall import (

@@ -11,8 +11,8 @@ import mujoco.rollout
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,12 @@ from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.nudge import measure_response, simulate_nudge
-from pupper_analysis.simulation.rollout import STATE, Standing, begin_stand, simulate
+from pupper_analysis.simulation.rollout import (
+    STATE,
+    Standing,
+    begin_stand,
+    simulate,
+)
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verify import NUDGED, RESTING, SETTLED_DRIFT
 from pupper_analysis.simulation.watch import LAST

@@ -10,9 +10,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
 
-from pupper_analysis.diagnostics import Diagnostic, Severity
-from pupper_analysis.results import Result
-from pupper_analysis.robot.as_published import OwnRun, Published, ServoSource, ServosUsed
+from pupper_analysis.base.diagnostics import Diagnostic, Severity
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.as_published import (
+    OwnRun,
+    Published,
+    ServoSource,
+    ServosUsed,
+)
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.statics.equilibrium import GravityCompensation
 

@@ -7,16 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.robot.stability import LASTING, Stability
 from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.balance import balance_by_mujoco
-from pupper_analysis.simulation.causes import find_chatter, find_creep, find_instability, too_stiff
+from pupper_analysis.simulation.causes import (
+    find_chatter,
+    find_creep,
+    find_instability,
+    too_stiff,
+)
 from pupper_analysis.simulation.edges import several_contacts
 from pupper_analysis.simulation.loops import closed_loops, give_way
 from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge

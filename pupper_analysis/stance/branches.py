@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import cross_matrices
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.arrays import cross_matrices
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

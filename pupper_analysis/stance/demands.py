@@ -9,7 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    Vector,
+    diagnose,
+)
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.footholds import feet_places, nominal_feet

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.arguments import check_finite, check_length
-from pupper_analysis.diagnostics import Quantity, Vector, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.frozen import FrozenDict
+from pupper_analysis.base.arguments import check_finite, check_length
+from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.frozen import FrozenDict
 
 UNITS = {
     **dict.fromkeys(("length", "point", "point3", "place"), "m"),

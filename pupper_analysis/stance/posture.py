@@ -9,10 +9,10 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.posture import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from pupper_analysis.diagnostics import Quantity, Vector, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.frozen import FrozenDict, freeze_arrays
+from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.posture import check_in_range, placed_joints
 from pupper_analysis.robot.robot import Robot

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import NotSettlingError, StanceUnreachableError
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import NotSettlingError, StanceUnreachableError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
@@ -18,7 +18,12 @@ from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.tool import Place
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
-from pupper_analysis.stance.stand import Stand, solve_goal, solve_stand, stand_statics
+from pupper_analysis.stance.stand import (
+    Stand,
+    solve_goal,
+    solve_stand,
+    stand_statics,
+)
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pupper_analysis.arguments import check_arguments
+from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
@@ -15,11 +15,7 @@ from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest, search_stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
-from pupper_analysis.statics.equilibrium import (
-    ForceDistribution,
-    GravityCompensation,
-    balance_load,
-)
+from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation, balance_load
 
 __all__ = ["Stand", "solve_stand", "stand_statics"]
 

@@ -9,12 +9,8 @@ from typing import Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.errors import (
-    ConfigurationError,
-    StanceUnreachableError,
-    UnknownNameError,
-)
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError, UnknownNameError
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal

@@ -11,11 +11,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_finite, check_type
-from pupper_analysis.diagnostics import Phrase, diagnose
-from pupper_analysis.diagnostics.templates import fill_template
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.frozen import FrozenDict
+from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.diagnostics import Phrase, diagnose
+from pupper_analysis.base.diagnostics.templates import fill_template
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.stance.fields import FIELDS, Field
 

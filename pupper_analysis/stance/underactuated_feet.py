@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import pinocchio as pin
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.frozen import freeze_arrays
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.frozen import freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.problem import Goal

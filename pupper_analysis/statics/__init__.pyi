@@ -1,18 +1,6 @@
-from .dynamics import (
-    InverseDynamics as InverseDynamics,
-)
-from .dynamics import (
-    inverse_dynamics as inverse_dynamics,
-)
-from .equilibrium import (
-    ForceDistribution as ForceDistribution,
-)
-from .equilibrium import (
-    GravityCompensation as GravityCompensation,
-)
-from .states import (
-    GravityCompensations as GravityCompensations,
-)
-from .states import (
-    gravity_compensations as gravity_compensations,
-)
+from .dynamics import InverseDynamics as InverseDynamics
+from .dynamics import inverse_dynamics as inverse_dynamics
+from .equilibrium import ForceDistribution as ForceDistribution
+from .equilibrium import GravityCompensation as GravityCompensation
+from .states import GravityCompensations as GravityCompensations
+from .states import gravity_compensations as gravity_compensations

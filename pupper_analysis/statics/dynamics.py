@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments, check_vector
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, Infeasibility
+from pupper_analysis.base.arguments import check_arguments, check_vector
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, Infeasibility
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.impedance import effective_solref

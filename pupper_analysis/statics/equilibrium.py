@@ -10,19 +10,15 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, Infeasibility
-from pupper_analysis.frozen import FrozenDict
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, Infeasibility
+from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.cone_program import (
-    BALANCE_TOLERANCE,
-    Balance,
-    TangentialMetric,
-)
+from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.foot_load import FootLoads, sliding_share
 from pupper_analysis.statics.infeasibility import explain_infeasibility

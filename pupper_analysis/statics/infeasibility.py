@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import Infeasibility, StaticsInfeasibleError
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import Infeasibility, StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.statics.cone_program import Balance
 from pupper_analysis.statics.contacts import Contacts

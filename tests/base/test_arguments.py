@@ -14,7 +14,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.arguments import check_arguments, check_finite, check_length, check_type
+from pupper_analysis.base.arguments import (
+    check_arguments,
+    check_finite,
+    check_length,
+    check_type,
+)
 from tests.support.names import public, public_modules
 from tests.support.tiny import Files
 from tests.support.variants import load, stand_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.arrays import cross_matrices, rotation_from_quaternion
+from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
 
 
 def test_crosses_are_numpys() -> None:

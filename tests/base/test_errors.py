@@ -5,7 +5,7 @@ import pickle
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis import errors
+from pupper_analysis.base import errors
 
 ALL = [
     value

@@ -18,12 +18,18 @@ from types import SimpleNamespace
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis import files
-from pupper_analysis.errors import OutputError, VariantError
-from pupper_analysis.files import whole_file
-from pupper_analysis.kinds import EDITED, MODEL, OWN, RESULTS, Kind
-from pupper_analysis.results import marked_json
-from pupper_analysis.runs import note_input, running
+from pupper_analysis.base import files
+from pupper_analysis.base.errors import OutputError, VariantError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import (
+    EDITED,
+    MODEL,
+    OWN,
+    RESULTS,
+    Kind,
+)
+from pupper_analysis.base.results import marked_json
+from pupper_analysis.base.runs import note_input, running
 from tests.support.commands import answer, run_command
 from tests.support.repository import ROOT
 
@@ -142,7 +148,8 @@ def test_only_a_regular_file_is_replaced(kind: int) -> None:
 def test_the_file_that_a_stream_goes_to_is_not_replaced(stream: str, tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
-        "from pupper_analysis.files import whole_file; from pupper_analysis.kinds import OWN\n"
+        "from pupper_analysis.base.files import whole_file\n"
+        "from pupper_analysis.base.kinds import OWN\n"
         f"print('before', file=sys.{stream})\n"
         "with whole_file(Path('out'), OWN) as file: file.write(b'result\\n')\n"
         f"print('after', file=sys.{stream})"
@@ -253,7 +260,8 @@ def test_a_variants_name_is_that_of_a_file(name: str) -> None:
 def test_a_write_that_is_ended_leaves_nothing(tmp_path: Path) -> None:
     """SIGTERM while the temporary file is there: the command line takes it away."""
     code = (
-        "import os, time; from pupper_analysis import cli, files, kinds\n"
+        "import os, time; from pupper_analysis import cli\n"
+        "from pupper_analysis.base import files, kinds\n"
         "import click\n"
         "@click.command()\n"
         "def slow():\n"
@@ -355,7 +363,7 @@ def test_a_result_replaces_its_own_kind_alone(tmp_path: Path) -> None:
 def test_what_killed_runs_left_is_cleared_by_the_next(tmp_path: Path) -> None:
     """SIGKILL while the temporary file is there; that of a process that runs is left."""
     code = (
-        "import os, time; from pupper_analysis import files, kinds\n"
+        "import os, time; from pupper_analysis.base import files, kinds\n"
         "real = os.fdopen\n"
         "def held(*a):\n"
         "    print('writing', flush=True); time.sleep(60); return real(*a)\n"

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.errors import OutputError
-from pupper_analysis.files import Writing, write_together
-from pupper_analysis.kinds import OWN
+from pupper_analysis.base.errors import OutputError
+from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.kinds import OWN
 from pupper_analysis.models.xml_bytes import read_document
-from pupper_analysis.sync.models import as_given, stage_files
+from pupper_analysis.tools.sync.models import as_given, stage_files
 from tests.support.robots import changed, quadruped, write_parts
 
 OLD = {"a": b"old a", "b": b"old b"}
@@ -213,7 +213,7 @@ def test_what_cannot_be_tried_is_said_of_the_file_that_was_given(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("pupper_analysis.sync.models.write_new", full)
+    monkeypatch.setattr("pupper_analysis.tools.sync.models.write_new", full)
     with pytest.raises(pa.OutputError) as raised:
         pa.sync_models(files.urdf, files.mjcf, take="urdf", dry_run=True)
     assert raised.value.path == files.mjcf

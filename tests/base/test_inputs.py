@@ -7,9 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError, PupperAnalysisError
-from pupper_analysis.inputs import check_input, decode_input, is_input, read_input, read_toml
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError, PupperAnalysisError
+from pupper_analysis.base.inputs import (
+    check_input,
+    decode_input,
+    is_input,
+    read_input,
+    read_toml,
+)
 from tests import damaged
 
 
@@ -42,7 +48,7 @@ def test_a_pipe_that_takes_a_files_place_does_not_hold_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(tmp_path / "pipe")
-    monkeypatch.setattr("pupper_analysis.inputs.check_input", lambda *_, **__: None)
+    monkeypatch.setattr("pupper_analysis.base.inputs.check_input", lambda *_, **__: None)
     assert read_input(tmp_path / "pipe", 10) == b""
 
 

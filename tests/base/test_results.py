@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
 

@@ -9,11 +9,11 @@ from typing import Any
 import click
 import pytest
 
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.cli import COMMANDS, find_command
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.cli.stance_fields import TYPED
-from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -55,8 +55,8 @@ def calls(patch: pytest.MonkeyPatch) -> _Calls:
     from types import SimpleNamespace
 
     noted, robot = _Calls(), SimpleNamespace(name="robot")
-    fit, shared = "pupper_analysis.cli.fit", "pupper_analysis.cli.shared"
-    of_fit = "pupper_analysis.identification"
+    fit, shared = "pupper_analysis.tools.fit.command", "pupper_analysis.cli.shared"
+    of_fit = "pupper_analysis.tools.fit"
     for name, result in {
         f"{fit}.robot_from": robot,
         f"{fit}.parse_gain": None,
@@ -72,9 +72,9 @@ def calls(patch: pytest.MonkeyPatch) -> _Calls:
         f"{of_fit}.stands.plan.write_plan": None,
         f"{of_fit}.measurements.stands.read_stands": "stands",
         f"{of_fit}.measurements.log_files.read_log": "a log",
-        "pupper_analysis.cli.variants._print_list": None,
-        "pupper_analysis.cli.models._list_rules": None,
-        "pupper_analysis.cli.guard._begin": None,
+        "pupper_analysis.tools.analyze.command._print_list": None,
+        "pupper_analysis.tools.audit.command._list_rules": None,
+        "pupper_analysis.tools.check.command._begin": None,
     }.items():
         patch.setattr(name, noted.of(name, result))
     return noted

@@ -22,8 +22,8 @@ import click
 import pytest
 
 from pupper_analysis import cli
+from pupper_analysis.base.kinds import Folder
 from pupper_analysis.cli.shared import Command, OutputPath
-from pupper_analysis.kinds import Folder
 from tests.support import legged
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
@@ -316,7 +316,7 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("pupper_analysis.files.write_new", full)
+    monkeypatch.setattr("pupper_analysis.base.files.write_new", full)
     words, before = tiny(folder, command), sums(folder)
     given = answer(*words, *all_outputs(folder, command), folder=folder)
     lines = [line for line in given.stderr.splitlines() if line.startswith("error")]
@@ -413,7 +413,7 @@ def test_a_folder_whose_place_a_file_takes_meanwhile_is_one_line(
 ) -> None:
     fill(tmp_path)
     (tmp_path / "into").mkdir()
-    audited = importlib.import_module("pupper_analysis.checks.audit").audit_model
+    audited = importlib.import_module("pupper_analysis.tools.audit.audit").audit_model
 
     def meanwhile(*words: Any, **given: Any) -> Any:
         (tmp_path / "into").rmdir()
@@ -421,7 +421,7 @@ def test_a_folder_whose_place_a_file_takes_meanwhile_is_one_line(
             (tmp_path / "into").write_text("mine")
         return audited(*words, **given)
 
-    monkeypatch.setattr("pupper_analysis.checks.audit.audit_model", meanwhile)
+    monkeypatch.setattr("pupper_analysis.tools.audit.audit.audit_model", meanwhile)
     words = ("audit", "robot.urdf", "--json", "into/a.json")
     taken = False  # and then the folder is made again
     assert answer(*words, folder=tmp_path).returncode < 2

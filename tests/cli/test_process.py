@@ -19,8 +19,8 @@ import click
 import pytest
 
 from pupper_analysis import cli
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli.process import Ended, PatientStream, ending_signals
-from pupper_analysis.errors import ConfigurationError
 from tests.support.cases import some
 from tests.support.commands import run_command
 from tests.support.repository import ROOT
@@ -176,7 +176,7 @@ def test_a_signal_is_one_line(
     assert not (tmp_path / "out.json").exists()
 
 
-@pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.cli.stances"])
+@pytest.mark.parametrize("module", ["click", "rich.console", "pupper_analysis.tools.stand.command"])
 def test_ctrl_c_while_it_is_loaded_is_one_line(module: str, tmp_path: Path) -> None:
     """A signal at a known moment of the start: while a module is imported."""
     code = f"""

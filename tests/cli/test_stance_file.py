@@ -13,8 +13,8 @@ from pupper_analysis import Ground, StandTask
 from pupper_analysis.cli.shared import parse_place
 from pupper_analysis.cli.stance_fields import task_of
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
-from pupper_analysis.live.export import write_stance_file
-from pupper_analysis.live.state import State
+from pupper_analysis.tools.live.export import write_stance_file
+from pupper_analysis.tools.live.state import State
 from tests.support.commands import check_refusal
 
 

@@ -11,16 +11,21 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.models.attributes import IN_A_TREE, JOINT_ATTRIBUTES, PASSIVE, JointAttribute
+from pupper_analysis.models.attributes import (
+    IN_A_TREE,
+    JOINT_ATTRIBUTES,
+    PASSIVE,
+    JointAttribute,
+)
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import from_pinocchio, to_pinocchio
 from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.stated.mjcf import read_mjcf_model
+from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot_model.mjcf import read_mjcf_model
-from pupper_analysis.robot_model.urdf import read_urdf_model
 
 # No two alike: a swapped column is seen.
 VALUES = {

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.checks.audit import audit_model
-from pupper_analysis.checks.compare import compare_models
-from pupper_analysis.checks.versions.compare import diff_models
-from pupper_analysis.convert.load import load_robot
-from pupper_analysis.convert.model import convert_model
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import compile_spec, no_number, to_xml
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.sync.models import sync_models
+from pupper_analysis.prepare.convert.load import load_robot
+from pupper_analysis.robot.compare.compare import compare_models
+from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.convert.model import convert_model
+from pupper_analysis.tools.diff.compare import diff_models
+from pupper_analysis.tools.sync.models import sync_models
 from tests.support.robots import Files, mjcf_text, quadruped, urdf_text
 
 FRAMES = """<mujoco><worldbody>

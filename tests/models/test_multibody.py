@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.checks.attribution import explain_differences
-from pupper_analysis.checks.changes import changes_between
-from pupper_analysis.checks.compare import compare_models
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
+from pupper_analysis.robot.compare.attribution import explain_differences
+from pupper_analysis.robot.compare.changes import changes_between
+from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.robot.coordinates import PinocchioConvention
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from tests.support.cases import some
 from tests.support.robots import (
     Parts,

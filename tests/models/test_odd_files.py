@@ -6,14 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.checks.audit import audit_model
-from pupper_analysis.checks.compare import compare_models
-from pupper_analysis.checks.engines import URDF_MUJOCO
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_checks import MAX_DEPTH
 from pupper_analysis.models.urdf_file import read_urdf
-from tests.report.test_comparison import lines
+from pupper_analysis.robot.compare.compare import compare_models
+from pupper_analysis.robot.compare.engines import URDF_MUJOCO
+from pupper_analysis.tools.audit.audit import audit_model
+from tests.present.test_comparison import lines
 from tests.support.robots import (
     Files,
     all_changed,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import find_file

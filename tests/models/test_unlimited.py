@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.urdf_file import read_urdf
-from tests.convert.test_model import compiled, converted, standing_urdf
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import Pair, biped, quadruped
+from tests.tools.convert.test_model import compiled, converted, standing_urdf
 
 
 def edited(path: Path, *changes: tuple[str, str]) -> Path:

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from pupper_analysis.errors import MissingPackageError, ModelError
+from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.usd_file import MAX_DEPTH, read_usd
 from tests.support import usd

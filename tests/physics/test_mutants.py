@@ -13,27 +13,27 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.live.model import Model
-from pupper_analysis.live.scene import Scene
-from pupper_analysis.live.state import State
 from pupper_analysis.prepare.servo_tuning import SAG, held_gains
+from pupper_analysis.present.documents import sources
+from pupper_analysis.present.html import plots
 from pupper_analysis.pupper.derive_mjcf import derive_mjcf
-from pupper_analysis.pupper.live import LiveVariants
-from pupper_analysis.report.documents import sources
-from pupper_analysis.report.documents.estimate import duration_text
-from pupper_analysis.report.html import plots
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.floor import floor_of, level_ground
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation import tracking
-from pupper_analysis.simulation.push import tipping_impulses
-from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
 from pupper_analysis.statics.dynamics import rolling_levers
-from pupper_analysis.study.estimate import Estimate
+from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.scene import Scene
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.variants import LiveVariants
+from pupper_analysis.tools.path import tracking
+from pupper_analysis.tools.push.bench import bench_of
+from pupper_analysis.tools.push.recovery import tipping_impulses
+from pupper_analysis.tools.study.document import duration_text
+from pupper_analysis.tools.study.estimate import Estimate
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis import push
-from pupper_analysis.analysis.robot import analyze_variant
-from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.live.model import Model, predict_sag, simulate_stance
-from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import LiveVariants
+from pupper_analysis.tools.analyze.analysis import analyze_variant
+from pupper_analysis.tools.live.model import Model, predict_sag, simulate_stance
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.variants import LiveVariants
+from pupper_analysis.tools.push import pushed as push
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
 
@@ -79,8 +79,8 @@ def test_what_is_pushed_or_studied_is_the_stand_that_is_told(
 
     monkeypatch.setattr(push, "push_recovery", no_push)
     pushed = push.study_pushes([robot], task)["v3"]
-    for name, module in (("stance", "stance"), ("robot", "robot")):
-        monkeypatch.setattr(f"pupper_analysis.analysis.{module}.verify_stand", Stop(name))
+    for name, module in (("stance", "stand.stance"), ("robot", "analyze.analysis")):
+        monkeypatch.setattr(f"pupper_analysis.tools.{module}.verify_stand", Stop(name))
     for study in (study_stance, analyze_variant):
         with pytest.raises(StoppedError) as caught:
             study(robot, task)  # type: ignore[operator]

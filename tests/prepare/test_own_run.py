@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.hold import hold_posture
-from pupper_analysis.analysis.judge import judge_stand
-from pupper_analysis.analysis.path import study_path
-from pupper_analysis.analysis.push import study_pushes
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.transmission import Drive
+from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.report.verdict import in_words, verdict_clauses
+from pupper_analysis.present.verdict import in_words, verdict_clauses
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.simulation.verdict import Asked, Verdict, VerdictCode
+from pupper_analysis.tools.hold.hold import hold_posture
+from pupper_analysis.tools.path.tracked import study_path
+from pupper_analysis.tools.push.pushed import study_pushes
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import arm
 from tests.support.slips import FALLS, by_itself, standing
 

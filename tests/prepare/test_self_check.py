@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.transmission import Drive
 from pupper_analysis.prepare.own_run import own_run
-from pupper_analysis.report.verdict import in_words
+from pupper_analysis.present.verdict import in_words
 from pupper_analysis.robot.as_published import OwnCommands
 from pupper_analysis.robot.robot import PublishedFile
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
 from tests.support.slips import FALLS, SLIPS, by_itself, standing
 

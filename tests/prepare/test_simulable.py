@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.prepare.self_check import published_nominal
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import legged
 from tests.support.slips import standing
 

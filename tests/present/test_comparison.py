@@ -8,13 +8,13 @@ from xml.etree import ElementTree
 
 import pytest
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.engines import EXTRAS
-from pupper_analysis.checks.mjcf_only import find as extras
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.report.comparison import comparison_cases, comparison_remarks
-from pupper_analysis.report.documents.comparison import SHORT, SHOWN
-from pupper_analysis.report.formats import write_github, write_junit
+from pupper_analysis.present.comparison import comparison_cases, comparison_remarks
+from pupper_analysis.present.documents.comparison import SHORT, SHOWN
+from pupper_analysis.present.formats import write_github, write_junit
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.engines import EXTRAS
+from pupper_analysis.robot.compare.mjcf_only import find as extras
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.printing import printed
 from tests.support.robots import (
     FEET,

@@ -2,7 +2,7 @@
 
 ``golden/*.md`` are documents of results whose numbers are all different (``stubs``), as Markdown:
 what a change of a builder changes is read in their diff.
-``python -m tests.report.test_documents`` writes them anew.
+``python -m tests.present.test_documents`` writes them anew.
 """
 
 from __future__ import annotations
@@ -14,10 +14,16 @@ from functools import cache
 
 import pytest
 
-from pupper_analysis.report.document import Cell, Column, Number, Report, Table
-from pupper_analysis.report.html.write import render_page
-from pupper_analysis.report.markdown import write_markdown
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present.document import (
+    Cell,
+    Column,
+    Number,
+    Report,
+    Table,
+)
+from pupper_analysis.present.html.write import render_page
+from pupper_analysis.present.markdown import write_markdown
+from pupper_analysis.present.words import in_english
 from tests.support import printing
 from tests.support.html_page import Page
 from tests.support.repository import ROOT

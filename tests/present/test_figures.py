@@ -16,16 +16,16 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.report.document import Name
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
-from pupper_analysis.report.figures.drawing import shares_of
-from pupper_analysis.report.figures.ground import ground_corners, step_corners
-from pupper_analysis.report.figures.pose import pose_figure
-from pupper_analysis.report.figures.skeleton import draw_skeleton, hull_corners, nearest_edge_point
-from pupper_analysis.report.plots import Axis, Bar, BarPlot
-from pupper_analysis.report.scene import describe_scene
+from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.present.document import Name
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import shares_of
+from pupper_analysis.present.figures.ground import ground_corners, step_corners
+from pupper_analysis.present.figures.pose import pose_figure
+from pupper_analysis.present.figures.skeleton import draw_skeleton, hull_corners, nearest_edge_point
+from pupper_analysis.present.plots import Axis, Bar, BarPlot
+from pupper_analysis.present.scene import describe_scene
+from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of
 
 NAMES = ("original", "v3")

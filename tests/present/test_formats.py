@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.report.document import (
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.present.document import (
     Column,
     Document,
     FilePlace,
@@ -25,14 +25,14 @@ from pupper_analysis.report.document import (
     Table,
     tell,
 )
-from pupper_analysis.report.formats import (
+from pupper_analysis.present.formats import (
     Annotation,
     CheckedItem,
     escape_control,
     write_github,
     write_junit,
 )
-from pupper_analysis.report.terminal import SafeConsole, print_document
+from pupper_analysis.present.terminal import SafeConsole, print_document
 from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.stubs import problem

@@ -19,12 +19,9 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.push import PushedStance
-from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.checks.audit import RULES
-from pupper_analysis.report import scene as scenes
-from pupper_analysis.report import words
-from pupper_analysis.report.document import (
+from pupper_analysis.present import scene as scenes
+from pupper_analysis.present import words
+from pupper_analysis.present.document import (
     Column,
     Document,
     Motion,
@@ -38,14 +35,22 @@ from pupper_analysis.report.document import (
     number_cell,
     tell,
 )
-from pupper_analysis.report.documents import sources
-from pupper_analysis.report.html import library, plots, scene, write
-from pupper_analysis.report.html.scene import scene_of
-from pupper_analysis.report.plots import Axis, LinePlot, Series
-from pupper_analysis.report.scene import coarsen_mesh, describe_scene, shapes_of
+from pupper_analysis.present.documents import sources
+from pupper_analysis.present.html import (
+    library,
+    plots,
+    scene,
+    write,
+)
+from pupper_analysis.present.html.scene import scene_of
+from pupper_analysis.present.plots import Axis, LinePlot, Series
+from pupper_analysis.present.scene import coarsen_mesh, describe_scene, shapes_of
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.simulation.push import PushRecovery
 from pupper_analysis.simulation.verdict import judge_stance
+from pupper_analysis.tools.audit.audit import RULES
+from pupper_analysis.tools.push.pushed import PushedStance
+from pupper_analysis.tools.push.recovery import PushRecovery
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
@@ -771,8 +776,8 @@ def test_a_report_goes_to_standard_output() -> None:
 @pytest.mark.slow
 def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
     code = (
-        "import sys, pupper_analysis.cli, pupper_analysis.report.html.write, "
-        "pupper_analysis.pupper.comparison; print('jinja2' in sys.modules)"
+        "import sys, pupper_analysis.cli, pupper_analysis.present.html.write, "
+        "pupper_analysis.tools.analyze.comparison; print('jinja2' in sys.modules)"
     )
     run = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", code],

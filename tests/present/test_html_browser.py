@@ -14,10 +14,14 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.pupper.comparison import RatioReference, compare_with_base, comparison_table
-from tests.report.test_html import EVIL, analysis, evil_analysis
-from tests.report.test_study import outcome
+from pupper_analysis.tools.analyze.comparison import (
+    RatioReference,
+    compare_with_base,
+    comparison_table,
+)
+from tests.present.test_html import EVIL, analysis, evil_analysis
 from tests.support.variants import load
+from tests.tools.study.test_document import outcome
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 OPTIONS = ("--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader")

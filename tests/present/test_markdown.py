@@ -10,7 +10,7 @@ import click
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.report.document import (
+from pupper_analysis.present.document import (
     Column,
     Document,
     FilePlace,
@@ -23,8 +23,8 @@ from pupper_analysis.report.document import (
     Table,
     tell,
 )
-from pupper_analysis.report.markdown import MOST_LETTERS, MOST_ROWS, write_markdown
-from pupper_analysis.report.words import text
+from pupper_analysis.present.markdown import MOST_LETTERS, MOST_ROWS, write_markdown
+from pupper_analysis.present.words import text
 from tests.support.commands import answer
 from tests.support.html_page import Page
 from tests.support.repository import ROOT

@@ -14,14 +14,14 @@ import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import catalogue
-from pupper_analysis.report import documents
-from pupper_analysis.report.documents.registry import build_report, document
-from pupper_analysis.report.figures.drawing import plot_figure
-from pupper_analysis.report.html.write import write_report
-from pupper_analysis.report.markdown import write_markdown
-from pupper_analysis.report.plots import LinePlot
-from pupper_analysis.results import Result
+from pupper_analysis.base.diagnostics import catalogue
+from pupper_analysis.base.results import Result
+from pupper_analysis.present import documents
+from pupper_analysis.present.documents.registry import build_report, document
+from pupper_analysis.present.figures.drawing import plot_figure
+from pupper_analysis.present.html.write import write_report
+from pupper_analysis.present.markdown import write_markdown
+from pupper_analysis.present.plots import LinePlot
 from tests.support import printing
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
@@ -53,10 +53,10 @@ WORDS = {
     "wear-over-time": ("Wear over time", "磨损随时间的变化"),
 }
 IMPORTS = """
-from tests.report.test_new_result import FootWear
-from pupper_analysis.report import document as doc, plots
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.words import text
+from tests.present.test_new_result import FootWear
+from pupper_analysis.present import document as doc, plots
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 """
 
@@ -65,9 +65,9 @@ from pupper_analysis.robot.robot import Robot
 def wear(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[FootWear]:
     """A result whose builder is the example, in the module that has its name."""
     page = (ROOT / "docs/explanation/architecture.md").read_text()
-    (code,) = re.findall(r"```python\n(# report/documents/.*?)```", page, re.DOTALL)
-    path, name = re.findall(r"^# (report/documents/(\w+)\.py)", code)[0]
-    assert path == "report/documents/foot_wear.py"
+    (code,) = re.findall(r"```python\n(# present/documents/.*?)```", page, re.DOTALL)
+    path, name = re.findall(r"^# (present/documents/(\w+)\.py)", code)[0]
+    assert path == "present/documents/foot_wear.py"
     (tmp_path / f"{name}.py").write_text(f"from __future__ import annotations\n{IMPORTS}\n{code}")
     monkeypatch.setattr(documents, "__path__", [*documents.__path__, str(tmp_path)])
     known = catalogue.list_entries("texts.toml")

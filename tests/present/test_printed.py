@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.pupper import comparison
-from pupper_analysis.report.document import Document, Table
-from pupper_analysis.report.documents.analysis import analysis_document
-from pupper_analysis.report.documents.best_study import best_document
-from pupper_analysis.report.documents.comparison import comparison_document
-from pupper_analysis.report.documents.path_there import path_document
-from pupper_analysis.report.documents.payload_limit import payload_document
-from pupper_analysis.report.documents.pushed_stance import push_document
-from pupper_analysis.report.documents.stance import stance_document
-from pupper_analysis.report.plots import LinePlot
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present.document import Document, Table
+from pupper_analysis.present.documents.comparison import comparison_document
+from pupper_analysis.present.plots import LinePlot
+from pupper_analysis.present.words import in_english
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
-from pupper_analysis.stance.optimize.search import Objective
+from pupper_analysis.tools.analyze import comparison
+from pupper_analysis.tools.analyze.document import analysis_document
+from pupper_analysis.tools.best.document import best_document
+from pupper_analysis.tools.best.search import Objective
+from pupper_analysis.tools.path.document import path_document
+from pupper_analysis.tools.payload.document import payload_document
+from pupper_analysis.tools.push.document import push_document
+from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
 from tests.support.stubs import (
     ANALYSIS,

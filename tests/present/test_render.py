@@ -13,9 +13,9 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.report import opengl, render
-from pupper_analysis.report.tiles import tiles_of
+from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.present import opengl, render
+from pupper_analysis.present.tiles import tiles_of
 from tests.support.variants import load, stand_of
 
 WIDTH = 420
@@ -156,7 +156,7 @@ def test_a_fresh_process_is_quiet(
     """Renders twice, in a process without a display: MuJoCo may not survive a second failure."""
     code = (
         "import sys, pupper_analysis as pa\n"
-        "from pupper_analysis.report.render import render_robot\n"
+        "from pupper_analysis.present.render import render_robot\n"
         "robot = pa.load_variant('original')\n"
         "for _ in range(2):\n"
         "    picture = render_robot(robot, robot.home, sys.argv[1], width=300)\n"

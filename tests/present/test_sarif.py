@@ -11,7 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.report.sarif import SarifResult, SarifRule, from_root, write_sarif
+from pupper_analysis.present.sarif import (
+    SarifResult,
+    SarifRule,
+    from_root,
+    write_sarif,
+)
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pupper_analysis.live.scene import force_arrows
-from pupper_analysis.report.scene import Contact, height_at
+from pupper_analysis.present.scene import Contact, height_at
+from pupper_analysis.tools.live.scene import force_arrows
 from tests.support.variants import load
 
 

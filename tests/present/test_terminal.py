@@ -10,9 +10,17 @@ import pytest
 from rich.cells import cell_len
 
 import pupper_analysis as pa
-from pupper_analysis.report.document import Column, Document, Lines, Name, Number, Table, tell
-from pupper_analysis.report.terminal import MOST_NOTES, SafeConsole, print_document
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import (
+    Column,
+    Document,
+    Lines,
+    Name,
+    Number,
+    Table,
+    tell,
+)
+from pupper_analysis.present.terminal import MOST_NOTES, SafeConsole, print_document
+from pupper_analysis.present.words import text
 from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.repository import ROOT

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import ast
 import re
-import tomllib
 from collections.abc import Iterator
 
 import pytest
 
-from pupper_analysis.diagnostics import LANGUAGES, phrase
-from pupper_analysis.diagnostics.catalogue import LINED, list_entries
-from pupper_analysis.report.document import Name
-from pupper_analysis.report.words import join_words, text, word
-from pupper_analysis.study.metrics import METRICS
-from tests.diagnostics.test_diagnostic import CATALOGUE, HAN, made_calls, uses, written
-
-FOLDER = CATALOGUE[0].parent
-TEXTS = tomllib.loads((FOLDER / "texts.toml").read_text(encoding="utf-8"))
-TERMS = tomllib.loads((FOLDER / "terms.toml").read_text(encoding="utf-8"))
+from pupper_analysis.base.diagnostics import LANGUAGES, phrase
+from pupper_analysis.base.diagnostics.catalogue import LINED, list_entries
+from pupper_analysis.present.document import Name
+from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.tools.study.measures import METRICS
+from tests.base.diagnostics.test_diagnostic import HAN, TERMS, TEXTS, made_calls, uses, written
 
 SYMBOLS = re.compile(r"\{[^}]*\}|\[!?\w+\?|\b(kd|kp|yourdfpy|URDF|MJCF|OK|None)\b")
 """What is the same in both languages."""

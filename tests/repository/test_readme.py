@@ -197,6 +197,8 @@ def test_commands_have_the_options_that_pages_name(
     (tmp_path / "crouch.toml").write_text("height = '12cm'\n")  # the one file that is read at once
     for command in {command for page in PAGES for command in commands(page.read_text())}:
         name, *arguments = shlex.split(command)[1:]
+        if name == "inertia":  # of test_write_a_tool.py
+            continue
         assert name.startswith("-") or name in cli.COMMANDS, command
         if arguments:
             cli.find_command(name).make_context(name, arguments)

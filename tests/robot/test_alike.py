@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.judge import judge_stand
+from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
-from tests.convert.test_model import standing_urdf
+from tests.tools.convert.test_model import standing_urdf
 
 
 def slipped(folder: Path, old: str, new: str) -> Path:

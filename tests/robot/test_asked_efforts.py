@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
 from pupper_analysis.robot.asked_efforts import with_efforts
 from pupper_analysis.robot.payload import with_payload

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from tests.support.engines import addresses, integrate
 from tests.support.states import numbers, positions, quaternion, velocities
 from tests.support.variants import load

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.diagnostics import Quantity
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import Quantity
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.servos import own_servos, with_options

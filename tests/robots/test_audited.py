@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.checks.audit import Audit, audit_model
-from pupper_analysis.checks.audit.registry import CHECKS
+from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.robot_model.urdf import read_urdf_model
+from pupper_analysis.tools.audit.audit import Audit, audit_model
+from pupper_analysis.tools.audit.registry import CHECKS
 from tests.robots.test_real_robots import URDF, file
 from tests.support.symmetric_slips import SLIPS, written
 

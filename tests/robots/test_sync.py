@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.sync.models import FINE
+from pupper_analysis.tools.sync.models import FINE
 from tests.robots.test_real_robots import MJCF, URDF, file
 
 PAIRS = {

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.arrays import rotation_from_quaternion
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.robot.fall import has_collapsed
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos

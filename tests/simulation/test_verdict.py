@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.transmission import Drive, MadeServo
-from pupper_analysis.report.verdict import in_words
+from pupper_analysis.present.verdict import in_words
 from pupper_analysis.robot.as_published import (
     Cause,
     JointOff,
@@ -21,7 +21,12 @@ from pupper_analysis.robot.as_published import (
     ServosUsed,
 )
 from pupper_analysis.robot.fall import has_collapsed
-from pupper_analysis.simulation.verdict import Ending, VerdictCode, judge_stance, predict_verdict
+from pupper_analysis.simulation.verdict import (
+    Ending,
+    VerdictCode,
+    judge_stance,
+    predict_verdict,
+)
 
 
 def run(loss: float = 0.001, *, passed: bool = True) -> Any:

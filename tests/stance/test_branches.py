@@ -13,7 +13,12 @@ from scipy import optimize
 
 import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
-from pupper_analysis.stance.branches import Branch, combine_branches, find_branches, find_limbs
+from pupper_analysis.stance.branches import (
+    Branch,
+    combine_branches,
+    find_branches,
+    find_limbs,
+)
 from tests.support.engines import mujoco_at
 from tests.support.variants import load
 

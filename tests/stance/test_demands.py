@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.diagnostics.record import from_record, to_record
+from pupper_analysis.base.diagnostics.record import from_record, to_record
 from pupper_analysis.stance.demands import (
     DEMANDS,
     Numbers,

@@ -14,17 +14,17 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
+from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import TYPED, task_of
-from pupper_analysis.live import export
-from pupper_analysis.live.sliders import CONTROLS, ranges_of
-from pupper_analysis.live.state import State, halfway_state, parse_state
-from pupper_analysis.pupper.live import LiveVariants
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.results import to_json
+from pupper_analysis.present.documents.tasks import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.study.design import STANCE, check_range
-from pupper_analysis.study.design import task_of as task_of_numbers
-from pupper_analysis.study.metrics import METRICS
+from pupper_analysis.tools.live import export
+from pupper_analysis.tools.live.sliders import CONTROLS, ranges_of
+from pupper_analysis.tools.live.state import State, halfway_state, parse_state
+from pupper_analysis.tools.live.variants import LiveVariants
+from pupper_analysis.tools.study.design import STANCE, check_range
+from pupper_analysis.tools.study.design import task_of as task_of_numbers
+from pupper_analysis.tools.study.measures import METRICS
 from tests.support.variants import load
 
 NUMBERS = {"length": 0.0123, "angle": math.radians(7.5), "position": 0.1309}

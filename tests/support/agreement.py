@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.stance import study_stance
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import random_legged
 from tests.support.commands import Answer, answer
 

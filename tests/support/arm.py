@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.convert.load import load_robot
+from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
 
 G = 9.81

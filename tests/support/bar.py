@@ -10,9 +10,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from pupper_analysis.convert.load import load_robot
-from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.measurements.log import Log
 
 TRUE = {"kp": 6.0, "damping": 0.13, "friction": 0.05, "armature": 0.006, "delay": 0.008}
 MASS, LEVER, TURNS, OFFSET = 0.5, 0.15, 0.001, 0.02  # kg, m, kg m^2, rad

@@ -235,7 +235,7 @@ class Worker:
 def _examine(path: Path) -> dict[str, str]:
     import pinocchio as pin
 
-    from pupper_analysis.errors import ModelError
+    from pupper_analysis.base.errors import ModelError
     from pupper_analysis.models.loading import read_model
     from pupper_analysis.models.urdf_file import UrdfFile
 

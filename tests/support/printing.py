@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 
-from pupper_analysis.report.document import Document, Report
-from pupper_analysis.report.documents.registry import document
-from pupper_analysis.report.terminal import SafeConsole, print_document, print_report
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.present.document import Document, Report
+from pupper_analysis.present.documents.registry import document
+from pupper_analysis.present.terminal import SafeConsole, print_document, print_report
 
 
 def printed(shown: Result | Document | Report, *, width: int = 80, everything: bool = True) -> str:

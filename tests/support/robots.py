@@ -14,13 +14,13 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.checks.attribution import explain_differences
-from pupper_analysis.checks.compare import Comparison, compare_models
-from pupper_analysis.checks.differences import Explanation
-from pupper_analysis.matching.match import Match, match_models
-from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.robot.compare.attribution import explain_differences
+from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.differences import Explanation
+from pupper_analysis.robot.matching.match import Match, match_models
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.robot import Robot
 
 NOTHING = (0.0, 0.0, 0.0)

@@ -12,24 +12,24 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.pupper import comparison
-from pupper_analysis.report.document import Document, Name, Report
-from pupper_analysis.report.documents.analysis import analysis_document
-from pupper_analysis.report.documents.base_workspace import workspace_document
-from pupper_analysis.report.documents.best_study import best_document
-from pupper_analysis.report.documents.comparison import comparison_document
-from pupper_analysis.report.documents.path_there import path_document
-from pupper_analysis.report.documents.payload_limit import payload_document
-from pupper_analysis.report.documents.pushed_stance import compare_pushes, push_document
-from pupper_analysis.report.documents.stance import stance_document
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import Document, Name, Report
+from pupper_analysis.present.documents.base_workspace import workspace_document
+from pupper_analysis.present.documents.comparison import comparison_document
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.as_published import ServoSource, ServosUsed
-from pupper_analysis.simulation.payload import Failure
 from pupper_analysis.simulation.verdict import Asked, Outcome, judge_stance
-from pupper_analysis.stance.optimize.search import Objective
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.analyze import comparison
+from pupper_analysis.tools.analyze.document import analysis_document
+from pupper_analysis.tools.best.document import best_document
+from pupper_analysis.tools.best.search import Objective
+from pupper_analysis.tools.path.document import path_document
+from pupper_analysis.tools.payload.document import payload_document
+from pupper_analysis.tools.payload.trial import Failure
+from pupper_analysis.tools.push.document import compare_pushes, push_document
+from pupper_analysis.tools.stand.document import stance_document
 
 
 def problem(words: str) -> Diagnostic:

@@ -4,7 +4,7 @@ Whoever finds something makes a ``Diagnostic`` by ``diagnose``, with a code of t
 in English and in Simplified Chinese, are in ``catalogue/*.toml`` and nowhere else.
 """
 
-from pupper_analysis.diagnostics.catalogue import (
+from pupper_analysis.base.diagnostics.catalogue import (
     LANGUAGES,
     Entry,
     codes,
@@ -14,7 +14,7 @@ from pupper_analysis.diagnostics.catalogue import (
     phrase,
     term,
 )
-from pupper_analysis.diagnostics.diagnostic import (
+from pupper_analysis.base.diagnostics.diagnostic import (
     Diagnostic,
     Group,
     Quantity,
@@ -27,8 +27,8 @@ from pupper_analysis.diagnostics.diagnostic import (
     diagnose,
     merge_diagnostics,
 )
-from pupper_analysis.diagnostics.templates import fill_template
-from pupper_analysis.diagnostics.values import UNLIMITED, Phrase, describe_bound
+from pupper_analysis.base.diagnostics.templates import fill_template
+from pupper_analysis.base.diagnostics.values import UNLIMITED, Phrase, describe_bound
 
 __all__ = [
     "LANGUAGES",

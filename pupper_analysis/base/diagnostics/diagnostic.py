@@ -8,10 +8,16 @@ from enum import StrEnum
 from os import PathLike
 from typing import Any, TypeAlias
 
-from pupper_analysis.diagnostics.catalogue import entry
-from pupper_analysis.diagnostics.templates import fill_template
-from pupper_analysis.diagnostics.values import Phrase, Quantity, Term, Vector, to_unicode
-from pupper_analysis.frozen import FrozenDict
+from pupper_analysis.base.diagnostics.catalogue import entry
+from pupper_analysis.base.diagnostics.templates import fill_template
+from pupper_analysis.base.diagnostics.values import (
+    Phrase,
+    Quantity,
+    Term,
+    Vector,
+    to_unicode,
+)
+from pupper_analysis.base.frozen import FrozenDict
 
 __all__ = [
     "Diagnostic",

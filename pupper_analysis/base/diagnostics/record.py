@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pupper_analysis.diagnostics.catalogue import entry
-from pupper_analysis.diagnostics.diagnostic import (
+from pupper_analysis.base.diagnostics.catalogue import entry
+from pupper_analysis.base.diagnostics.diagnostic import (
     Diagnostic,
     Phrase,
     Quantity,
@@ -16,7 +16,7 @@ from pupper_analysis.diagnostics.diagnostic import (
     Value,
     Vector,
 )
-from pupper_analysis.frozen import FrozenDict
+from pupper_analysis.base.frozen import FrozenDict
 
 
 def to_record(told: Diagnostic) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from collections.abc import Mapping
 from string import Formatter
 from typing import Any
 
-from pupper_analysis.diagnostics.catalogue import term
-from pupper_analysis.diagnostics.values import Term
+from pupper_analysis.base.diagnostics.catalogue import term
+from pupper_analysis.base.diagnostics.values import Term
 
 _OPTIONAL = re.compile(r"\[(!?)(\w+)\?((?:[^\[\]])*)\]")
 _LIST = re.compile(r"(,or|or|and|,|;|)(\d*)(?:\|(.*))?$")

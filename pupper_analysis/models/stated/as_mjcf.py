@@ -10,17 +10,30 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, Vector, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Vector, diagnose
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.models.spec_tree import NARROW, SpecTree, set_inertia, state_number
+from pupper_analysis.models.spec_tree import (
+    NARROW,
+    SpecTree,
+    set_inertia,
+    state_number,
+)
+from pupper_analysis.models.stated.mjcf import KINDS
+from pupper_analysis.models.stated.model import (
+    FIXED,
+    FREE,
+    HINGE,
+    SLIDE,
+    Array,
+    Inertial,
+    Link,
+)
+from pupper_analysis.models.stated.usd import UsdModel, read_usd_model
+from pupper_analysis.models.stated.usd_joints import Edge
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
-from pupper_analysis.robot_model.mjcf import KINDS
-from pupper_analysis.robot_model.model import FIXED, FREE, HINGE, SLIDE, Array, Inertial, Link
-from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
-from pupper_analysis.robot_model.usd_joints import Edge
 
 _TYPES = {kind: mujoco.mjtJoint(int(number)) for number, kind in KINDS.items()}
 

@@ -10,17 +10,26 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.places import refuse_file
+from pupper_analysis.models.stated.as_mjcf import joints_without, notes_of
+from pupper_analysis.models.stated.model import (
+    BALL,
+    FIXED,
+    FREE,
+    HINGE,
+    SLIDE,
+    Joint,
+    Link,
+    Pose,
+)
+from pupper_analysis.models.stated.usd import UsdModel, read_usd_model
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
-from pupper_analysis.robot_model.as_mjcf import joints_without, notes_of
-from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Joint, Link, Pose
-from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ import numpy as np
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot_model.mjcf import read_shape
-from pupper_analysis.robot_model.model import Shape, UrdfModel
+from pupper_analysis.models.stated.mjcf import read_shape
+from pupper_analysis.models.stated.model import Shape, UrdfModel
 
 Key = tuple[str, str]
 """An element's tag and name."""

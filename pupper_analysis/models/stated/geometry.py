@@ -11,9 +11,19 @@ from pathlib import Path
 
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.places import one_line
-from pupper_analysis.robot_model.model import Array, Link, RobotModel, Shape
+from pupper_analysis.models.stated.model import (
+    Array,
+    Link,
+    RobotModel,
+    Shape,
+)
 
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _DIRECTIONS = np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)])

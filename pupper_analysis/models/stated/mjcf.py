@@ -13,16 +13,16 @@ from collections.abc import Callable, Mapping
 import mujoco
 import numpy as np
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.attributes import COMPILED, IN_A_TREE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot_model.geometry import hull_points
-from pupper_analysis.robot_model.model import (
+from pupper_analysis.models.stated.geometry import hull_points
+from pupper_analysis.models.stated.model import (
     BALL,
     FREE,
     HINGE,
@@ -36,7 +36,7 @@ from pupper_analysis.robot_model.model import (
     Pose,
     Shape,
 )
-from pupper_analysis.robot_model.urdf import half_digit
+from pupper_analysis.models.stated.urdf import half_digit
 
 KINDS: dict[int, str] = {
     JointKind.FREE: FREE,

@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import inertia_of
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place

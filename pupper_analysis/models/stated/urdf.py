@@ -9,13 +9,10 @@ from decimal import Decimal, InvalidOperation
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
+from pupper_analysis.base.arrays import INERTIA_ENTRIES
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
-from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of
-from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.robot_model.geometry import mesh_vertices
-from pupper_analysis.robot_model.model import (
+from pupper_analysis.models.stated.geometry import mesh_vertices
+from pupper_analysis.models.stated.model import (
     FIXED,
     FREE,
     HINGE,
@@ -28,6 +25,9 @@ from pupper_analysis.robot_model.model import (
     Shape,
     UrdfModel,
 )
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, origin_of
+from pupper_analysis.models.xml import parse_numbers
 
 _KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "fixed": FIXED}
 

@@ -13,11 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.diagnostics import Vector, diagnose
+from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.attributes import JointAttribute
 from pupper_analysis.models.places import Place, refuse_file
-from pupper_analysis.models.usd_file import UsdFile
-from pupper_analysis.robot_model.model import (
+from pupper_analysis.models.stated.model import (
     FIXED,
     FREE,
     HINGE,
@@ -29,9 +28,9 @@ from pupper_analysis.robot_model.model import (
     Pose,
     RobotModel,
 )
-from pupper_analysis.robot_model.usd_joints import Edge, UsdDrive, edge_of
-from pupper_analysis.robot_model.usd_mass import Weighed, weigh_body
-from pupper_analysis.robot_model.usd_shapes import (
+from pupper_analysis.models.stated.usd_joints import Edge, UsdDrive, edge_of
+from pupper_analysis.models.stated.usd_mass import Weighed, weigh_body
+from pupper_analysis.models.stated.usd_shapes import (
     Placed,
     StageUnits,
     number_of,
@@ -42,6 +41,7 @@ from pupper_analysis.robot_model.usd_shapes import (
     value_of,
     world_matrix,
 )
+from pupper_analysis.models.usd_file import UsdFile
 
 
 @dataclass(frozen=True, eq=False)

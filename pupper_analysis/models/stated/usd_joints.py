@@ -13,8 +13,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from pupper_analysis.robot_model.model import BALL, FIXED, FREE, HINGE, SLIDE, Pose
-from pupper_analysis.robot_model.usd_shapes import (
+from pupper_analysis.models.stated.model import (
+    BALL,
+    FIXED,
+    FREE,
+    HINGE,
+    SLIDE,
+    Pose,
+)
+from pupper_analysis.models.stated.usd_shapes import (
     AXES,
     StageUnits,
     axis_of,

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from pupper_analysis.robot_model.geometry import Solid
-from pupper_analysis.robot_model.model import Array, Inertial
-from pupper_analysis.robot_model.usd_shapes import (
+from pupper_analysis.models.stated.geometry import Solid
+from pupper_analysis.models.stated.model import Array, Inertial
+from pupper_analysis.models.stated.usd_shapes import (
     Placed,
     StageUnits,
     UsdShape,

@@ -11,12 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.diagnostics import Vector, diagnose
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.places import Place, refuse_file
+from pupper_analysis.models.stated.geometry import Solid, solid_of
+from pupper_analysis.models.stated.model import Array, Pose, Shape
 from pupper_analysis.models.usd_file import UsdFile
-from pupper_analysis.robot_model.geometry import Solid, solid_of
-from pupper_analysis.robot_model.model import Array, Pose, Shape
 
 SCALE_ROUNDING: Final = 1e-6
 """A scale so near to 1 is 1: orientations are written in single precision."""

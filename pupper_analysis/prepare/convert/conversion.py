@@ -7,16 +7,14 @@ from pathlib import Path
 
 import mujoco
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.convert.repair import Repair
-from pupper_analysis.diagnostics import Diagnostic
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.results import Result
+from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.robot.stability import LASTING, Stability, step_stability
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
 from pupper_analysis.simulation.rollout import full_state
-from pupper_analysis.simulation.verify import StandVerification
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,37 +83,3 @@ class ConversionDraft:
     failure: Diagnostic | None = None
     lost: tuple[Diagnostic, ...] = ()
     on_balls: frozenset[str] = frozenset()
-
-
-@dataclass(frozen=True, eq=False)
-class Conversion(Result):
-    """What became of a conversion.
-
-    Attributes:
-        source: The file that was converted.
-        output: The new file.
-        written: All files that were written.
-        notes: What was added that the source does not say, or assumed.
-        not_converted: What the new format cannot say, or what was left out.
-        repairs: Inertials that no body can have, and what was written in their places.
-        comparison: The new file against the source.
-        verification: The simulated stand, 12 s long; None where there is none to be simulated.
-        kept: What a new MJCF does from its own keyframe, nudged; None where there is none.
-        failures: Why the new file is not what it shall be: it disagrees with the source beyond what
-            is ``not_converted``, its robot does not stand, or it lost what touches.
-        agree: Whether both files agree, but for what was repaired.
-        passed: Whether they agree, and the robot stands if it is one that shall.
-    """
-
-    source: str
-    output: str
-    written: tuple[str, ...]
-    notes: tuple[Diagnostic, ...]
-    not_converted: tuple[Diagnostic, ...]
-    repairs: tuple[Repair, ...]
-    comparison: Comparison
-    verification: StandVerification | None
-    kept: KeyframeRun | None
-    failures: tuple[Diagnostic, ...]
-    agree: bool
-    passed: bool

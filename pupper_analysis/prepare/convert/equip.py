@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import mujoco
 
-from pupper_analysis.convert.from_urdf import UrdfBodies
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.xml_text import write_numbers
 from pupper_analysis.prepare.contact_points import lowest_point
+from pupper_analysis.prepare.convert.from_urdf import UrdfBodies
 
 _KEY_DIGITS = 6
 """Decimals of the base's height: a micrometre."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from pupper_analysis.robot.robot import Robot
@@ -61,7 +61,7 @@ class RobotFiles:
             ConfigurationError: As ``load_robot``.
             ModelError: As ``load_robot``.
         """
-        from pupper_analysis.convert.load import load_robot
+        from pupper_analysis.prepare.convert.load import load_robot
 
         return load_robot(*self.models, **self.options, **more)
 

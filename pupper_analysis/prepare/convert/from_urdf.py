@@ -8,10 +8,14 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.convert.meshes import Meshes
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.model_tree import FLOOR
@@ -26,6 +30,7 @@ from pupper_analysis.models.xml_text import (
     write_halves,
     write_numbers,
 )
+from pupper_analysis.prepare.convert.meshes import Meshes
 
 WORLD = "world"
 """A root link of this name is the world itself, as in MuJoCo's own importer."""

@@ -9,18 +9,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import check_arguments, check_type
-from pupper_analysis.convert.root import with_one_robot
-from pupper_analysis.convert.to_mjcf import bare_mjcf
-from pupper_analysis.convert.to_urdf import urdf_draft
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.base.arguments import check_arguments, check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.published import find_file
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.xml import parse_text
+from pupper_analysis.prepare.convert.root import with_one_robot
+from pupper_analysis.prepare.convert.to_mjcf import bare_mjcf
+from pupper_analysis.prepare.convert.to_urdf import urdf_draft
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.robot.robot import PublishedFile, Robot
 

@@ -10,9 +10,9 @@ from typing import Final
 
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import InputError
-from pupper_analysis.inputs import read_input
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.inputs import read_input
 
 READABLE: Final = (".stl", ".obj", ".msh")
 """Endings of the mesh files that MuJoCo reads."""

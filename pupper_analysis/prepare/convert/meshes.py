@@ -9,19 +9,19 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.convert.mesh_files import (
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.models.flat import flat_mesh
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.models.places import one_line
+from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.xml_text import add_element, free_name
+from pupper_analysis.prepare.convert.mesh_files import (
     READABLE,
     UnreadableError,
     check_detail,
     obj_of,
     read_mesh,
 )
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models.flat import flat_mesh
-from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.models.places import one_line
-from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.xml_text import add_element, free_name
 
 _PACKAGE = "package://"
 

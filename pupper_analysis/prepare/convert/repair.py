@@ -9,15 +9,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import inertia_of
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.arrays import inertia_of
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.mjcf_xml import MjcfXml, XmlBody
 from pupper_analysis.models.places import refuse_file
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text, to_text
-from pupper_analysis.results import Result
 
 Array = NDArray[np.float64]
 

@@ -10,19 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from pupper_analysis.convert import equip
-from pupper_analysis.convert.conversion import ConversionDraft
-from pupper_analysis.convert.from_urdf import WORLD, UrdfBodies
-from pupper_analysis.convert.meshes import Meshes
-from pupper_analysis.convert.repair import (
-    Repair,
-    carry_shapes,
-    mend_inertials,
-    merge_fixed,
-    repaired_urdf,
-)
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ModelError, PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.additions import Ball, Servo, put_all
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
@@ -30,6 +19,17 @@ from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.xml_layout import put_defaults, to_text
 from pupper_analysis.models.xml_text import add_element
 from pupper_analysis.prepare import drives
+from pupper_analysis.prepare.convert import equip
+from pupper_analysis.prepare.convert.conversion import ConversionDraft
+from pupper_analysis.prepare.convert.from_urdf import WORLD, UrdfBodies
+from pupper_analysis.prepare.convert.meshes import Meshes
+from pupper_analysis.prepare.convert.repair import (
+    Repair,
+    carry_shapes,
+    mend_inertials,
+    merge_fixed,
+    repaired_urdf,
+)
 from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.passes import ground_of_urdf

@@ -13,12 +13,14 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, placement_of
-from pupper_analysis.convert.conversion import ConversionDraft
-from pupper_analysis.convert.root import find_root
-from pupper_analysis.convert.urdf_shapes import UrdfShapes
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, placement_of
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
@@ -26,13 +28,21 @@ from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_joint
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.stated.elements import stated_numbers, touching_geoms
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
 from pupper_analysis.models.xml_layout import to_text
-from pupper_analysis.models.xml_text import DIGITS, add_element, free_name, write_numbers
+from pupper_analysis.models.xml_text import (
+    DIGITS,
+    add_element,
+    free_name,
+    write_numbers,
+)
+from pupper_analysis.prepare.convert.conversion import ConversionDraft
+from pupper_analysis.prepare.convert.root import find_root
+from pupper_analysis.prepare.convert.urdf_shapes import UrdfShapes
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.robot_model.elements import stated_numbers, touching_geoms
 
 Array = NDArray[np.float64]
 

@@ -11,11 +11,16 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import placement_of
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.urdf_tree import set_origin
-from pupper_analysis.models.xml_text import DIGITS, add_element, free_name, write_numbers
+from pupper_analysis.models.xml_text import (
+    DIGITS,
+    add_element,
+    free_name,
+    write_numbers,
+)
 
 Array = NDArray[np.float64]
 Geometry = tuple[str, dict[str, str], pin.SE3]

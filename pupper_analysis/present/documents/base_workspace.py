@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import view_block
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.standing import robot_notes
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.words import text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.standing import robot_notes
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.workspace import BaseWorkspace
 

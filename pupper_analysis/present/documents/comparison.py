@@ -6,9 +6,20 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.differences import Difference
-from pupper_analysis.checks.engines import (
+from pupper_analysis.base.results import shorten
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.comparison import (
+    by_cause,
+    effects_told,
+    first_to_mend,
+    matching_notes,
+)
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import page_of, quote_line
+from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.robot.compare.engines import (
     EDGES,
     EXTRAS,
     MJCF_MUJOCO,
@@ -18,17 +29,6 @@ from pupper_analysis.checks.engines import (
     URDF_READ,
     URDF_YOURDFPY,
 )
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.comparison import (
-    by_cause,
-    effects_told,
-    first_to_mend,
-    matching_notes,
-)
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.sources import page_of, quote_line
-from pupper_analysis.report.words import join_words, text, word
-from pupper_analysis.results import shorten
 from pupper_analysis.robot.robot import Robot
 
 _OVERLAY = "overlay-note"

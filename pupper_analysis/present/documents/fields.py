@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from pupper_analysis.diagnostics import LANGUAGES, meaning
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.values import value_cell
-from pupper_analysis.report.words import text
-from pupper_analysis.results import Result, Tabular
+from pupper_analysis.base.diagnostics import LANGUAGES, meaning
+from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.values import value_cell
+from pupper_analysis.present.words import text
 
 MOST_ROWS = 500
 """Of a table of which nothing is known: more than anyone reads."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pupper_analysis.report.document import Column, Words
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import Column, Words
+from pupper_analysis.present.words import text
 
 
 def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]:

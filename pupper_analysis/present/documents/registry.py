@@ -1,25 +1,33 @@
 """Which result is told how: the builder of its type makes its document.
 
-A builder is registered by the type of its result (``@build.register``), in the module here that
-has the type's name in small letters: that of a ``PushedStance`` stands in ``pushed_stance``. The
-module is imported when such a result is shown for the first time, so that an audit loads no stance.
+A builder is registered by the type of its result (``@build_document.register``): of a tool's
+result in the tool's module ``document``, of one of the core in the module here that has the type's
+name in small letters: that of a ``Comparison`` stands in ``comparison``. The module is imported
+when such a result is shown for the first time, so that an audit loads no stance.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import singledispatch
 from importlib import import_module
 from importlib.util import find_spec
 
-from pupper_analysis.report.document import Block, Document, Name, Report, Words
-from pupper_analysis.report.words import in_english, join_words, text
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.present.document import (
+    Block,
+    Document,
+    Name,
+    Report,
+    Words,
+)
+from pupper_analysis.present.words import in_english, join_words, text
 from pupper_analysis.robot.robot import Robot
 
-_HERE = "pupper_analysis.report.documents"
+_HOUSE, _HERE = "pupper_analysis", "pupper_analysis.present.documents"
 
 MOST_NAMES = 6
 """Of robots or files in a title: what fits on two lines."""
@@ -38,7 +46,7 @@ def build_document(result: object, _: Robot | None = None) -> Document:
     """
     if not isinstance(result, Result):
         raise TypeError(f"{type(result).__name__} is no result")
-    from pupper_analysis.report.documents.fields import fields_of
+    from pupper_analysis.present.documents.fields import fields_of
 
     return fields_of(result)
 
@@ -103,6 +111,12 @@ def _title(documents: Sequence[Document]) -> Words:
 def _load_builder(kind: type) -> None:
     """Imports the module of a result's builder, if there is one."""
     for one in kind.__mro__:
+        package = getattr(sys.modules.get(one.__module__), "__package__", None) or ""
+        while package and package != _HOUSE:
+            if find_spec(f"{package}.document") is not None:
+                import_module(f"{package}.document")
+                return
+            package = package.rpartition(".")[0]
         name = re.sub(r"(?<!^)(?=[A-Z])", "_", one.__name__).lower()
         if find_spec(f"{_HERE}.{name}") is not None:
             import_module(f"{_HERE}.{name}")

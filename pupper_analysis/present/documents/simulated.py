@@ -8,45 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.documents.loads import proof_text
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.sources import page_of
-from pupper_analysis.report.words import text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present import plots
+from pupper_analysis.present.documents.loads import proof_text
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.sources import page_of
+from pupper_analysis.present.words import text
 from pupper_analysis.simulation.verify import StandVerification
 
 if TYPE_CHECKING:
-    from pupper_analysis.analysis.robot import Analysis
     from pupper_analysis.simulation.gain_sweep import GainSweep
-
-
-def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
-    """Returns what the simulations of a stand say, with feed-forward and without."""
-    run = analysis.verification
-    both = (run, analysis.sagging)
-    verdicts = tuple(text("stands") if one.passed else text("FAILED").marked("bad") for one in both)
-    table = doc.Table(
-        text(
-            "simulation-with-gains",
-            seconds=f"{run.duration:g}",
-            integrator=doc.Name(run.integrator),
-            step=f"{1e3 * run.timestep:g}",
-            kp=_interval(run.kp),
-            kd=_interval(run.kd),
-        ),
-        quantity_columns(text("with-feed-forward"), text("without")),
-        (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
-        (),
-        (page_of("explanation/static-deflection.md", "The equilibrium"), proof_text(run)),
-    )
-    yield table
-    for one, title in zip(
-        both, ("with-feed-forward-it-fails", "without-feed-forward-it-fails"), strict=True
-    ):
-        if one.failures:
-            yield doc.Lines(tuple(map(doc.tell, one.failures)), "warn", text(title))
-    yield height_plot(both, float(analysis.stand.qpos[2]))
 
 
 def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlot:
@@ -83,11 +54,6 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
 def _lost(run: StandVerification) -> doc.Words:
     lost = doc.number_cell(run.height_loss, ".2f", scale=1e3).text
     return text("loss-fails", loss=lost) if run.failures else doc.Name(f"{lost} mm")
-
-
-def _interval(values: doc.Array) -> str:
-    low, high = float(values.min()), float(values.max())
-    return f"{low:g}" if low == high else f"{low:g} … {high:g}"
 
 
 def sweep_blocks(sweep: GainSweep) -> Iterable[doc.Block]:

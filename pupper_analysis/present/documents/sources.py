@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pupper_analysis.errors import InputError, ModelError
+from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.standard_input import read_content
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml import MAX_BYTES
-from pupper_analysis.report.document import Name, Text
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import Name, Text
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 
 MOST_LETTERS, MOST_LINES = 400, 8

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.diagnostics import merge_diagnostics
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.document import Text, Words, tell
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.sources import files_text
-from pupper_analysis.report.words import text
+from pupper_analysis.base.diagnostics import merge_diagnostics
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import Text, Words, tell
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.sources import files_text
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.equilibrium import GravityCompensation

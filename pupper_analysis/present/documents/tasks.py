@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pupper_analysis.report.document import Text
+from pupper_analysis.present.document import Text
 from pupper_analysis.stance.task import StandTask
 
 

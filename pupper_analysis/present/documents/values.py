@@ -7,9 +7,9 @@ from dataclasses import fields
 
 import numpy as np
 
-from pupper_analysis.report.document import Cell, Name, number_cell
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.results import Result, shorten
+from pupper_analysis.base.results import Result, shorten
+from pupper_analysis.present.document import Cell, Name, number_cell
+from pupper_analysis.present.documents.tasks import task_text
 from pupper_analysis.stance.task import StandTask
 
 _MOST_ENTRIES = 24

@@ -16,9 +16,16 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.plots import (
+    Axis,
+    BarPlot,
+    DirectionPlot,
+    LinePlot,
+    Plot,
+    Series,
+)
+from pupper_analysis.present.words import in_english
 
 Array = NDArray[np.float64]
 

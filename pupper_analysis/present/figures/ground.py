@@ -8,10 +8,10 @@ import numpy as np
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures.skeleton import BOX_FACES
+from pupper_analysis.present.figures.skeleton import BOX_FACES
 
 if TYPE_CHECKING:
-    from pupper_analysis.report.scene import StandingScene
+    from pupper_analysis.present.scene import StandingScene
     from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]

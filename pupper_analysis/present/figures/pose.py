@@ -19,16 +19,16 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-u
 from mpl_toolkits.mplot3d.proj3d import proj_transform  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.ground import draw_ground, step_corners
-from pupper_analysis.report.figures.skeleton import (
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.ground import draw_ground, step_corners
+from pupper_analysis.present.figures.skeleton import (
     BOX_FACES,
     Skeleton,
     draw_skeleton,
     hull_corners,
     nearest_edge_point,
 )
-from pupper_analysis.report.scene import StandingScene, describe_scene
+from pupper_analysis.present.scene import StandingScene, describe_scene
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -12,13 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.files import whole_file
-from pupper_analysis.kinds import GENERATOR, PICTURE
-
-if TYPE_CHECKING:
-    from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import GENERATOR, PICTURE
 
 DPI = 180
 FONT = 8  # pt
@@ -57,7 +54,7 @@ COLUMNS = 3
 
 
 def panels_of(
-    analyses: Sequence[Analysis], title: str, row_height: float
+    analyses: Sequence[object], title: str, row_height: float
 ) -> tuple[Figure, list[Axes]]:
     """Returns a figure with one panel (of ``row_height`` inches) per robot, in rows of three."""
     if not analyses:

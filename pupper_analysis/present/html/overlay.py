@@ -10,14 +10,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.report.document import OverlayScene
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.html.scene import (
+from pupper_analysis.present.document import OverlayScene
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.html.scene import (
     bodies_of,
     extent_of,
     geoms_of,
@@ -25,7 +24,8 @@ from pupper_analysis.report.html.scene import (
     scene_of,
     short_numbers,
 )
-from pupper_analysis.report.words import text
+from pupper_analysis.present.words import text
+from pupper_analysis.robot.compare.compare import Comparison
 
 Array = NDArray[np.float64]
 

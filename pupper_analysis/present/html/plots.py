@@ -15,9 +15,21 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.document import Name, Text, Words, number_cell
-from pupper_analysis.report.plots import Axis, BarPlot, DirectionPlot, LinePlot, Plot, Series
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import (
+    Name,
+    Text,
+    Words,
+    number_cell,
+)
+from pupper_analysis.present.plots import (
+    Axis,
+    BarPlot,
+    DirectionPlot,
+    LinePlot,
+    Plot,
+    Series,
+)
+from pupper_analysis.present.words import text
 
 Array = NDArray[np.float64]
 Mark = Mapping[str, Any]

@@ -11,11 +11,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.robot import joint_summaries
-from pupper_analysis.report.document import Motion, StandScene, Text
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.scene import JointAxis, Mesh, describe_scene, shapes_of, shown_geoms
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import Motion, StandScene, Text
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.scene import (
+    JointAxis,
+    Mesh,
+    describe_scene,
+    shapes_of,
+    shown_geoms,
+)
+from pupper_analysis.present.words import text
+from pupper_analysis.robot.joints import joint_summaries
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

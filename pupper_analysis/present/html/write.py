@@ -12,21 +12,29 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.files import whole_file
-from pupper_analysis.kinds import PAGE
-from pupper_analysis.report.document import Block, Document, Lines, Report, Table, Text, View
-from pupper_analysis.report.documents.registry import build_report
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.html import maps, overlay  # noqa: F401  (say how they are drawn)
-from pupper_analysis.report.html.library import installed_library
-from pupper_analysis.report.html.plots import draw_svg
-from pupper_analysis.report.html.scene import scene_of, share_meshes
-from pupper_analysis.report.plots import Plot
-from pupper_analysis.report.words import text
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import PAGE
+from pupper_analysis.base.results import Result
+from pupper_analysis.present.document import (
+    Block,
+    Document,
+    Lines,
+    Report,
+    Table,
+    Text,
+    View,
+)
+from pupper_analysis.present.documents.registry import build_report
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.html import overlay  # noqa: F401  (says how it is drawn)
+from pupper_analysis.present.html.library import installed_library
+from pupper_analysis.present.html.plots import draw_svg
+from pupper_analysis.present.html.scene import scene_of, share_meshes
+from pupper_analysis.present.plots import Plot
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -233,7 +241,7 @@ def _environment() -> jinja2.Environment:
         return "\n".join(map(escape_control, str(value).split("\n"))) if plain else value
 
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("pupper_analysis.report.html"),
+        loader=jinja2.PackageLoader("pupper_analysis.present.html"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         finalize=shown,
@@ -247,7 +255,7 @@ def _environment() -> jinja2.Environment:
 
 def _part(name: str) -> object:
     """Returns a file of the package that is put into the page as it is."""
-    part = files("pupper_analysis.report.html").joinpath("templates", name)
+    part = files("pupper_analysis.present.html").joinpath("templates", name)
     return _as_it_is(part.read_text(encoding="utf-8"))
 
 

@@ -8,17 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from pupper_analysis.checks.behaviour import Behaviour
-from pupper_analysis.checks.differences import (
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.compare.behaviour import Behaviour
+from pupper_analysis.robot.compare.differences import (
     Armature,
     Difference,
     Effect,
     Explanation,
     RelativeError,
 )
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.matching.match import Match
-from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.matching.match import Match
 
 _LEG_LOAD_RATIO = 1.25
 """Of two legs one carries no more than this of what the other does below a joint: front and hind

@@ -8,23 +8,28 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.armature import armature_differences, armature_of
-from pupper_analysis.checks.behaviour import Behaviour, MujocoBehaviour, still_acting
-from pupper_analysis.checks.changes import apply_changes, changes_between, convention_changes
-from pupper_analysis.checks.differences import Difference, Effect, Explanation, RelativeError
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without_effects
-from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
-from pupper_analysis.checks.mjcf_only.mimics import split_mimics
-from pupper_analysis.checks.size import Entries, affordable_states, is_large
-from pupper_analysis.checks.states import random_states
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.matching.alignment import Alignment, align_frames
-from pupper_analysis.matching.conventions import Conventions
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import Reference, kinematic_trees
-from pupper_analysis.matching.urdf import Mimics
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.compare.armature import armature_differences, armature_of
+from pupper_analysis.robot.compare.behaviour import Behaviour, MujocoBehaviour, still_acting
+from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
+from pupper_analysis.robot.compare.differences import (
+    Difference,
+    Effect,
+    Explanation,
+    RelativeError,
+)
+from pupper_analysis.robot.compare.mjcf_only.effect import MjcfOnlyEffect, as_it_is, without_effects
+from pupper_analysis.robot.compare.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.robot.compare.mjcf_only.mimics import split_mimics
+from pupper_analysis.robot.compare.size import Entries, affordable_states, is_large
+from pupper_analysis.robot.compare.states import random_states
+from pupper_analysis.robot.matching.alignment import Alignment, align_frames
+from pupper_analysis.robot.matching.conventions import Conventions
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import Reference, kinematic_trees
+from pupper_analysis.robot.matching.urdf import Mimics
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

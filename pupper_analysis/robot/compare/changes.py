@@ -9,9 +9,24 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.arrays import INERTIA_ENTRIES
-from pupper_analysis.checks.differences import Difference, Effect, Stated
-from pupper_analysis.checks.words import (
+from pupper_analysis.base.arrays import INERTIA_ENTRIES
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.models.attributes import IN_A_TREE
+from pupper_analysis.models.multibody import (
+    MultibodyTree,
+    TreeBody,
+    TreeJoint,
+    with_value_of,
+)
+from pupper_analysis.models.unlimited import ENDLESS_SLIDE
+from pupper_analysis.robot.compare.differences import Difference, Effect, Stated
+from pupper_analysis.robot.compare.words import (
     FORMATS,
     ModelNames,
     describe_ratio,
@@ -21,13 +36,9 @@ from pupper_analysis.checks.words import (
     quaternion_order,
     vector_pair,
 )
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
-from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.matching.conventions import Conventions, pose_told, with_zero
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.models.attributes import IN_A_TREE
-from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint, with_value_of
-from pupper_analysis.models.unlimited import ENDLESS_SLIDE
+from pupper_analysis.robot.matching.alignment import with_base
+from pupper_analysis.robot.matching.conventions import Conventions, pose_told, with_zero
+from pupper_analysis.robot.matching.tolerances import Tolerances
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,18 +15,23 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.differences import Difference, Effect
-from pupper_analysis.checks.words import FORMATS
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.matching.match import Match
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.stated.elements import touching_geoms
+from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
+from pupper_analysis.models.stated.mjcf import read_mjcf_model, read_shape
+from pupper_analysis.models.stated.model import Pose, RobotModel, Shape
+from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.robot.compare.differences import Difference, Effect
+from pupper_analysis.robot.compare.words import FORMATS
 from pupper_analysis.robot.feet import limb_ends
-from pupper_analysis.robot_model.elements import touching_geoms
-from pupper_analysis.robot_model.geometry import DIRECTIONS, describe_shape, support_of
-from pupper_analysis.robot_model.mjcf import read_mjcf_model, read_shape
-from pupper_analysis.robot_model.model import Pose, RobotModel, Shape
-from pupper_analysis.robot_model.urdf import read_urdf_model
+from pupper_analysis.robot.matching.match import Match
 
 Array = NDArray[np.float64]
 

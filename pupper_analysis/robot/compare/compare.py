@@ -8,32 +8,52 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.armature import armature_notes, unstated_notes
-from pupper_analysis.checks.attribution import EXPLAINED, align_robot, explain_differences
-from pupper_analysis.checks.changes import convention_changes
-from pupper_analysis.checks.collisions import compare_collisions
-from pupper_analysis.checks.differences import CONVENTIONS, SERVO_GAINS, Difference, Explanation
-from pupper_analysis.checks.engines import OF_ONE_MODEL, OF_THE_MJCF, CrossCheck, cross_check
-from pupper_analysis.checks.links import mass_shares
-from pupper_analysis.checks.mount import Mount, mount_of
-from pupper_analysis.checks.patterns import PatternCause, find_causes
-from pupper_analysis.checks.states import check_states
-from pupper_analysis.checks.words import FORMATS, in_degrees, number_pair, with_names_of_models
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.conventions import Conventions
-from pupper_analysis.matching.match import Match, match_models
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
+from pupper_analysis.models.stated.as_mjcf import UsdAsMjcf, read_usd_as_mjcf
+from pupper_analysis.models.stated.as_urdf import UsdAsUrdf, read_usd_as_urdf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.usd_file import is_usd
-from pupper_analysis.results import Tabular
+from pupper_analysis.robot.compare.armature import armature_notes, unstated_notes
+from pupper_analysis.robot.compare.attribution import EXPLAINED, align_robot, explain_differences
+from pupper_analysis.robot.compare.changes import convention_changes
+from pupper_analysis.robot.compare.collisions import compare_collisions
+from pupper_analysis.robot.compare.differences import (
+    CONVENTIONS,
+    SERVO_GAINS,
+    Difference,
+    Explanation,
+)
+from pupper_analysis.robot.compare.engines import (
+    OF_ONE_MODEL,
+    OF_THE_MJCF,
+    CrossCheck,
+    cross_check,
+)
+from pupper_analysis.robot.compare.links import mass_shares
+from pupper_analysis.robot.compare.mount import Mount, mount_of
+from pupper_analysis.robot.compare.patterns import PatternCause, find_causes
+from pupper_analysis.robot.compare.states import check_states
+from pupper_analysis.robot.compare.words import (
+    FORMATS,
+    in_degrees,
+    number_pair,
+    with_names_of_models,
+)
+from pupper_analysis.robot.matching.conventions import Conventions
+from pupper_analysis.robot.matching.match import Match, match_models
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.robot_model.as_mjcf import UsdAsMjcf, read_usd_as_mjcf
-from pupper_analysis.robot_model.as_urdf import UsdAsUrdf, read_usd_as_urdf
 
 ENGINES_AGREE = 1e-8
 """How far the two engines may deviate on one model, relative to a quantity's scale."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, fill_template, phrase
-from pupper_analysis.results import Result
+from pupper_analysis.base.diagnostics import Diagnostic, fill_template, phrase
+from pupper_analysis.base.results import Result
 
 Array = NDArray[np.float64]
 

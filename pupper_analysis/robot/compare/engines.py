@@ -22,27 +22,32 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.backends.mujoco import mujoco_evaluation
-from pupper_analysis.checks.backends.pinocchio import pinocchio_evaluation
-from pupper_analysis.checks.backends.quantities import Evaluation, QuantityValues
-from pupper_analysis.checks.backends.yourdfpy import yourdfpy_evaluation
-from pupper_analysis.checks.mjcf_only.effect import as_it_is, without_effects
-from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
-from pupper_analysis.checks.mjcf_only.mimics import split_mimics
-from pupper_analysis.checks.size import affordable_states, is_large, size_notes, some_of
-from pupper_analysis.checks.states import States, check_states, random_states
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.matching.trees import Reference
-from pupper_analysis.matching.urdf import Mimics, urdf_mimics
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.models.xml import parse_text
-from pupper_analysis.results import Result
+from pupper_analysis.robot.compare.backends.mujoco import mujoco_evaluation
+from pupper_analysis.robot.compare.backends.pinocchio import pinocchio_evaluation
+from pupper_analysis.robot.compare.backends.quantities import Evaluation, QuantityValues
+from pupper_analysis.robot.compare.backends.yourdfpy import yourdfpy_evaluation
+from pupper_analysis.robot.compare.mjcf_only.effect import as_it_is, without_effects
+from pupper_analysis.robot.compare.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.robot.compare.mjcf_only.mimics import split_mimics
+from pupper_analysis.robot.compare.size import (
+    affordable_states,
+    is_large,
+    size_notes,
+    some_of,
+)
+from pupper_analysis.robot.compare.states import States, check_states, random_states
 from pupper_analysis.robot.coordinates import PinocchioConvention
+from pupper_analysis.robot.matching.trees import Reference
+from pupper_analysis.robot.matching.urdf import Mimics, urdf_mimics
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

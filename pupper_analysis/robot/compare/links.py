@@ -13,14 +13,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_tensor
-from pupper_analysis.checks.differences import Difference
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.matching.sources import Sources
-from pupper_analysis.matching.trees import poses_at_zero
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_tensor
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.conversion import inertia_of_body, pinocchio_from_mujoco
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.robot.matching.sources import Sources
+from pupper_analysis.robot.matching.trees import poses_at_zero
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -13,13 +13,13 @@ import numpy as np
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.matching.match import Match
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import base_pose, kinematic_trees, poses_at_zero
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.results import Result
+from pupper_analysis.robot.matching.match import Match
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, describe_bound, diagnose
-from pupper_analysis.frozen import FrozenDict
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    Vector,
+    describe_bound,
+    diagnose,
+)
+from pupper_analysis.base.frozen import FrozenDict
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,15 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Vector, diagnose
-from pupper_analysis.matching.alignment import (
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
+from pupper_analysis.robot.matching.alignment import (
     align_frames,
     count_digits,
     digits_in_all,
@@ -27,9 +34,7 @@ from pupper_analysis.matching.alignment import (
     offset_of_limits,
     with_base,
 )
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.models.urdf_tree import UrdfTree, origin_of, set_origin
+from pupper_analysis.robot.matching.tolerances import Tolerances
 
 Array = NDArray[np.float64]
 

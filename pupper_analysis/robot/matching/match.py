@@ -11,41 +11,9 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import InputError, ModelError, UnknownNameError
-from pupper_analysis.inputs import read_toml
-from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.matching.conventions import (
-    Conventions,
-    find_conventions,
-    pose_told,
-    take_conventions,
-)
-from pupper_analysis.matching.mjcf import (
-    ball_joints,
-    bodies_of,
-    drop_other_objects,
-    is_fused,
-    list_hinges,
-    mjcf_tree,
-    open_loops,
-)
-from pupper_analysis.matching.pairs import pair_up
-from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
-from pupper_analysis.matching.structure import common_frames
-from pupper_analysis.matching.subtrees import removable_subtrees, take_off
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import Reference, base_pose, kinematic_trees
-from pupper_analysis.matching.unstated import take_unknown, take_unstated
-from pupper_analysis.matching.urdf import (
-    Mimics,
-    links_of,
-    moving_joints,
-    strip_roots,
-    take_mass_of_base,
-    urdf_mimics,
-    without_shapes,
-)
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import InputError, ModelError, UnknownNameError
+from pupper_analysis.base.inputs import read_toml
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.free_base import delete_joint, join_free_base
@@ -56,6 +24,38 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.matching.alignment import with_base
+from pupper_analysis.robot.matching.conventions import (
+    Conventions,
+    find_conventions,
+    pose_told,
+    take_conventions,
+)
+from pupper_analysis.robot.matching.mjcf import (
+    ball_joints,
+    bodies_of,
+    drop_other_objects,
+    is_fused,
+    list_hinges,
+    mjcf_tree,
+    open_loops,
+)
+from pupper_analysis.robot.matching.pairs import pair_up
+from pupper_analysis.robot.matching.sources import MjcfSources, Sources, UrdfSources
+from pupper_analysis.robot.matching.structure import common_frames
+from pupper_analysis.robot.matching.subtrees import removable_subtrees, take_off
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import Reference, base_pose, kinematic_trees
+from pupper_analysis.robot.matching.unstated import take_unknown, take_unstated
+from pupper_analysis.robot.matching.urdf import (
+    Mimics,
+    links_of,
+    moving_joints,
+    strip_roots,
+    take_mass_of_base,
+    urdf_mimics,
+    without_shapes,
+)
 from pupper_analysis.robot.robot import Robot
 
 

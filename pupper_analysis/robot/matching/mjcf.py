@@ -9,17 +9,17 @@ import mujoco
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.arrays import placement_of
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.matching.pairs import without_affixes
+from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import multibody
 from pupper_analysis.models.conversion import pinocchio_from_mujoco
 from pupper_analysis.models.free_base import delete_joint
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.matching.alignment import with_base
+from pupper_analysis.robot.matching.pairs import without_affixes
 from pupper_analysis.robot.robot import Robot
 
 

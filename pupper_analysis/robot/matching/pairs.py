@@ -11,11 +11,11 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError
-from pupper_analysis.matching.structure import match_by_structure
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.matching.structure import match_by_structure
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,12 +12,12 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from pupper_analysis.matching.alignment import with_base
-from pupper_analysis.matching.conventions import quarter_turns
-from pupper_analysis.matching.trees import at_zero
-from pupper_analysis.matching.urdf import urdf_tree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.matching.alignment import with_base
+from pupper_analysis.robot.matching.conventions import quarter_turns
+from pupper_analysis.robot.matching.trees import at_zero
+from pupper_analysis.robot.matching.urdf import urdf_tree
 
 _PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
 _POSITION_TOLERANCE = (

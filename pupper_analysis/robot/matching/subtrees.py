@@ -7,12 +7,17 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.matching.mjcf import mjcf_tree
-from pupper_analysis.matching.urdf import urdf_tree
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.model_tree import ModelTree
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.robot.matching.mjcf import mjcf_tree
+from pupper_analysis.robot.matching.urdf import urdf_tree
 
 _KINDS = (
     ("gripper", re.compile(r"finger|grip|jaw|claw|pinch", re.IGNORECASE)),

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 from lxml import etree
 
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, PASSIVE
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.spec_tree import state_number

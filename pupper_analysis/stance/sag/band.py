@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.errors import NoEquilibriumError
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium

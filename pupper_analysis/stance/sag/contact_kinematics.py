@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import cross_matrices
+from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.stance.sag.solution import Anchor
 

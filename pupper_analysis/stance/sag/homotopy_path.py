@@ -7,8 +7,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
-from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.robot.servos import command_lead
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.solution import Solution

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pupper_analysis import kinds
+from pupper_analysis.base import kinds
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_idle, refuse_unused
 from pupper_analysis.cli.robots import (
@@ -22,19 +24,17 @@ from pupper_analysis.cli.robots import (
     with_robot,
 )
 from pupper_analysis.cli.stance_fields import options_of, task_of
-from pupper_analysis.convert.files import RobotFiles
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
-    from pupper_analysis.analysis.robot import Analysis
-    from pupper_analysis.pupper.comparison import ComparisonRow
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
     from pupper_analysis.stance.task import StandTask
+    from pupper_analysis.tools.analyze.analysis import Analysis
+    from pupper_analysis.tools.analyze.comparison import ComparisonRow
 
 
-@shared.command()
+@shared.command("analyze")
 @robots_argument
 @click.option("--list", "list_only", is_flag=True, help="List the variants and exit.")
 @add_options(FILES, VARIANT, options_of("Base"))
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     help="Write the variants' URDFs, MJCFs and meshes into this folder.",
 )
 @with_robot
-def analyze(
+def command(
     which: RobotOptions,
     words: tuple[str, ...],
     list_only: bool,
@@ -127,7 +127,7 @@ def analyze(
     if shown:
         _print_comparison(rows)
     if style == "markdown":
-        from pupper_analysis.pupper import comparison
+        from pupper_analysis.tools.analyze import comparison
 
         overview = [comparison.comparison_table(rows)]
         shared.show_results(_named(analyses), style, robots=robots, overview=overview)
@@ -148,10 +148,10 @@ def _analyze_all(
     meant: list[VariantSpec | RobotFiles], task: StandTask, *, everything: bool, shown: bool
 ) -> tuple[list[Analysis], list[Robot]]:
     """Analyses robots and prints each as it is done."""
-    from pupper_analysis.analysis.robot import analyze_variant
-    from pupper_analysis.report.documents.analysis import analysis_document
-    from pupper_analysis.report.terminal import make_console, print_document, print_summary
+    from pupper_analysis.present.terminal import make_console, print_document, print_summary
     from pupper_analysis.stance.stand import solve_stand
+    from pupper_analysis.tools.analyze.analysis import analyze_variant
+    from pupper_analysis.tools.analyze.document import analysis_document
 
     robots = told_apart(meant, [robot_from(robot) for robot in meant])
     for robot in robots:  # a stance out of reach is found before anything is printed
@@ -175,10 +175,11 @@ def _compared(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
     """Puts each variant beside the base model that it is made of; files have none."""
-    from pupper_analysis.analysis.robot import leg_lengths, thigh_shape_length
-    from pupper_analysis.pupper import comparison
     from pupper_analysis.pupper.load import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.robot.joints import leg_lengths
+    from pupper_analysis.tools.analyze import comparison
+    from pupper_analysis.tools.analyze.analysis import thigh_shape_length
 
     references = {}
     for name in {one.base for one in meant if isinstance(one, VariantSpec)}:
@@ -194,8 +195,8 @@ def _compared(
 
 
 def _print_comparison(rows: list[ComparisonRow]) -> None:
-    from pupper_analysis.pupper.comparison import comparison_table
-    from pupper_analysis.report.terminal import make_console, print_table
+    from pupper_analysis.present.terminal import make_console, print_table
+    from pupper_analysis.tools.analyze.comparison import comparison_table
 
     print_table(make_console(), comparison_table(rows))
 
@@ -208,7 +209,7 @@ def _write(
     report_path: Path | None,
 ) -> None:
     """Writes JSON and report, and says how many are verified."""
-    from pupper_analysis.pupper.comparison import comparison_table
+    from pupper_analysis.tools.analyze.comparison import comparison_table
 
     content: dict[str, Any] = {"variants": dict(_named(analyses)), "comparison": rows}
     shared.write_json(json_path, content)
@@ -220,9 +221,9 @@ def _write(
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     """Writes all figures."""
-    from pupper_analysis.report import render
-    from pupper_analysis.report.figures.analyses import gain_figure, height_figure, torque_figure
-    from pupper_analysis.report.figures.pose import pose_figure
+    from pupper_analysis.present import render
+    from pupper_analysis.present.figures.pose import pose_figure
+    from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 
     for robot, analysis in zip(robots, analyses, strict=True):
         path = folder / f"pose_{analysis.name}.png"
@@ -240,9 +241,9 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
 
 
 def _print_list(specs: list[VariantSpec]) -> None:
-    from pupper_analysis.pupper import comparison
+    from pupper_analysis.present.terminal import make_console, print_table
     from pupper_analysis.pupper.load import load_variant
-    from pupper_analysis.report.terminal import make_console, print_table
+    from pupper_analysis.tools.analyze import comparison
 
     variants = [(spec, load_variant(spec)) for spec in specs]
     print_table(make_console(), comparison.variants_table(variants))

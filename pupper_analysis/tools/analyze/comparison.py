@@ -8,13 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.robot import Analysis
+from pupper_analysis.base.results import Result
+from pupper_analysis.present.document import (
+    Cell,
+    Column,
+    Name,
+    Table,
+    number_cell,
+)
+from pupper_analysis.present.verdict import verdict_of_files
+from pupper_analysis.present.words import text
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.report.document import Cell, Column, Name, Table, number_cell
-from pupper_analysis.report.verdict import verdict_of_files
-from pupper_analysis.report.words import text
-from pupper_analysis.results import Result
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.analyze.analysis import Analysis
 
 Array = NDArray[np.float64]
 

@@ -3,25 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pupper_analysis.analysis.robot import Analysis
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import load_blocks, origins_text, view_block
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.simulated import (
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.loads import (
+    load_blocks,
+    origins_text,
+    proof_text,
+    view_block,
+)
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.simulated import (
+    height_plot,
     motions_of,
-    simulation_blocks,
+    run_rows,
     sweep_blocks,
 )
-from pupper_analysis.report.documents.sources import files_text, is_derived, joint_places, page_of
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines, verdict_of_files
-from pupper_analysis.report.words import text, word
+from pupper_analysis.present.documents.sources import (
+    files_text,
+    is_derived,
+    joint_places,
+    page_of,
+)
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
+from pupper_analysis.present.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
+from pupper_analysis.tools.analyze.analysis import Analysis
+
+if TYPE_CHECKING:
+    from pupper_analysis.tools.analyze.analysis import Analysis
 
 
 @build_document.register(Analysis)
@@ -312,3 +327,36 @@ def _check(analysis: Analysis) -> doc.Block:
             page_of("explanation/models.md", "The square"),
         ),
     )
+
+
+def simulation_blocks(analysis: Analysis) -> Iterable[doc.Block]:
+    """Returns what the simulations of a stand say, with feed-forward and without."""
+    run = analysis.verification
+    both = (run, analysis.sagging)
+    verdicts = tuple(text("stands") if one.passed else text("FAILED").marked("bad") for one in both)
+    table = doc.Table(
+        text(
+            "simulation-with-gains",
+            seconds=f"{run.duration:g}",
+            integrator=doc.Name(run.integrator),
+            step=f"{1e3 * run.timestep:g}",
+            kp=_interval(run.kp),
+            kd=_interval(run.kd),
+        ),
+        quantity_columns(text("with-feed-forward"), text("without")),
+        (*run_rows(both), (text("verdict"), *verdicts, doc.Name(""))),
+        (),
+        (page_of("explanation/static-deflection.md", "The equilibrium"), proof_text(run)),
+    )
+    yield table
+    for one, title in zip(
+        both, ("with-feed-forward-it-fails", "without-feed-forward-it-fails"), strict=True
+    ):
+        if one.failures:
+            yield doc.Lines(tuple(map(doc.tell, one.failures)), "warn", text(title))
+    yield height_plot(both, float(analysis.stand.qpos[2]))
+
+
+def _interval(values: doc.Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:g}" if low == high else f"{low:g} … {high:g}"

@@ -14,15 +14,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import LogLocator, NullLocator
 
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import torque_plot
-from pupper_analysis.report.documents.simulated import deviation_table, height_plot
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw_plot, looks_of
-from pupper_analysis.report.words import in_english
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.loads import torque_plot
+from pupper_analysis.present.documents.simulated import deviation_table, height_plot
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import draw_plot, looks_of
+from pupper_analysis.present.words import in_english
 
 if TYPE_CHECKING:
-    from pupper_analysis.analysis.robot import Analysis
+    from pupper_analysis.tools.analyze.analysis import Analysis
 
 _ROOMY = 12
 """Columns of cells across a page in which five digits stand apart at the usual size."""

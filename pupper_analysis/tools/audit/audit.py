@@ -9,21 +9,28 @@ from pathlib import Path
 
 import numpy as np
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.audit import rules as _rules  # noqa: F401  (registers the rules)
-from pupper_analysis.checks.audit.registry import CHECKS, RULES, Audit, Finding, Found, Rule
-from pupper_analysis.diagnostics import Severity, Subject, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Severity, Subject, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.stated.mjcf import read_mjcf_model
+from pupper_analysis.models.stated.model import RobotModel
+from pupper_analysis.models.stated.urdf import read_urdf_model
+from pupper_analysis.models.stated.usd import read_usd_model
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.usd_file import UsdFile, is_usd, read_usd
-from pupper_analysis.robot_model.mjcf import read_mjcf_model
-from pupper_analysis.robot_model.model import RobotModel
-from pupper_analysis.robot_model.urdf import read_urdf_model
-from pupper_analysis.robot_model.usd import read_usd_model
+from pupper_analysis.tools.audit import rules as _rules  # noqa: F401  (registers the rules)
+from pupper_analysis.tools.audit.registry import (
+    CHECKS,
+    RULES,
+    Audit,
+    Finding,
+    Found,
+    Rule,
+)
 
 __all__ = ["RULES", "Audit", "Finding", "Rule", "Severity", "audit_model"]
 

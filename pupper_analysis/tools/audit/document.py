@@ -6,14 +6,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity
-from pupper_analysis.checks.audit.registry import FORMATS
-from pupper_analysis.diagnostics import LANGUAGES, Diagnostic, term
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.sources import page_of, quote_line
-from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.base.diagnostics import LANGUAGES, Diagnostic, term
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import page_of, quote_line
+from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.audit.audit import (
+    RULES,
+    Audit,
+    Finding,
+    Rule,
+    Severity,
+)
+from pupper_analysis.tools.audit.registry import FORMATS
 
 MARKS = {Severity.ERROR: "bad", Severity.WARNING: "warn", Severity.NOTE: ""}
 """The emphasis of each severity."""

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from pupper_analysis.checks.audit import RULES, Audit, Finding, Severity
-from pupper_analysis.report.formats import Annotation, CheckedItem
+from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.tools.audit.audit import (
+    RULES,
+    Audit,
+    Finding,
+    Severity,
+)
 
 LEVELS = {Severity.ERROR: "error", Severity.WARNING: "warning", Severity.NOTE: "notice"}
 """Of annotations."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pupper_analysis.robot_model.model import Array, RobotModel
+from pupper_analysis.models.stated.model import Array, RobotModel
 
 _SIDES = (
     *(("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT")),

@@ -10,9 +10,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from pupper_analysis.diagnostics import Diagnostic, Severity
+from pupper_analysis.base.diagnostics import Diagnostic, Severity
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.models.places import Place
-from pupper_analysis.results import Result, Tabular
 
 Check = Callable[[Any], Iterator["Found"]]
 """Takes a ``RobotModel`` (a ``UrdfModel`` and the like, if it is for that format alone)."""
@@ -66,7 +66,7 @@ class Found:
 
 def _catalogue() -> dict[str, Rule]:
     """Reads what the rules are called, how bad they are, and their reasons and remedies."""
-    file = files("pupper_analysis.checks.audit.rules").joinpath("catalogue.toml")
+    file = files("pupper_analysis.tools.audit").joinpath("rules/catalogue.toml")
     entries = tomllib.loads(file.read_text(encoding="utf-8"))
     rules = {}
     for name, entry in entries.items():

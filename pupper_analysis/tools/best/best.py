@@ -6,20 +6,20 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.analysis.payload import PayloadLimit, payload_limit
-from pupper_analysis.analysis.stance import Stance, study_stance
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place
-from pupper_analysis.stance.optimize.search import EvaluatedStance, Objective, StanceSearch
-from pupper_analysis.stance.optimize.space import JOINT_RESERVE, StanceSpace
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.stance.workspace import Interval
 from pupper_analysis.statics.equilibrium import ForceDistribution
+from pupper_analysis.tools.best.search import EvaluatedStance, Objective, StanceSearch
+from pupper_analysis.tools.best.space import JOINT_RESERVE, StanceSpace
+from pupper_analysis.tools.payload.limit import PayloadLimit, payload_limit
+from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 _AT_BOUND = 1e-2  # of the bounds' distance
 _AT_LIMIT = 1.05 * JOINT_RESERVE  # rad

@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from pupper_analysis.analysis.best import BestStance, BestStudy
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.payload_limit import (
-    mass_text,
-    payload_document,
-    payload_table,
-)
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.stance import stance_document
-from pupper_analysis.report.words import text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.optimize.search import Objective
+from pupper_analysis.tools.best.best import BestStance, BestStudy
+from pupper_analysis.tools.best.search import Objective
+from pupper_analysis.tools.payload.document import mass_text, payload_document, payload_table
+from pupper_analysis.tools.stand.document import stance_document
 
 _WHAT = {
     Objective.UTILISATION: "peak-motor-utilisation",

@@ -1,5 +1,8 @@
-"""Keeps the models of a repository right: what is checked, and what is known already."""
+"""Check all models of a repository, as its CI.
 
-from pupper_analysis.exports import exports_of
+Keeps the models of a repository right: what is checked, and what is known already.
+"""
+
+from pupper_analysis.base.exports import exports_of
 
 __getattr__, __dir__, __all__ = exports_of(__name__, __file__)

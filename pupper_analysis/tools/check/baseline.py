@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError
-from pupper_analysis.files import whole_file
-from pupper_analysis.guard.remarks import REFUSED, Remark, RemarkState
-from pupper_analysis.guard.toml import read_toml, toml_table
-from pupper_analysis.kinds import EDITED
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import EDITED
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.places import source_name
-from pupper_analysis.results import Result
+from pupper_analysis.tools.check.remarks import REFUSED, Remark, RemarkState
+from pupper_analysis.tools.check.toml import read_toml, toml_table
 
 _IDENTITY: Final = ("check", "pair", "file", "kind", "element")
 _VALUES: Final = ("urdf", "mjcf", "code", "values")

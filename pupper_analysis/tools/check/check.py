@@ -6,21 +6,28 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.audit import audit_model
-from pupper_analysis.checks.compare import compare_models
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import OutputError, PupperAnalysisError
-from pupper_analysis.files import check_writable
-from pupper_analysis.guard.baseline import (
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import OutputError, PupperAnalysisError
+from pupper_analysis.base.files import check_writable
+from pupper_analysis.base.kinds import EDITED
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.compare.compare import compare_models
+from pupper_analysis.tools.audit.audit import audit_model
+from pupper_analysis.tools.check.baseline import (
     BaselineEntry,
     entry_of,
     judge_remarks,
     read_baseline,
     write_baseline,
 )
-from pupper_analysis.guard.config import GuardConfig, GuardedPair, find_config, read_config
-from pupper_analysis.guard.remarks import (
+from pupper_analysis.tools.check.config import (
+    GuardConfig,
+    GuardedPair,
+    find_config,
+    read_config,
+)
+from pupper_analysis.tools.check.remarks import (
     REFUSED,
     Remark,
     RemarkState,
@@ -29,8 +36,6 @@ from pupper_analysis.guard.remarks import (
     of_error,
     relative_path,
 )
-from pupper_analysis.kinds import EDITED
-from pupper_analysis.results import Result
 
 
 @dataclass(frozen=True, eq=False)

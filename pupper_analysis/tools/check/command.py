@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis.cli import models, shared
+from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 
 
@@ -29,7 +29,7 @@ from pupper_analysis.cli.modes import refuse_unused
 @shared.all_option
 @shared.json_option
 @shared.format_option
-def check_command(
+def command(
     config: Path | None,
     update_baseline: bool,
     first: bool,
@@ -68,9 +68,9 @@ def check_command(
     \b
     Exit status: 0 nothing is new, 1 a finding is new or a model cannot be read, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.guard.check import check_repository
-    from pupper_analysis.report import formats
-    from pupper_analysis.report import guard as report
+    from pupper_analysis.present import formats
+    from pupper_analysis.tools.check import lines as report
+    from pupper_analysis.tools.check.check import check_repository
 
     if first:
         refuse_unused("--init", {"--init": {"first", "config"}})
@@ -95,65 +95,12 @@ def check_command(
 
 def _begin(config: Path | None) -> None:
     """Writes the first configuration, and says what comes next."""
-    from pupper_analysis.diagnostics import diagnose
-    from pupper_analysis.errors import ConfigurationError
-    from pupper_analysis.guard.init import write_config
+    from pupper_analysis.base.diagnostics import diagnose
+    from pupper_analysis.base.errors import ConfigurationError
+    from pupper_analysis.tools.check.init import write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))
     path, names = write_config(Path())
     click.echo(f"written: {path}, with {len(names)} models: {', '.join(names)}")
     click.echo("look at which belong together; then: pupper-analysis check --update-baseline")
-
-
-@shared.command("diff")
-@click.argument("old", type=click.Path())
-@click.argument("new", type=click.Path())
-@click.option(
-    "--map",
-    "pairs",
-    multiple=True,
-    metavar="OLD=NEW",
-    help="A joint's old and new name, where it is not detected; e.g. knee=knee_joint. Repeatable.",
-)
-@shared.package_option
-@models.fine_tolerance_option
-@shared.json_option
-@shared.look_option
-@shared.verbose_option
-def diff_command(
-    old: str,
-    new: str,
-    pairs: tuple[str, ...],
-    packages: tuple[str, ...],
-    changes: tuple[str, ...],
-    json_path: Path | None,
-    style: str,
-    everything: bool,
-) -> None:
-    """Show what has changed in the robot between OLD and NEW: two URDFs, or two MJCFs.
-
-    Each changed number is shown with its lines in both files and its effect on the dynamics, then
-    the change in total mass and in the torques that hold the links in the air. Moved text, moved
-    link frames and other ways to write the same robot are not changes. OLD or NEW may be
-    REVISION:PATH, a file in git's history.
-
-    \b
-    Examples:
-      pupper-analysis diff HEAD:robots/go1.urdf robots/go1.urdf
-      pupper-analysis diff v1.0:./robot.xml main:./robot.xml
-      pupper-analysis diff robot.urdf longer.urdf --map knee=knee_joint --tolerance mass=1e-3
-
-    \b
-    Exit status: 0 they are the same, 1 they are different, 2 bad input.
-    """  # noqa: D301 - click reads the \b
-    from pupper_analysis.checks.versions.compare import diff_models
-    from pupper_analysis.matching.tolerances import Tolerances
-
-    names = dict(shared.parse_assignment("map", text) for text in pairs)
-    tolerances = models.with_changes(Tolerances.strict(), changes)
-    result = diff_models(
-        old, new, names=names, packages=shared.package_folders(packages), tolerances=tolerances
-    )
-    shared.show_results([("", result)], style, everything=everything)
-    shared.finish_command(json_path, result, passed=result.same)

@@ -9,13 +9,18 @@ from typing import Any, Final
 
 from lxml import etree
 
-from pupper_analysis.checks.audit import RULES
-from pupper_analysis.diagnostics import Diagnostic, Severity, Term, diagnose
-from pupper_analysis.errors import ConfigurationError, InputError, ModelError
-from pupper_analysis.guard.toml import Key, TomlFile, read_toml
-from pupper_analysis.inputs import MOST_TEXT, is_input, read_input
-from pupper_analysis.matching.match import read_mapping
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Severity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
+from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input
+from pupper_analysis.robot.matching.match import read_mapping
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.audit.audit import RULES
+from pupper_analysis.tools.check.toml import Key, TomlFile, read_toml
 
 CONFIG: Final = "pupper-analysis.toml"
 """The name under which it is looked for."""

@@ -6,21 +6,21 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from pupper_analysis.checks.audit import RULES
-from pupper_analysis.guard.check import PairCheck, RepositoryCheck
-from pupper_analysis.guard.remarks import Remark
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.audit import MARKS, element_text, rule_words
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.sources import quote_line
-from pupper_analysis.report.guard import (
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import quote_line
+from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.audit.audit import RULES
+from pupper_analysis.tools.audit.document import MARKS, element_text, rule_words
+from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
+from pupper_analysis.tools.check.lines import (
     before_in_words,
     from_the_root,
     stale_entries,
     summarise_check,
 )
-from pupper_analysis.report.words import join_words, text, word
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.check.remarks import Remark
 
 
 @build_document.register(RepositoryCheck)

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.files import whole_file
-from pupper_analysis.guard.config import CONFIG
-from pupper_analysis.guard.toml import toml_table
-from pupper_analysis.kinds import MODEL
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.models.loading import kind_of
+from pupper_analysis.tools.check.config import CONFIG
+from pupper_analysis.tools.check.toml import toml_table
 
 _PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log")
 """Folders of what was made or installed; those that begin with a dot are passed over too."""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pupper_analysis.checks.differences import about_kind
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.guard.check import RepositoryCheck
-from pupper_analysis.guard.remarks import Remark, RemarkState
-from pupper_analysis.report.audit import LEVELS
-from pupper_analysis.report.document import Name, Text
-from pupper_analysis.report.formats import Annotation, CheckedItem
-from pupper_analysis.report.sarif import from_root
-from pupper_analysis.report.words import join_words, text
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.present.document import Name, Text
+from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.present.sarif import from_root
+from pupper_analysis.present.words import join_words, text
+from pupper_analysis.robot.compare.differences import about_kind
+from pupper_analysis.tools.audit.lines import LEVELS
+from pupper_analysis.tools.check.check import RepositoryCheck
+from pupper_analysis.tools.check.remarks import Remark, RemarkState
 
 
 def summarise_check(check: RepositoryCheck) -> Text:

@@ -11,10 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.checks.audit import RULES, Audit
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.differences import about_kind
-from pupper_analysis.diagnostics import (
+from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Quantity,
     Severity,
@@ -22,9 +19,12 @@ from pupper_analysis.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.guard.config import GuardedPair
-from pupper_analysis.results import Result
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.differences import about_kind
+from pupper_analysis.tools.audit.audit import RULES, Audit
+from pupper_analysis.tools.check.config import GuardedPair
 
 DIGITS = 9
 """Significant digits of the values that are kept: more are rounding errors of some machine."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pupper_analysis import inputs
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import InputError, ModelError
+from pupper_analysis.base import inputs
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import InputError, ModelError
 from pupper_analysis.models.places import one_line, source_name
 
 Key = tuple[str | int, ...]

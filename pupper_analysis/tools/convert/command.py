@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from pupper_analysis import kinds
+from pupper_analysis.base import kinds
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, OutputError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, OutputError
 
 _ALWAYS = {"source", "output", "packages", "json_path", "style", "everything", "force"}
 _OF_AN_MJCF = {
@@ -74,7 +74,7 @@ _USES = {".urdf": _ALWAYS, ".xml": _ALWAYS | _OF_AN_MJCF}
 @shared.json_option
 @shared.look_option
 @shared.verbose_option
-def convert_command(
+def command(
     source: Path,
     output: Path,
     feet: tuple[str, ...],
@@ -108,8 +108,8 @@ def convert_command(
     Exit status: 0 both files agree and the robot stands, 1 they do not or it falls (the file is
     written all the same), 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.convert.model import convert_model
     from pupper_analysis.models.urdf_file import read_urdf
+    from pupper_analysis.tools.convert.model import convert_model
 
     if str(output) == "-":
         raise OutputError(output, diagnose("converted-needs-a-name"))

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from pupper_analysis.convert.conversion import Conversion
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.words import text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.convert.model import Conversion
 
 
 @build_document.register(Conversion)

@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.compare import Comparison, compare_models
-from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.convert.conversion import Conversion, ConversionDraft, keyframe_run
-from pupper_analysis.convert.from_urdf import check_joints
-from pupper_analysis.convert.to_mjcf import MjcfOptions, mjcf_draft
-from pupper_analysis.convert.to_urdf import urdf_draft
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError, OutputError
-from pupper_analysis.files import Writing, check_writable, write_together
-from pupper_analysis.kinds import MODEL
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.base.files import Writing, check_writable, write_together
+from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.results import Result
+from pupper_analysis.base.runs import note_input, running
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
+from pupper_analysis.prepare.convert.conversion import ConversionDraft, KeyframeRun, keyframe_run
+from pupper_analysis.prepare.convert.from_urdf import check_joints
+from pupper_analysis.prepare.convert.repair import Repair
+from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions, mjcf_draft
+from pupper_analysis.prepare.convert.to_urdf import urdf_draft
 from pupper_analysis.prepare.load import Feet, robot_of
-from pupper_analysis.runs import note_input, running
+from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.differences import OF_INERTIALS
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.sync.models import FINE
+from pupper_analysis.tools.sync.models import FINE
 
 
 @check_arguments
@@ -170,3 +172,37 @@ def _disagreements(comparison: Comparison, draft: ConversionDraft) -> Iterator[D
 def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
     robot = robot_of(urdf, read_mjcf(mjcf), feet=feet)
     return verify_stand(robot, solve_stand_on_soft_ground(robot))
+
+
+@dataclass(frozen=True, eq=False)
+class Conversion(Result):
+    """What became of a conversion.
+
+    Attributes:
+        source: The file that was converted.
+        output: The new file.
+        written: All files that were written.
+        notes: What was added that the source does not say, or assumed.
+        not_converted: What the new format cannot say, or what was left out.
+        repairs: Inertials that no body can have, and what was written in their places.
+        comparison: The new file against the source.
+        verification: The simulated stand, 12 s long; None where there is none to be simulated.
+        kept: What a new MJCF does from its own keyframe, nudged; None where there is none.
+        failures: Why the new file is not what it shall be: it disagrees with the source beyond what
+            is ``not_converted``, its robot does not stand, or it lost what touches.
+        agree: Whether both files agree, but for what was repaired.
+        passed: Whether they agree, and the robot stands if it is one that shall.
+    """
+
+    source: str
+    output: str
+    written: tuple[str, ...]
+    notes: tuple[Diagnostic, ...]
+    not_converted: tuple[Diagnostic, ...]
+    repairs: tuple[Repair, ...]
+    comparison: Comparison
+    verification: StandVerification | None
+    kept: KeyframeRun | None
+    failures: tuple[Diagnostic, ...]
+    agree: bool
+    passed: bool

@@ -7,27 +7,27 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.attribution import EXPLAINED
-from pupper_analysis.checks.changes import apply_changes, changes_between, convention_changes
-from pupper_analysis.checks.differences import Difference, Effect, RelativeError
-from pupper_analysis.checks.versions.behaviour import Trial
-from pupper_analysis.checks.versions.elements import ElementDifference, changed_elements
-from pupper_analysis.checks.versions.revision import VersionedFile, open_version
-from pupper_analysis.checks.versions.version import Version, version_of
-from pupper_analysis.checks.words import VERSIONS
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching.alignment import align_frames
-from pupper_analysis.matching.conventions import find_conventions
-from pupper_analysis.matching.structure import guess_of_trees
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree, rename_joints, with_fixed
 from pupper_analysis.models.places import Place
-from pupper_analysis.results import Result
+from pupper_analysis.robot.compare.attribution import EXPLAINED
+from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
+from pupper_analysis.robot.compare.differences import Difference, Effect, RelativeError
+from pupper_analysis.robot.compare.words import VERSIONS
+from pupper_analysis.robot.matching.alignment import align_frames
+from pupper_analysis.robot.matching.conventions import find_conventions
+from pupper_analysis.robot.matching.structure import guess_of_trees
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.diff.behaviour import Trial
+from pupper_analysis.tools.diff.elements import ElementDifference, changed_elements
+from pupper_analysis.tools.diff.revision import VersionedFile, open_version
+from pupper_analysis.tools.diff.version import Version, version_of
 
 
 @dataclass(frozen=True, eq=False)

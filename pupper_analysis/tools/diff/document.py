@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from pupper_analysis.checks.versions.compare import ModelChange, ModelDiff
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.sources import quote_line
-from pupper_analysis.report.words import join_words, text, word
-from pupper_analysis.results import shorten
+from pupper_analysis.base.results import shorten
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import quote_line
+from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.diff.compare import ModelChange, ModelDiff
 
 _LEAST_CHANGE = 1e-3
 """Relative change of a torque or a mass that is shown: less changes no digit that is printed."""

@@ -17,13 +17,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.differences import Difference, Effect
-from pupper_analysis.checks.words import VERSIONS
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot_model.elements import (
+from pupper_analysis.models.stated.elements import (
     DISABLE_BITS,
     ENABLE_BITS,
     ENABLED,
@@ -32,8 +35,10 @@ from pupper_analysis.robot_model.elements import (
     Value,
     flag_name,
 )
-from pupper_analysis.robot_model.geometry import DIRECTIONS, describe_shape, support_of
-from pupper_analysis.robot_model.model import Shape
+from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
+from pupper_analysis.models.stated.model import Shape
+from pupper_analysis.robot.compare.differences import Difference, Effect
+from pupper_analysis.robot.compare.words import VERSIONS
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models import git
 from pupper_analysis.models.places import Place
 

@@ -9,28 +9,33 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.mjcf_only.effect import NamedModel
-from pupper_analysis.checks.mjcf_only.find import mjcf_only_effects
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree
-from pupper_analysis.matching.sources import MjcfSources, Sources, UrdfSources
-from pupper_analysis.matching.trees import Reference
-from pupper_analysis.matching.urdf import (
-    moving_joints,
-    urdf_mimics,
-    urdf_tree,
-    without_shapes,
-)
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.free_base import join_free_base
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec, name_all
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.models.stated.elements import (
+    Element,
+    Key,
+    list_collisions,
+    list_elements,
+)
+from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot_model.elements import Element, Key, list_collisions, list_elements
-from pupper_analysis.robot_model.urdf import read_urdf_model
+from pupper_analysis.robot.compare.mjcf_only.effect import NamedModel
+from pupper_analysis.robot.compare.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.robot.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree
+from pupper_analysis.robot.matching.sources import MjcfSources, Sources, UrdfSources
+from pupper_analysis.robot.matching.trees import Reference
+from pupper_analysis.robot.matching.urdf import (
+    moving_joints,
+    urdf_mimics,
+    urdf_tree,
+    without_shapes,
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,18 +7,18 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from pupper_analysis.present.terminal import make_console, print_document
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import check_display, show_window
-from pupper_analysis.report.documents.path_there import tracking_document
-from pupper_analysis.report.terminal import make_console, print_document
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.path_commands import path_commands
 from pupper_analysis.simulation.rollout import STATE
-from pupper_analysis.simulation.tracking import track_path
-from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.path.document import tracking_document
+from pupper_analysis.tools.path.path_commands import path_commands
+from pupper_analysis.tools.path.plan import StancePath, stance_path
+from pupper_analysis.tools.path.tracking import track_path
+from pupper_analysis.tools.view.window import check_display, show_window
 
 DEMOS = {
     "squat": "down by a fifth, and up again",

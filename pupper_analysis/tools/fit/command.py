@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis import kinds
+from pupper_analysis.base import kinds
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import (
@@ -23,18 +25,16 @@ from pupper_analysis.cli.robots import (
     with_robot,
 )
 from pupper_analysis.cli.stance_options import GAINS, parse_gain
-from pupper_analysis.convert.files import RobotFiles
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.prepare.convert.files import RobotFiles
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from pupper_analysis.identification.measurements.log import Log
-    from pupper_analysis.identification.result import Fit
-    from pupper_analysis.identification.stands.plan import StandPlan
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.robot import Robot
+    from pupper_analysis.tools.fit.measurements.log import Log
+    from pupper_analysis.tools.fit.result import Fit
+    from pupper_analysis.tools.fit.stands.plan import StandPlan
 
 
 _ALWAYS = {
@@ -59,7 +59,7 @@ _USES = {
 """{mode: what it uses}."""
 
 
-@shared.command()
+@shared.command("fit")
 @robot_argument
 @shared.file_option("--stands", help="CSV of stands at rest: commands and positions.")
 @click.option(
@@ -128,7 +128,7 @@ _USES = {
 @shared.json_option
 @shared.report_option
 @with_robot
-def fit(
+def command(
     which: RobotOptions,
     words: tuple[str, ...],
     stands: Path | None,
@@ -170,7 +170,7 @@ def fit(
     \b
     Exit status: 0 the model explains the measurements, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.identification.result import Fit
+    from pupper_analysis.tools.fit.result import Fit
 
     folder = output if count is None else None
     if [stands is not None, count is not None, bool(logs)].count(True) != 1:
@@ -190,8 +190,8 @@ def fit(
             robot, count, output, priors, stiffness, both_sides=both_sides, degrees=degrees
         )
     else:
-        from pupper_analysis.identification.fit import fit as fit_numbers
-        from pupper_analysis.identification.measurements.stands import read_stands
+        from pupper_analysis.tools.fit.fit import fit as fit_numbers
+        from pupper_analysis.tools.fit.measurements.stands import read_stands
 
         measured = read_stands(stands) if stands is not None else _read_logs(logs, topics, joints)
         with shared.show_progress("fitting the robot's numbers to the measurements"):
@@ -216,7 +216,7 @@ def fit(
 
 def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
     """Writes the corrected models, unless they would be of a fit that explains nothing."""
-    from pupper_analysis.study.fitted import write_fit
+    from pupper_analysis.tools.fit.fitted import write_fit
 
     if not found.explained:
         click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)
@@ -238,7 +238,7 @@ def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, fold
 
 def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | None) -> list[Log]:
     """Reads logs, of bags the topics that are said."""
-    from pupper_analysis.identification.measurements.log_files import read_log
+    from pupper_analysis.tools.fit.measurements.log_files import read_log
 
     said = dict(shared.parse_assignment("--topic", one) for one in topics)
     names = joints.split(",") if joints else ()
@@ -256,7 +256,7 @@ def _plan(
     degrees: bool,
 ) -> StandPlan:
     """Plans stands, and writes them."""
-    from pupper_analysis.identification.stands.plan import plan_stands, write_plan
+    from pupper_analysis.tools.fit.stands.plan import plan_stands, write_plan
 
     with shared.show_progress("choosing stands among those that the servos hold"):
         plan = plan_stands(robot, count, priors=priors, kp=kp, both_sides=both_sides)

@@ -11,12 +11,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy import sparse
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import FitError
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.hulls import hull_of
-from pupper_analysis.identification.parameters import KINDS
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import FitError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.hulls import hull_of
+from pupper_analysis.tools.fit.parameters import KINDS
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.fit.estimate import Posterior
 
 _SHOWN = 0.5
 """Correlation from which on two are told of: below, one tells less than a quarter of the other's

@@ -5,13 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from pupper_analysis.identification.correlation import Correlation
-from pupper_analysis.identification.parameters import OF_SURROUNDINGS
-from pupper_analysis.identification.result import Estimate, Fit
-from pupper_analysis.identification.told import Together, Told
-from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.words import join_words, text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present import plots
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.words import join_words, text
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.correlation import Correlation
+from pupper_analysis.tools.fit.motions.result import MotionFit
+from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
+from pupper_analysis.tools.fit.result import Estimate, Fit
+from pupper_analysis.tools.fit.stands.plan import StandPlan
+from pupper_analysis.tools.fit.stands.result import JointResidual, StandFit
+from pupper_analysis.tools.fit.told import Together, Told
 
 TITLES = {
     "mass": "fitted-mass",
@@ -182,3 +187,177 @@ def plot_joints(
         if math.isfinite(off)
     ]
     return plots.BarPlot(title, axis, bars, (axis.name, noise_name, None))
+
+
+@build_document.register(MotionFit)
+def motion_fit_document(fit: MotionFit, _: Robot | None = None) -> doc.Document:
+    """Returns what logs of motions tell of a robot; see ``build_document``."""
+    told = (
+        *_errors(fit),
+        text("motion-rests-on", seconds=f"{fit.seconds:.1f}", source=doc.Name(fit.source)),
+    )
+    return describe_fit(fit, text("fit-of-motions"), told, [_joints(fit)])
+
+
+def _errors(fit: MotionFit) -> Iterator[doc.Words]:
+    """Yields what is off in what was not fitted, beside the robot's own repeatability."""
+    if math.isfinite(fit.held_out):
+        yield text(
+            "held-out-error",
+            after=f"{1e3 * fit.held_out:.2f}",
+            before=f"{1e3 * fit.held_out_before:.2f}",
+        )
+    else:
+        yield text("nothing-held-out", after=f"{1e3 * fit.fitted:.2f}")
+    if math.isfinite(fit.repeatability):
+        yield text("repeatability-is", own=f"{1e3 * fit.repeatability:.2f}")
+    else:
+        yield text("repeatability-unknown")
+
+
+def _joints(fit: MotionFit) -> plots.BarPlot:
+    """Returns what is off at each joint, and its encoder's noise."""
+    return plot_joints(
+        text("off-at-joints"),
+        plots.Axis(text("root-mean-square"), "mrad", ".2f"),
+        fit.by_joint,
+        fit.encoder_noise,
+        text("encoder-noise"),
+        scale=1e3,
+    )
+
+
+@build_document.register(StandFit)
+def stand_fit_document(fit: StandFit, _: Robot | None = None) -> doc.Document:
+    """Returns what stands at rest tell of a robot; see ``build_document``."""
+    told = (
+        text("fit-rests-on", stands=str(fit.stands), source=doc.Name(fit.source)),
+        _total(fit.total_mass),
+        *_worst(fit.joint_residuals[:1]),
+    )
+    left: list[doc.Block] = [_residuals(fit), *_joint_residuals(fit.joint_residuals)]
+    return describe_fit(fit, text("fit-of-stands"), told, left)
+
+
+def _total(mass: Estimate) -> doc.Words:
+    values = {
+        "mean": f"{mass.mean:.3f}",
+        "half": f"{mass.high - mass.mean:.3f}",
+        "stated": f"{mass.stated:.3f}",
+    }
+    if mass.told is Told.DATA:
+        return text("total-mass-told", **values)
+    return text("total-mass-not-told", **values)
+
+
+def _worst(first: Iterable[JointResidual]) -> Iterator[doc.Words]:
+    for one in first:
+        yield text(
+            "worst-residual",
+            joint=doc.Name(one.joint),
+            stand=doc.Name(one.stand),
+            off=f"{1e3 * one.off:+.2f}",
+            times=f"{abs(one.deviations):.1f}",
+        )
+
+
+def _joint_residuals(found: Sequence[JointResidual]) -> Iterator[doc.Table]:
+    """Yields what is left at joints, the most surprising before."""
+    if not found:
+        return
+    rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
+        (
+            doc.Name(one.stand),
+            doc.Name(one.joint),
+            doc.number_cell(one.off, "+.2f", scale=1e3),
+            doc.number_cell(one.deviations, "+.1f"),
+        )
+        for one in found[:MOST_ROWS]
+    )
+    columns = (
+        doc.Column(text("planned-stand"), left=True),
+        doc.Column(text("joint"), left=True),
+        doc.Column(text("measured-less-predicted"), "mrad"),
+        doc.Column(text("in-standard-deviations"), "1"),
+    )
+    yield doc.Table(text("residuals-of-joints"), columns, rows, detail=True)
+
+
+def _residuals(fit: StandFit) -> plots.BarPlot:
+    """Returns how well each stand is explained, the worst before."""
+    worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
+    return plots.BarPlot(
+        text("residuals-of-stands"),
+        plots.Axis(text("residual-rms"), "sigma", ".2f"),
+        [plots.Bar(doc.Name(name), value) for name, value in worst],
+        (text("residual-rms"), None, None),
+    )
+
+
+@build_document.register(StandPlan)
+def plan_document(plan: StandPlan, _: Robot | None = None) -> doc.Document:
+    """Returns which stands to take, and the interval that they leave of each parameter."""
+    told = sum(one.told is Told.DATA for one in plan.expected)
+    return doc.Document(
+        text("plan-of-stands"),
+        doc.Name(plan.name),
+        (_stands(plan), _expected(plan)),
+        told=(
+            text(
+                "planned-stands",
+                stands=str(len(plan.stands)),
+                candidates=str(plan.candidates),
+                told=str(told),
+                parameters=str(len(plan.expected)),
+            ),
+            text("how-to-take-stands"),
+        ),
+    )
+
+
+def _stands(plan: StandPlan) -> doc.Table:
+    joints = list(plan.stands[0].command)
+    columns = (
+        doc.Column(text("planned-stand"), left=True),
+        doc.Column(text("feet-in-the-air"), left=True),
+        doc.Column(text("come-from"), left=True),
+        doc.Column(text("utilisation"), "%"),
+        *(doc.Column(doc.Name(joint), "deg", detail=True) for joint in joints),
+    )
+    factor, _ = SHOWN_UNITS["rad"]
+    rows: tuple[tuple[doc.Cell, ...], ...] = tuple(
+        (
+            doc.Name(one.name),
+            doc.Name(" ".join(one.swing)),
+            doc.Name(one.approach),
+            doc.number_cell(one.utilisation, ".0f", scale=100.0),
+            *(doc.number_cell(one.command[joint], ".2f", scale=factor) for joint in joints),
+        )
+        for one in plan.stands
+    )
+    return doc.Table(text("stands-to-take"), columns, rows)
+
+
+def _expected(plan: StandPlan) -> doc.Table:
+    rows: list[tuple[doc.Cell, ...]] = []
+    for one in plan.expected:
+        factor, unit = SHOWN_UNITS.get(one.unit, (1.0, one.unit))
+        rows.append(
+            (
+                doc.Name(one.name),
+                doc.Name(unit),
+                doc.number_cell(one.stated, ".4g", scale=factor),
+                doc.number_cell(one.before, ".2g", scale=factor),
+                doc.number_cell(one.after, ".2g", scale=factor),
+                text(TOLD_BY[one.told]),
+            )
+        )
+    columns = (
+        doc.Column(text("parameter"), left=True),
+        doc.Column(text("unit"), left=True),
+        doc.Column(text("in-the-file")),
+        doc.Column(text("known-before")),
+        doc.Column(text("known-after")),
+        doc.Column(text("told-by"), left=True),
+    )
+    return doc.Table(text("what-stands-will-tell"), columns, tuple(rows), detail=True)

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import FitError
-from pupper_analysis.identification.parameters import KINDS, Parameter, ParameterTable
-from pupper_analysis.identification.slopes import Slopes
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import FitError
+from pupper_analysis.tools.fit.parameters import KINDS, Parameter, ParameterTable
+from pupper_analysis.tools.fit.slopes import Slopes
 
 Array = NDArray[np.float64]
 

@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.identification.held_out import HOLD_OUT
-from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.motions.fit import fit_motion
-from pupper_analysis.identification.parameters import Prior
-from pupper_analysis.identification.result import Fit
-from pupper_analysis.identification.stands.fit import fit_stands
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.held_out import HOLD_OUT
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.motions.fit import fit_motion
+from pupper_analysis.tools.fit.parameters import Prior
+from pupper_analysis.tools.fit.result import Fit
+from pupper_analysis.tools.fit.stands.fit import fit_stands
 
 
 @check_arguments
@@ -33,7 +33,7 @@ def fit(
 ) -> Fit:
     """Fits a robot's numbers to what was measured of it: stands at rest, or logs of motions.
 
-    See ``fit_stands`` and ``fit_motion`` of ``pupper_analysis.identification``.
+    See ``fit_stands`` and ``fit_motion`` of ``pupper_analysis.tools.fit``.
 
     Args:
         robot: The robot.

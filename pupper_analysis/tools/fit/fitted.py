@@ -7,14 +7,14 @@ from pathlib import Path
 
 import orjson
 
-from pupper_analysis.errors import InputError
-from pupper_analysis.files import Writing, write_together
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.write import FitFiles, fit_files
-from pupper_analysis.inputs import MOST_TEXT, read_input
-from pupper_analysis.kinds import FIT_FOLDER
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.kinds import FIT_FOLDER
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.randomisation import randomisation_text
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.write import FitFiles, fit_files
+from pupper_analysis.tools.study.randomisation import randomisation_text
 
 
 def write_fit(

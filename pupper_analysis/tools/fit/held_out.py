@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.measurements.log import Log
 
 HOLD_OUT = 0.2
 """Of each log, at its end: what is predicted, and not fitted."""

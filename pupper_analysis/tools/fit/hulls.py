@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.parameters import ParameterTable
 
 Array = NDArray[np.float64]
 

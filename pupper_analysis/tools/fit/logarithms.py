@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised, Posterior
-from pupper_analysis.identification.parameters import KINDS, ParameterTable
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior
+from pupper_analysis.tools.fit.parameters import KINDS, ParameterTable
 
 Array = NDArray[np.float64]
 

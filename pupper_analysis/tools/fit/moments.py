@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.links import AXES
-from pupper_analysis.identification.parameters import ParameterTable
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.links import AXES
+from pupper_analysis.tools.fit.parameters import ParameterTable
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.units import UNITS
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.units import UNITS
 
 Array = NDArray[np.float64]
 

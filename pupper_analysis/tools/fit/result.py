@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import ClassVar
 
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.identification.correlation import Correlation, find_correlations
-from pupper_analysis.identification.estimate import NORMAL_95, Posterior
-from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
-from pupper_analysis.identification.told import Together, Told, told_by
-from pupper_analysis.results import Result
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.fit.correlation import Correlation, find_correlations
+from pupper_analysis.tools.fit.estimate import NORMAL_95, Posterior
+from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.tools.fit.told import Together, Told, told_by
 
 
 @dataclass(frozen=True)

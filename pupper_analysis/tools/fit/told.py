@@ -10,9 +10,9 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.parameters import Parameter
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.parameters import Parameter
 
 Array = NDArray[np.float64]
 

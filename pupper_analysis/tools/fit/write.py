@@ -13,17 +13,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.identification.consistency import make_consistent
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.links import AXES
-from pupper_analysis.identification.parameters import Parameter
-from pupper_analysis.results import marked_json
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.results import marked_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.numbers import WrittenNumbers, write_numbers
-from pupper_analysis.sync.wanted import OF_BODIES, OF_JOINTS, OF_SERVOS
+from pupper_analysis.tools.fit.consistency import make_consistent
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.links import AXES
+from pupper_analysis.tools.fit.parameters import Parameter
+from pupper_analysis.tools.sync.frames import Key
+from pupper_analysis.tools.sync.numbers import WrittenNumbers, write_numbers
+from pupper_analysis.tools.sync.wanted import OF_BODIES, OF_JOINTS, OF_SERVOS
 
 Array = NDArray[np.float64]
 

@@ -1,5 +1,8 @@
-"""Robots whose base is held: postures, what motors hold in them, and in the worst of all."""
+"""What an arm's motors hold, with its base fixed.
 
-from pupper_analysis.exports import exports_of
+Robots whose base is held: postures, what motors hold in them, and in the worst of all.
+"""
+
+from pupper_analysis.base.exports import exports_of
 
 __getattr__, __dir__, __all__ = exports_of(__name__, __file__)

@@ -7,11 +7,22 @@ from pathlib import Path
 import click
 
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.robots import FILES, VARIANT, add_options, robot_argument
-from pupper_analysis.cli.stance_options import AS_IS, EFFORT, LOOK, SERVOS, RobotAndTask
+from pupper_analysis.cli.robots import (
+    FILES,
+    VARIANT,
+    add_options,
+    robot_argument,
+)
+from pupper_analysis.cli.stance_options import (
+    AS_IS,
+    EFFORT,
+    LOOK,
+    SERVOS,
+    RobotAndTask,
+)
 
 
-@shared.command()
+@shared.command("hold")
 @robot_argument
 @click.option(
     "--joints",
@@ -34,7 +45,7 @@ from pupper_analysis.cli.stance_options import AS_IS, EFFORT, LOOK, SERVOS, Robo
 @shared.figure_option
 @shared.json_option
 @shared.report_option
-def hold(
+def command(
     words: tuple[str, ...],
     positions: tuple[str, ...],
     tool: str | None,
@@ -65,7 +76,7 @@ def hold(
     \b
     Exit status: 0 it holds, 1 it does not, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.analysis.hold import hold_posture
+    from pupper_analysis.tools.hold.hold import hold_posture
 
     joints = dict(shared.parse_position("joints", text) for text in positions)
     asked = RobotAndTask.of_held(**robot_options)
@@ -83,7 +94,7 @@ def hold(
         )
     asked.show(result, robot)
     if figure is not None:
-        from pupper_analysis.report.figures.hold import hold_figure
+        from pupper_analysis.tools.hold.figures import hold_figure
 
         hold_figure(result, figure)
         shared.confirm_written(figure)

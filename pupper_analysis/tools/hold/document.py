@@ -8,24 +8,24 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.hold import TRIED, Hold
-from pupper_analysis.posture.force import ToolForce
-from pupper_analysis.posture.reach import ReachLoad
-from pupper_analysis.posture.worst import WorstPostures
-from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.documents.loads import (
+from pupper_analysis.present import document as doc
+from pupper_analysis.present import plots
+from pupper_analysis.present.documents.loads import (
     origins_text,
     torque_plot,
     torque_table,
     utilisation_cell,
 )
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.standing import robot_notes
-from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import join_words, text
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.standing import robot_notes
+from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.tools.hold.force import ToolForce
+from pupper_analysis.tools.hold.hold import TRIED, Hold
+from pupper_analysis.tools.hold.reach import ReachLoad
+from pupper_analysis.tools.hold.worst import WorstPostures
 
 _RINGS = 12
 """Distances of the tool that are told apart: some 50 random postures each."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pupper_analysis.analysis.hold import Hold
-from pupper_analysis.report.documents.hold import force_plot, reach_plot
-from pupper_analysis.report.documents.loads import torque_plot
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw_plot
+from pupper_analysis.present.documents.loads import torque_plot
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import draw_plot
+from pupper_analysis.tools.hold.document import force_plot, reach_plot
+from pupper_analysis.tools.hold.hold import Hold
 
 
 def hold_figure(hold: Hold, path: str | Path) -> None:

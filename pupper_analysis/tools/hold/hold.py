@@ -9,26 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.analysis.judge import judge_held
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import NoEquilibriumError
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import NoEquilibriumError
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.models.joint_kinds import has_free_joint
-from pupper_analysis.posture.force import ToolForce, tool_force
-from pupper_analysis.posture.payload import ToolPayload, tool_payload
-from pupper_analysis.posture.posture import Posture, find_posture, joint_units
-from pupper_analysis.posture.reach import ReachLoad, reach_load
-from pupper_analysis.posture.sag import SaggedPosture, sag_posture
-from pupper_analysis.posture.verify import PostureVerification, verify_posture
-from pupper_analysis.posture.worst import WorstPostures, worst_postures
-from pupper_analysis.results import Tabular
+from pupper_analysis.prepare.judge import judge_held
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, find_tool
 from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.stance.posture import Posture, find_posture, joint_units
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+from pupper_analysis.tools.hold.force import ToolForce, tool_force
+from pupper_analysis.tools.hold.payload import ToolPayload, tool_payload
+from pupper_analysis.tools.hold.reach import ReachLoad, reach_load
+from pupper_analysis.tools.hold.sag import SaggedPosture, sag_posture
+from pupper_analysis.tools.hold.verify import PostureVerification, verify_posture
+from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
 

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.posture.posture import Posture, check_held
-from pupper_analysis.posture.ways import bound_together
-from pupper_analysis.posture.worst import WorstPostures, worst_postures
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, command_ranges, servo_gains
 from pupper_analysis.robot.tool import Tool
-from pupper_analysis.stance.optimize.first_order import IDLE, borne_by_motors
+from pupper_analysis.stance.first_order import IDLE, borne_by_motors
+from pupper_analysis.stance.posture import Posture, check_held
+from pupper_analysis.tools.hold.ways import bound_together
+from pupper_analysis.tools.hold.worst import WorstPostures, worst_postures
 
 Array = NDArray[np.float64]
 

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.posture.posture import Posture, check_held
-from pupper_analysis.posture.ways import Ways
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool
+from pupper_analysis.stance.posture import Posture, check_held
+from pupper_analysis.tools.hold.ways import Ways
 
 Array = NDArray[np.float64]
 

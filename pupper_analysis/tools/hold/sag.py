@@ -7,21 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import NoEquilibriumError
-from pupper_analysis.posture.posture import (
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import NoEquilibriumError
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servo_gains
+from pupper_analysis.robot.tool import Tool
+from pupper_analysis.stance.posture import (
     Posture,
     check_held,
     joint_ranges,
     joint_units,
     with_give,
 )
-from pupper_analysis.results import Result
-from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import servo_gains
-from pupper_analysis.robot.tool import Tool
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.posture.looks import Looks
-from pupper_analysis.posture.ways import Ways
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.hold.looks import Looks
+from pupper_analysis.tools.hold.ways import Ways
 
 Array = NDArray[np.float64]
 

@@ -9,11 +9,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.posture.posture import Posture, check_held, with_give
-from pupper_analysis.posture.sag import SaggedPosture
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import (
@@ -28,7 +26,12 @@ from pupper_analysis.simulation import monitor
 from pupper_analysis.simulation.balance import load_by_mujoco
 from pupper_analysis.simulation.causes import find_instability
 from pupper_analysis.simulation.nudge import Nudge, measure_response, simulate_nudge
-from pupper_analysis.simulation.rollout import STATE, full_state, settled_activations, simulate
+from pupper_analysis.simulation.rollout import (
+    STATE,
+    full_state,
+    settled_activations,
+    simulate,
+)
 from pupper_analysis.simulation.settings import SimulationSettings
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verify import (
@@ -39,6 +42,8 @@ from pupper_analysis.simulation.verify import (
     RESTING,
 )
 from pupper_analysis.simulation.watch import LAST, TOUCH, pushing_bodies
+from pupper_analysis.stance.posture import Posture, check_held, with_give
+from pupper_analysis.tools.hold.sag import SaggedPosture
 
 Array = NDArray[np.float64]
 

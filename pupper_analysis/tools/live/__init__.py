@@ -1,1 +1,4 @@
-"""A page to play with: sliders in, a stand and what it takes out."""
+"""A page to play with stances.
+
+A page to play with: sliders in, a stand and what it takes out.
+"""

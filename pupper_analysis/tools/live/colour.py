@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-from pupper_analysis.live.shapes import Colour
+from pupper_analysis.tools.live.shapes import Colour
 
 SCALE: tuple[tuple[float, Colour], ...] = (
     (0.0, (52, 108, 176)),

@@ -18,10 +18,10 @@ from pupper_analysis.cli.robots import (
     robot_argument,
     with_robot,
 )
-from pupper_analysis.convert.files import FileSource, RobotFiles
+from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 
 if TYPE_CHECKING:
-    from pupper_analysis.live.source import LiveSource
+    from pupper_analysis.tools.live.source import LiveSource
 
 
 @shared.command("live")
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 @click.option("--port", type=int, help="Port to serve on. [default: any that is free]")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser; print the address.")
 @with_robot
-def live_command(
+def command(
     which: RobotOptions,
     words: tuple[str, ...],
     state: str,
@@ -78,12 +78,12 @@ def live_command(
     \b
     Exit status: 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.live.door import is_loopback
-    from pupper_analysis.live.held import HeldPage
-    from pupper_analysis.live.server import Page, serve
-    from pupper_analysis.live.source import load_source
-    from pupper_analysis.live.state import parse_state
-    from pupper_analysis.live.viser_parts import import_viser
+    from pupper_analysis.tools.live.door import is_loopback
+    from pupper_analysis.tools.live.held import HeldPage
+    from pupper_analysis.tools.live.server import Page, serve
+    from pupper_analysis.tools.live.source import load_source
+    from pupper_analysis.tools.live.state import parse_state
+    from pupper_analysis.tools.live.viser_parts import import_viser
 
     import_viser()  # before anything is loaded
     begin = parse_state(state)
@@ -96,8 +96,8 @@ def live_command(
             refuse_idle(str(meant), "state")
         print_notes(source.robot({}))
     else:
-        from pupper_analysis.pupper.live import LiveVariants
         from pupper_analysis.pupper.variants import variant_spec
+        from pupper_analysis.tools.live.variants import LiveVariants
 
         source = LiveVariants(variant_spec(meant))
     with shared.show_progress("making the page"):

@@ -9,20 +9,25 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from pupper_analysis.diagnostics import term
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.live.joints import JointSliders, led_joints
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.sliders import CONTROLS, Control, Range, ranges_of
-from pupper_analysis.live.state import State, on_page
-from pupper_analysis.live.viser_parts import mark_slider
-from pupper_analysis.report.formats import escape_control
+from pupper_analysis.base.diagnostics import term
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.posture import free_joints, named_positions
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import split_place
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.live.joints import JointSliders, led_joints
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.sliders import (
+    CONTROLS,
+    Control,
+    Range,
+    ranges_of,
+)
+from pupper_analysis.tools.live.state import State, on_page
+from pupper_analysis.tools.live.viser_parts import mark_slider
 
 PLACES = {
     "centre": "place-centre",

@@ -9,28 +9,28 @@ from typing import Any
 
 import numpy as np
 
-from pupper_analysis.analysis.robot import is_slide
-from pupper_analysis.analysis.stance import Stance
-from pupper_analysis.errors import PupperAnalysisError, StanceUnreachableError
-from pupper_analysis.live.controls import slider_values
-from pupper_analysis.live.door import without_folders
-from pupper_analysis.live.model import Answer, Hanging, PredictedSag
-from pupper_analysis.live.sliders import CONTROLS
-from pupper_analysis.live.state import State
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.hold import hardest_motor
-from pupper_analysis.report.documents.loads import contact_table, torque_table
-from pupper_analysis.report.documents.push_trial import trial_document
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.simulated import SAG, run_rows, simulated_table
-from pupper_analysis.report.documents.standing import stand_table
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import clause_text, verdict_clauses
-from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.base.errors import PupperAnalysisError, StanceUnreachableError
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.loads import contact_table, torque_table
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.simulated import SAG, run_rows, simulated_table
+from pupper_analysis.present.documents.standing import stand_table
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.verdict import clause_text, verdict_clauses
+from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.robot.joints import is_slide
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.push_trial import PushTrial
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.tools.hold.document import hardest_motor
+from pupper_analysis.tools.live.controls import slider_values
+from pupper_analysis.tools.live.door import without_folders
+from pupper_analysis.tools.live.model import Answer, Hanging, PredictedSag
+from pupper_analysis.tools.live.sliders import CONTROLS
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.push.document import trial_document
+from pupper_analysis.tools.push.trial import PushTrial
+from pupper_analysis.tools.stand.stance import Stance
 
 NOWHERE = doc.Name("")
 """The title of what is told of no robot."""

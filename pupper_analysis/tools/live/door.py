@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
 from urllib.parse import parse_qs, urlsplit
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 
 MOST_BYTES = 1 << 20
 """Of a message from a browser: those of sliders and cameras have some hundred."""

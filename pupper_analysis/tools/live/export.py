@@ -9,11 +9,16 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
 
-from pupper_analysis.live.model import Answer, PredictedSag
-from pupper_analysis.live.source import LiveSource, quote_words
-from pupper_analysis.live.state import SHOWN, State, format_number, in_si
-from pupper_analysis.results import to_json
+from pupper_analysis.base.results import to_json
 from pupper_analysis.stance.fields import Field
+from pupper_analysis.tools.live.model import Answer, PredictedSag
+from pupper_analysis.tools.live.source import LiveSource, quote_words
+from pupper_analysis.tools.live.state import (
+    SHOWN,
+    State,
+    format_number,
+    in_si,
+)
 
 PROGRAM = "pupper-analysis"
 

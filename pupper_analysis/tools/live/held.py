@@ -9,30 +9,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.hold import hold_posture
-from pupper_analysis.convert.files import FileSource
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.live import render, viser_parts
-from pupper_analysis.live.colour import colour_of
-from pupper_analysis.live.documents import (
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.prepare.convert.files import FileSource
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.scene import joint_axes
+from pupper_analysis.present.words import text
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.posture import Posture, find_posture
+from pupper_analysis.statics.equilibrium import gravity_compensation
+from pupper_analysis.tools.hold.hold import hold_posture
+from pupper_analysis.tools.live import render, viser_parts
+from pupper_analysis.tools.live.colour import colour_of
+from pupper_analysis.tools.live.documents import (
     failure_document,
     held_document,
     unforeseen_document,
 )
-from pupper_analysis.live.export import hold_command
-from pupper_analysis.live.joints import JointSliders, led_joints
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.scene import Figure, joint_text, quaternion_along
-from pupper_analysis.live.server import LOOPBACK, Served
-from pupper_analysis.live.shapes import parts_of
-from pupper_analysis.posture.posture import Posture, find_posture
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.scene import joint_axes
-from pupper_analysis.report.words import text
-from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.statics.equilibrium import gravity_compensation
+from pupper_analysis.tools.live.export import hold_command
+from pupper_analysis.tools.live.joints import JointSliders, led_joints
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.scene import Figure, joint_text, quaternion_along
+from pupper_analysis.tools.live.server import LOOPBACK, Served
+from pupper_analysis.tools.live.shapes import parts_of
 
 Array = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.posture.posture import joint_ranges, joint_units
-from pupper_analysis.report.formats import escape_control
+from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.posture import joint_ranges, joint_units
 
 Array = NDArray[np.float64]
 

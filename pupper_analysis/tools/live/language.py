@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.live.door import without_folders
-from pupper_analysis.report.document import Text, Words
-from pupper_analysis.report.words import text
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.document import Text, Words
+from pupper_analysis.present.words import text
+from pupper_analysis.tools.live.door import without_folders
 
 NAMES = {"en": "English", "zh": "中文"}
 """{language: what it calls itself}."""

@@ -14,30 +14,30 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.analysis.stance import Stance, study_stance
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import (
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import (
     NoEquilibriumError,
     PupperAnalysisError,
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.live.source import LiveSource
-from pupper_analysis.live.state import State
-from pupper_analysis.posture.posture import find_posture
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
-from pupper_analysis.simulation.push_trial import PushTrial, simulate_push
 from pupper_analysis.simulation.stability import stand_stability
 from pupper_analysis.simulation.verdict import Verdict, predict_verdict
+from pupper_analysis.stance.posture import find_posture
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
+from pupper_analysis.tools.live.source import LiveSource
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.push.trial import PushTrial, simulate_push
+from pupper_analysis.tools.stand.stance import Stance, study_stance
 
 Array = NDArray[np.float64]
 

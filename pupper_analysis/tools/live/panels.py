@@ -6,16 +6,21 @@ import math
 from functools import partial
 from typing import Any, Protocol
 
-from pupper_analysis.live import export, render
-from pupper_analysis.live.controls import Controls
-from pupper_analysis.live.documents import hanging_document
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Hanging, Model, PredictedSag
-from pupper_analysis.live.state import State
-from pupper_analysis.live.viser_parts import clear_but_tabs, named_tabs
-from pupper_analysis.report.document import Document
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import Document
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.words import text
+from pupper_analysis.tools.live import export, render
+from pupper_analysis.tools.live.controls import Controls
+from pupper_analysis.tools.live.documents import hanging_document
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.model import (
+    Answer,
+    Hanging,
+    Model,
+    PredictedSag,
+)
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.viser_parts import clear_but_tabs, named_tabs
 
 
 class Acts(Protocol):

@@ -5,11 +5,24 @@ from __future__ import annotations
 from functools import singledispatch
 from html import escape
 
-from pupper_analysis.live.colour import BEYOND, SCALE, colour_of, to_css
-from pupper_analysis.live.language import Language
-from pupper_analysis.report.document import Cell, Column, Document, Lines, Number, Table, Words
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.words import text
+from pupper_analysis.present.document import (
+    Cell,
+    Column,
+    Document,
+    Lines,
+    Number,
+    Table,
+    Words,
+)
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.words import text
+from pupper_analysis.tools.live.colour import (
+    BEYOND,
+    SCALE,
+    colour_of,
+    to_css,
+)
+from pupper_analysis.tools.live.language import Language
 
 STYLE = """<style>
 .pa{font:13px/1.45 system-ui,sans-serif;padding:0 .9em .6em;overflow-wrap:anywhere}

@@ -10,11 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.live.colour import colour_of
-from pupper_analysis.live.model import Answer, Hanging
-from pupper_analysis.live.shapes import Colour, ShapePart, parts_of
-from pupper_analysis.report.formats import escape_control
-from pupper_analysis.report.scene import (
+from pupper_analysis.present.formats import escape_control
+from pupper_analysis.present.scene import (
     Contact,
     JointAxis,
     StandingScene,
@@ -26,6 +23,9 @@ from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.tools.live.colour import colour_of
+from pupper_analysis.tools.live.model import Answer, Hanging
+from pupper_analysis.tools.live.shapes import Colour, ShapePart, parts_of
 
 Array = NDArray[np.float64]
 

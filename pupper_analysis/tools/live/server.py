@@ -9,15 +9,15 @@ import webbrowser
 from collections.abc import Callable, Hashable
 from typing import Any
 
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.live import memory, viser_parts
-from pupper_analysis.live.door import Door
-from pupper_analysis.live.language import NAMES, Language
-from pupper_analysis.live.model import Model
-from pupper_analysis.live.session import Session
-from pupper_analysis.live.source import LiveSource
-from pupper_analysis.live.state import State, parse_state
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.posture import placed_joints
+from pupper_analysis.tools.live import memory, viser_parts
+from pupper_analysis.tools.live.door import Door
+from pupper_analysis.tools.live.language import NAMES, Language
+from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.session import Session
+from pupper_analysis.tools.live.source import LiveSource
+from pupper_analysis.tools.live.state import State, parse_state
 
 LOOPBACK = "127.0.0.1"
 

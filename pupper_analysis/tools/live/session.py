@@ -15,10 +15,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.live import model as answers
-from pupper_analysis.live.documents import (
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.present.document import Document
+from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.tools.live import model as answers
+from pupper_analysis.tools.live.documents import (
     brief_document,
     failure_document,
     push_document,
@@ -27,14 +29,12 @@ from pupper_analysis.live.documents import (
     stance_document,
     unforeseen_document,
 )
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Answer, Model, PredictedSag
-from pupper_analysis.live.motion import PlayedMotion
-from pupper_analysis.live.panels import Panels
-from pupper_analysis.live.scene import Scene
-from pupper_analysis.live.state import State, halfway_state, parse_state
-from pupper_analysis.report.document import Document
-from pupper_analysis.simulation.verdict import Verdict
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.model import Answer, Model, PredictedSag
+from pupper_analysis.tools.live.motion import PlayedMotion
+from pupper_analysis.tools.live.panels import Panels
+from pupper_analysis.tools.live.scene import Scene
+from pupper_analysis.tools.live.state import State, halfway_state, parse_state
 
 QUIET = 0.15
 """s without a change after which it is worth to look closer: a hand on a slider moves on sooner."""

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.report.scene import shapes_of
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.present.scene import shapes_of
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

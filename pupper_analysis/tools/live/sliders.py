@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pupper_analysis.diagnostics import Term
-from pupper_analysis.diagnostics.templates import fill_template
-from pupper_analysis.live.state import PAGE_UNITS, SHOWN
+from pupper_analysis.base.diagnostics import Term
+from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.fields import Field, Slider
+from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN
 
 _WAYS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
 

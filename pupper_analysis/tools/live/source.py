@@ -6,9 +6,9 @@ import shlex
 from collections.abc import Mapping
 from typing import Protocol
 
-from pupper_analysis.convert.files import FileSource, RobotFiles
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.robot.robot import Robot
 
 

@@ -9,11 +9,17 @@ from functools import partial
 from typing import Any
 from urllib.parse import quote, unquote
 
-from pupper_analysis.arguments import check_finite
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.frozen import FrozenDict
-from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS, UNITS, Field, read_table
+from pupper_analysis.base.arguments import check_finite
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.stance.fields import (
+    FIELDS,
+    ROBOT_FIELDS,
+    UNITS,
+    Field,
+    read_table,
+)
 from pupper_analysis.stance.task import StandTask
 
 PLACES = ("centre", "inside", "offset")
@@ -23,7 +29,7 @@ OF_THE_ROBOT = {
     name: field
     for name, field in {
         **ROBOT_FIELDS,
-        **read_table("pupper_analysis.live", "fields.toml"),
+        **read_table("pupper_analysis.tools.live", "fields.toml"),
     }.items()
     if field.slider
 }

@@ -14,9 +14,14 @@ from importlib import import_module
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from pupper_analysis.diagnostics import LANGUAGES, diagnose
-from pupper_analysis.errors import ConfigurationError, MissingPackageError
-from pupper_analysis.live.door import HEADERS, MOST_BYTES, Door, problem_of
+from pupper_analysis.base.diagnostics import LANGUAGES, diagnose
+from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
+from pupper_analysis.tools.live.door import (
+    HEADERS,
+    MOST_BYTES,
+    Door,
+    problem_of,
+)
 
 FAREWELL = 0.3
 """s that browsers have to answer when the server ends; one that sleeps or is gone never does."""

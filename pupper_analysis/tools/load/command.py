@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import (
     FOUND,
@@ -16,9 +18,7 @@ from pupper_analysis.cli.robots import (
     with_robot,
 )
 from pupper_analysis.cli.stance_options import AS_IS
-from pupper_analysis.convert.files import RobotFiles
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.prepare.convert.files import RobotFiles
 
 
 @shared.command("load")
@@ -33,7 +33,7 @@ from pupper_analysis.errors import ConfigurationError
 @shared.verbose_option
 @shared.json_option
 @with_robot
-def load(
+def command(
     which: RobotOptions,
     words: tuple[str, ...],
     fixed_base: bool,
@@ -59,12 +59,12 @@ def load(
     \b
     Exit status: 0 the robot was loaded, 2 it cannot be loaded, or bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.convert.load import read_pair
     from pupper_analysis.models.mjcf import silence_mujoco
+    from pupper_analysis.prepare.convert.load import read_pair
     from pupper_analysis.prepare.load import explain_loading, feet_frames
     from pupper_analysis.prepare.ready import Request
-    from pupper_analysis.report.document import Report
-    from pupper_analysis.report.documents.preparation import preparation_document
+    from pupper_analysis.present.document import Report
+    from pupper_analysis.present.documents.preparation import preparation_document
 
     meant = which.one(words)
     if not isinstance(meant, RobotFiles):

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from pupper_analysis.analysis.path import PathThere
-from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.documents.loads import view_block
-from pupper_analysis.report.documents.quantities import quantity_columns
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.standing import robot_notes
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present import plots
+from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.standing import robot_notes
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.tracking import PathTracking
-from pupper_analysis.stance.path.stance_path import StancePath
+from pupper_analysis.tools.path.plan import StancePath
+from pupper_analysis.tools.path.tracked import PathThere
+from pupper_analysis.tools.path.tracking import PathTracking
 
 
 @build_document.register(PathThere)

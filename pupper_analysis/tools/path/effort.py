@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import StaticsInfeasibleError
+from pupper_analysis.base.errors import StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.geometry import PathPlace, minimum_jerk
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
 from pupper_analysis.statics.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.statics.support_polygon import com_margin
+from pupper_analysis.tools.path.geometry import PathPlace, minimum_jerk
 
 Array = NDArray[np.float64]
 

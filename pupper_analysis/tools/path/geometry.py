@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import (
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import (
     ConfigurationError,
     NoEquilibriumError,
     StanceUnreachableError,
@@ -18,9 +18,14 @@ from pupper_analysis.errors import (
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.segments import TOUCHING, Segment, segments_of, task_between
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.path.segments import (
+    TOUCHING,
+    Segment,
+    segments_of,
+    task_between,
+)
 
 Array = NDArray[np.float64]
 

@@ -10,17 +10,17 @@ from numbers import Real
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
-from pupper_analysis.stance.path.stance_path import StancePath
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.dynamics import joint_resistance
+from pupper_analysis.tools.path.plan import StancePath
 
 Array = NDArray[np.float64]
 

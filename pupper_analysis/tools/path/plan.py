@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, StaticsInfeasibleError
-from pupper_analysis.files import whole_file
-from pupper_analysis.kinds import PATH_ARRAYS, PATH_TABLE
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, StaticsInfeasibleError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import PATH_ARRAYS, PATH_TABLE
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.path.effort import path_effort
-from pupper_analysis.stance.path.geometry import clearance, minimum_jerk, path_geometry
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.path.effort import path_effort
+from pupper_analysis.tools.path.geometry import clearance, minimum_jerk, path_geometry
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import (
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import (
     ConfigurationError,
     Infeasibility,
     StanceUnreachableError,

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.analysis.judge import judge
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.tracking import PathTracking, track_path
 from pupper_analysis.simulation.verdict import Asked, Outcome, Verdict
-from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.path.plan import StancePath, stance_path
+from pupper_analysis.tools.path.tracking import PathTracking, track_path
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,18 +9,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.frozen import FrozenDict
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.frozen import FrozenDict
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation import monitor
-from pupper_analysis.simulation.path_commands import PathCommands, path_commands
 from pupper_analysis.simulation.rollout import simulate
-from pupper_analysis.stance.path.stance_path import StancePath
+from pupper_analysis.tools.path.path_commands import PathCommands, path_commands
+from pupper_analysis.tools.path.plan import StancePath
 
 Array = NDArray[np.float64]
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from pupper_analysis.analysis.payload import Bound, PayloadLimit
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import view_block
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.standing import ground_text, robot_notes
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines, verdict_of_files
-from pupper_analysis.report.words import join_words, text, word
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.standing import ground_text, robot_notes
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
+from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.payload import Failure, PayloadTrial
+from pupper_analysis.tools.payload.limit import Bound, PayloadLimit
+from pupper_analysis.tools.payload.trial import Failure, PayloadTrial
 
 
 @build_document.register(PayloadLimit)

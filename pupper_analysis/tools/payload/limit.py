@@ -10,20 +10,19 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.analysis.judge import judge_stand
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.errors import (
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.errors import (
     NotSettlingError,
     StanceUnreachableError,
     StaticsInfeasibleError,
 )
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import command_lead, command_ranges, model_with_servos
 from pupper_analysis.robot.tool import Place, Tool, find_place
-from pupper_analysis.simulation.payload import Failure, PayloadTrial, simulate_payload
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
@@ -32,6 +31,7 @@ from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_a
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
+from pupper_analysis.tools.payload.trial import Failure, PayloadTrial, simulate_payload
 
 Array = NDArray[np.float64]
 

@@ -8,18 +8,20 @@ from typing import cast
 
 import numpy as np
 
-from pupper_analysis.analysis.push import PushedStance
-from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.documents.loads import view_block
-from pupper_analysis.report.documents.registry import build_document, compare_results
-from pupper_analysis.report.documents.standing import ground_text, robot_notes
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import text
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.present import document as doc
+from pupper_analysis.present import plots
+from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.documents.registry import build_document, compare_results
+from pupper_analysis.present.documents.standing import ground_text, robot_notes
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.push import PushRecovery
+from pupper_analysis.tools.push.pushed import PushedStance
+from pupper_analysis.tools.push.recovery import PushRecovery
+from pupper_analysis.tools.push.trial import PushTrial
 
 
 @build_document.register(PushedStance)
@@ -165,3 +167,24 @@ def compare_pushes(first: PushedStance, results: Sequence[Result]) -> tuple[doc.
     )
     recoveries = {one.name: one.recovery for one in pushes}
     return table, push_plot(recoveries, first.name)
+
+
+@build_document.register(PushTrial)
+def trial_document(trial: PushTrial, _: Robot | None = None) -> doc.Document:
+    """Returns what one push makes of a stand; see ``build``."""
+    columns = quantity_columns()
+    rows = (
+        (text("change-of-velocity"), doc.number_cell(trial.velocity_step, ".2f"), doc.Name("m/s")),
+    )
+    return doc.Document(
+        text("pushes"),
+        text(
+            "pushed-with",
+            impulse=f"{trial.impulse:.2f}",
+            direction=f"{math.degrees(trial.direction):.0f}",
+        ),
+        (doc.Table(text("push"), columns, rows),),
+        passed=trial.failure is None,
+        verdict=text("it-recovers") if trial.failure is None else text("FAILS"),
+        failures=() if trial.failure is None else (doc.tell(trial.failure),),
+    )

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.report.documents.pushed_stance import push_plot
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw_plot
-from pupper_analysis.report.words import in_english
-from pupper_analysis.simulation.push import PushRecovery
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import draw_plot
+from pupper_analysis.present.words import in_english
+from pupper_analysis.tools.push.document import push_plot
+from pupper_analysis.tools.push.recovery import PushRecovery
 
 
 def push_figure(

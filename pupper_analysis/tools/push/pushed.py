@@ -7,16 +7,16 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from pupper_analysis.analysis.judge import judge
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
-from pupper_analysis.simulation.push import PushRecovery, push_recovery
 from pupper_analysis.simulation.verdict import Asked, Verdict
 from pupper_analysis.simulation.verify import verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,16 +11,16 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Tabular
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Tabular
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.push_bench import Bench, Pushed, bench_of
 from pupper_analysis.simulation.rollout import check_stand
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.tools.push.bench import Bench, Pushed, bench_of
 
 Array = NDArray[np.float64]
 

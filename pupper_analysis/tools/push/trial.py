@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments, check_finite
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.arguments import check_arguments, check_finite
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.simulation.push_bench import Pushed, bench_of
 from pupper_analysis.simulation.rollout import check_stand
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.tools.push.bench import Pushed, bench_of
 
 Array = NDArray[np.float64]
 

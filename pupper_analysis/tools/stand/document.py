@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.analysis.stance import Stance
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.loads import load_blocks, view_block
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.simulated import height_plot, motions_of, simulated_table
-from pupper_analysis.report.documents.standing import ground_text, robot_notes, stand_table
-from pupper_analysis.report.documents.tasks import task_text
-from pupper_analysis.report.verdict import verdict_lines, verdict_word
-from pupper_analysis.report.words import join_words, text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.loads import load_blocks, view_block
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.simulated import height_plot, motions_of, simulated_table
+from pupper_analysis.present.documents.standing import ground_text, robot_notes, stand_table
+from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.verdict import verdict_lines, verdict_word
+from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN
+from pupper_analysis.tools.stand.stance import Stance
 
 DISAGREEMENT = 1e-4
 """What a stand may leave of the balance in MuJoCo's terms before it is remarked upon (N, N m)."""

@@ -8,23 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.analysis.judge import judge
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.errors import (
-    NoEquilibriumError,
-    NoStiffnessError,
-)
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.errors import NoEquilibriumError, NoStiffnessError
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import EffortStatement
-from pupper_analysis.results import Result
+from pupper_analysis.prepare.judge import judge
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.simulation.verdict import Verdict
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
-from pupper_analysis.stance.sag.steady_state import (
-    SteadyState,
-    minimum_stiffness,
-    steady_state,
-)
+from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
 from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask

@@ -1,5 +1,8 @@
-"""Many designs: which numbers vary, what is measured, and the engine that loses nothing."""
+"""Measure thousands of designs.
 
-from pupper_analysis.exports import exports_of
+Many designs: which numbers vary, what is measured, and the engine that loses nothing.
+"""
+
+from pupper_analysis.base.exports import exports_of
 
 __getattr__, __dir__, __all__ = exports_of(__name__, __file__)

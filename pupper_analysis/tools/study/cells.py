@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.stance.fields import FIELDS
-from pupper_analysis.study.design import ENDS, NUMBERS, UNBOUNDED
-from pupper_analysis.study.metrics import METRICS
-from pupper_analysis.study.named import AXES, OF_JOINTS
+from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED
+from pupper_analysis.tools.study.measures import METRICS
+from pupper_analysis.tools.study.named import AXES, OF_JOINTS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Vector, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import Vector, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.named import bodies_of
+from pupper_analysis.tools.study.named import bodies_of
 
 Array = NDArray[np.float64]
 

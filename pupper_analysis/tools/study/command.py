@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis import kinds
+from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 
 if TYPE_CHECKING:
-    from pupper_analysis.report.document import Document
-    from pupper_analysis.study.running import Progress
-    from pupper_analysis.study.study import DesignStudy
+    from pupper_analysis.present.document import Document
+    from pupper_analysis.tools.study.running import Progress
+    from pupper_analysis.tools.study.study import DesignStudy
 
 
 @shared.command("study")
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 @shared.json_option
 @shared.look_option
 @shared.verbose_option
-def study_command(
+def command(
     file: Path,
     folder: Path,
     dry_run: bool,
@@ -100,10 +100,10 @@ def study_command(
     \b
     Exit status: 0 all designs were measured, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.pupper.studies import Study
-    from pupper_analysis.report import study as report
-    from pupper_analysis.study.estimate import estimate_study
-    from pupper_analysis.study.outcome import check_objectives, study_outcome
+    from pupper_analysis.tools.study import lines as report
+    from pupper_analysis.tools.study.estimate import estimate_study
+    from pupper_analysis.tools.study.of_variants import Study
+    from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
 
     if dry_run:
         refuse_idle("--dry-run", "dask", "scheduler", "figures", "report_path")
@@ -115,7 +115,7 @@ def study_command(
         refuse_alone(("--figures", "--report", "--format markdown"), "minimise", "maximise")
     if dry_run:
         expected = estimate_study(study, folder)
-        from pupper_analysis.report.documents.estimate import estimate_document
+        from pupper_analysis.tools.study.document import estimate_document
 
         _show(estimate_document(expected, workers=workers), style, everything)
         shared.finish_command(json_path, expected, passed=True)
@@ -124,13 +124,13 @@ def study_command(
         _run(study, folder, executor, workers, show)
     table = study.table(folder)
     if style == "text":
-        from pupper_analysis.report.documents.measured import measured_document
+        from pupper_analysis.tools.study.document import measured_document
 
         _show(measured_document(file.stem, study.variables, table), style, everything)
     if figures or report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
         if figures:
-            from pupper_analysis.report.figures.study import draw_study
+            from pupper_analysis.tools.study.figures import draw_study
 
             for path in draw_study(table, tuple(study.variables), folder, outcome.objectives):
                 shared.confirm_written(path)
@@ -141,7 +141,7 @@ def study_command(
 
 
 def _show(document: Document, style: str, everything: bool) -> None:
-    from pupper_analysis.report.document import Report
+    from pupper_analysis.present.document import Report
 
     shared.show_report(Report(document.title, (document,)), style, everything=everything)
 
@@ -166,7 +166,7 @@ def _executor(dask: bool, scheduler: str | None, workers: int | None) -> Iterato
     if not dask and scheduler is None:
         yield None
         return
-    from pupper_analysis.study.dask import open_cluster
+    from pupper_analysis.tools.study.dask import open_cluster
 
     with open_cluster(scheduler, workers) as (executor, dashboard):
         if dashboard:

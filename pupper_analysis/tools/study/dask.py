@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import StudyError
-from pupper_analysis.study.store import require_library
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import StudyError
+from pupper_analysis.tools.study.store import require_library
 
 
 @contextmanager

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 
 import orjson
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.diagnostics.record import to_record
-from pupper_analysis.errors import (
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics.record import to_record
+from pupper_analysis.base.errors import (
     ConfigurationError,
     ModelError,
     NoEquilibriumError,
@@ -29,10 +29,15 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, ROBOT_FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.metrics import METRICS, Design, Metric
-from pupper_analysis.study.named import ADDED, OF_JOINTS, SERVOS, Named
-from pupper_analysis.study.parameters import scale_robot, with_friction, with_gains
-from pupper_analysis.study.source import RobotSource
+from pupper_analysis.tools.study.measures import METRICS, Design, Metric
+from pupper_analysis.tools.study.named import (
+    ADDED,
+    OF_JOINTS,
+    SERVOS,
+    Named,
+)
+from pupper_analysis.tools.study.parameters import scale_robot, with_friction, with_gains
+from pupper_analysis.tools.study.source import RobotSource
 
 _T = TypeVar("_T")
 

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pupper_analysis.report import document as doc
-from pupper_analysis.report import plots
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.documents.sources import page_of
-from pupper_analysis.report.documents.study_plots import LINES, front_plot, study_plots
-from pupper_analysis.report.words import text, word
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.sources import page_of
+from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.cells import column_label, standing_designs, unit_of
-from pupper_analysis.study.metrics import METRICS, text_key
-from pupper_analysis.study.outcome import MetricSummary, StudyOutcome
-from pupper_analysis.study.tolerance import Chance
+from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
+from pupper_analysis.tools.study.document_plots import LINES, front_plot, study_plots
+from pupper_analysis.tools.study.estimate import Estimate
+from pupper_analysis.tools.study.measures import METRICS, text_key
+from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome
+from pupper_analysis.tools.study.plots import MeansPlot
+from pupper_analysis.tools.study.tolerance import Chance
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -162,7 +164,7 @@ def _drawings(outcome: StudyOutcome) -> Iterable[doc.Block]:
     """Yields the plots; below a metric's, what is missing in its means."""
     for shown in study_plots(outcome.table, tuple(outcome.variables), outcome.axes).values():
         yield from shown
-        if any(isinstance(one, plots.MeansPlot) and one.found.partial.any() for one in shown):
+        if any(isinstance(one, MeansPlot) and one.found.partial.any() for one in shown):
             yield doc.Lines((text(_PARTIAL),), "warn")
 
 
@@ -343,3 +345,98 @@ def _table(title: doc.Words, table: pd.DataFrame, columns: Sequence[str]) -> doc
         left = len(table) - MOST_ROWS
         notes = (text("count-more-are-in-the-studys", count=left),)
     return doc.Table(title, tuple(heads), tuple(rows), notes)
+
+
+@build_document.register(Estimate)
+def estimate_document(
+    expected: Estimate, _: Robot | None = None, workers: int | None = None
+) -> doc.Document:
+    """Returns what a study would take; see ``build``.
+
+    Args:
+        expected: The estimate.
+        workers: On how many processes; by default as many as this machine has cores.
+    """
+    count = workers or os.cpu_count() or 1
+    told = [
+        text(
+            "count-designs-of-which-there",
+            count=expected.designs,
+            there=expected.there,
+        ),
+        text(
+            "mean-ms-each-on-average",
+            mean=f"{1e3 * expected.seconds_each:.0f}",
+            slowest=f"{1e3 * expected.slowest:.0f}",
+        ),
+        text(
+            "about-time-on-count-workers",
+            time=duration_text(expected.seconds(count)),
+            count=count,
+        ),
+    ]
+    if expected.left_out:
+        told.append(
+            text(
+                "not-timed",
+                names=join_words(map(doc.Name, expected.left_out)),
+            )
+        )
+    if expected.failures:
+        kinds = join_words(map(word, expected.failures))
+        told.append(text("timed-that-failed", kinds=kinds))
+    return doc.Document(text("study-of-designs"), text("estimate-title"), (), told=tuple(told))
+
+
+def duration_text(seconds: float) -> str:
+    """Returns a time as people say it."""
+    if not math.isfinite(seconds):
+        return "-"
+    whole = round(seconds)
+    if whole < 120:
+        return f"{whole} s"
+    if whole < 7200:
+        return f"{whole // 60} min"
+    return f"{whole / 3600:.1f} h"
+
+
+def measured_document(
+    name: str, variables: Mapping[str, object], table: pd.DataFrame
+) -> doc.Document:
+    """Returns the range of each metric, and failures by kind: what is known without an outcome.
+
+    Args:
+        name: What was studied.
+        variables: Of the study, by name.
+        table: Of the study.
+    """
+    rows: list[tuple[doc.Cell, ...]] = []
+    for metric in metrics_in(table, tuple(variables)):
+        column = table[metric].dropna()
+        ends = (column.min(), column.median(), column.max())
+        numbers = (doc.number_cell(float(value), ".5g") for value in ends)
+        rows.append((doc.Name(column_label(metric)), *numbers, doc.number_cell(len(column), ".0f")))
+    measured = doc.Table(
+        text("what-was-measured"),
+        (
+            doc.Column(text("metric"), left=True),
+            doc.Column(text("least")),
+            doc.Column(text("median")),
+            doc.Column(text("greatest")),
+            doc.Column(text("designs"), "1"),
+        ),
+        tuple(rows),
+    )
+    kinds = table["failure"].dropna().value_counts().to_dict()
+    ordered = sorted(kinds.items(), key=lambda item: (-int(item[1]), str(item[0])))
+    told = text(
+        "count-designs-of-which-failed",
+        count=len(table),
+        failed=sum(int(count) for _, count in ordered),
+    )
+    if ordered:
+        named = join_words(
+            text("count-kind", count=int(count), kind=word(str(kind))) for kind, count in ordered
+        )
+        told = text("designs-kinds", designs=told, kinds=named)
+    return doc.Document(text("study-of-designs"), doc.Name(name), (measured,), told=(told,))

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pupper_analysis.report import plots
-from pupper_analysis.report.document import Name, Text
-from pupper_analysis.report.words import text
-from pupper_analysis.study.cells import (
+from pupper_analysis.present import plots
+from pupper_analysis.present.document import Name, Text
+from pupper_analysis.present.words import text
+from pupper_analysis.tools.study.cells import (
     Panel,
     check_columns,
     column_label,
@@ -19,6 +19,12 @@ from pupper_analysis.study.cells import (
     metrics_in,
     split_panels,
     spread_in,
+)
+from pupper_analysis.tools.study.plots import (
+    EndsPlot,
+    FrontPlot,
+    MeansPlot,
+    ParallelPlot,
 )
 
 if TYPE_CHECKING:
@@ -54,9 +60,7 @@ def study_plots(
     return shown
 
 
-def end_plots(
-    table: pd.DataFrame, x: str, y: str, variables: Sequence[str] = ()
-) -> list[plots.EndsPlot]:
+def end_plots(table: pd.DataFrame, x: str, y: str, variables: Sequence[str] = ()) -> list[EndsPlot]:
     """Returns what becomes of designs: a map, or one for each combination of other variables.
 
     Args:
@@ -71,14 +75,14 @@ def end_plots(
     kinds = end_map(table, x, y).kinds
     title = text("what-becomes-of-designs-over", x=Name(x), y=Name(y))
     return [
-        plots.EndsPlot(title, end_map(one.table, x, y), x, y, kinds, _part(one))
+        EndsPlot(title, end_map(one.table, x, y), x, y, kinds, _part(one))
         for one in split_panels(table, variables, x, y)
     ]
 
 
 def mean_plots(
     table: pd.DataFrame, x: str, y: str, metric: str, variables: Sequence[str] = ()
-) -> list[plots.MeansPlot]:
+) -> list[MeansPlot]:
     """Returns a metric's maps, in the same colours; see ``end_plots``.
 
     Raises:
@@ -93,9 +97,7 @@ def mean_plots(
     ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
     named = Name(column_label(metric))
     title = text("metric-over-x-and-y", metric=named, x=Name(x), y=Name(y))
-    return [
-        plots.MeansPlot(title, found, x, y, metric, ends, _part(panel)) for panel, found in maps
-    ]
+    return [MeansPlot(title, found, x, y, metric, ends, _part(panel)) for panel, found in maps]
 
 
 def _part(panel: Panel) -> Text | Name | None:
@@ -105,7 +107,7 @@ def _part(panel: Panel) -> Text | Name | None:
     return Name(panel.values()) if panel.fixed else None
 
 
-def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> plots.ParallelPlot:
+def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> ParallelPlot:
     """Returns designs as lines over columns, coloured by one.
 
     Raises:
@@ -113,7 +115,7 @@ def parallel_plot(table: pd.DataFrame, columns: Sequence[str], shade: str) -> pl
     """
     check_columns(table, *columns, shade)
     title = text("designs-as-lines-coloured", metric=Name(shade))
-    return plots.ParallelPlot(title, table, columns, shade)
+    return ParallelPlot(title, table, columns, shade)
 
 
 def front_plot(
@@ -124,7 +126,7 @@ def front_plot(
     title: Text | Name | None = None,
     labels: Mapping[str, str] | None = None,
     name: Name | None = None,
-) -> plots.FrontPlot:
+) -> FrontPlot:
     """Returns designs over two objectives, with their front.
 
     Args:
@@ -138,4 +140,4 @@ def front_plot(
     said = {one: f"{column_label(one)}, {sense}" for one, sense in objectives.items()}
     along, up = (dict(labels or {}).get(one, said[one]) for one in objectives)
     drawn = title or text("designs-worth-building-the-front")
-    return plots.FrontPlot(drawn, table, front, (along, up), list(objectives), name)
+    return FrontPlot(drawn, table, front, (along, up), list(objectives), name)

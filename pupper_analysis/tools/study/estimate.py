@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pupper_analysis.results import Result
-from pupper_analysis.study.store import Store, design_keys
-from pupper_analysis.study.study import DesignStudy
-from pupper_analysis.study.worker import Chunk, measure_designs
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.study.store import Store, design_keys
+from pupper_analysis.tools.study.study import DesignStudy
+from pupper_analysis.tools.study.worker import Chunk, measure_designs
 
 TIMED = 5
 """So many designs are timed, evenly drawn, once the first has loaded what all need."""

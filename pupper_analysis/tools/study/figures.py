@@ -10,17 +10,18 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.report.document import Name
-from pupper_analysis.report.documents import study_plots
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw_plot, plot_figure
-from pupper_analysis.report.figures.maps import ALL_MEASURED, put_scale
-from pupper_analysis.report.plots import EndsPlot, MeansPlot, Plot
-from pupper_analysis.report.words import in_english
-from pupper_analysis.study.cells import check_columns, spread_in, standing_designs
-from pupper_analysis.study.pareto import pareto_front
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.document import Name
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import draw_plot, plot_figure
+from pupper_analysis.present.plots import Plot
+from pupper_analysis.present.words import in_english
+from pupper_analysis.tools.study import document_plots as study_plots
+from pupper_analysis.tools.study.cells import check_columns, spread_in, standing_designs
+from pupper_analysis.tools.study.figures_maps import ALL_MEASURED, put_scale
+from pupper_analysis.tools.study.pareto import pareto_front
+from pupper_analysis.tools.study.plots import EndsPlot, MeansPlot
 
 if TYPE_CHECKING:
     import pandas as pd

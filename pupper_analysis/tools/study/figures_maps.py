@@ -16,11 +16,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from numpy.typing import NDArray
 
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures.drawing import draw_plot
-from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
-from pupper_analysis.report.words import in_english
-from pupper_analysis.study.cells import Cells, EndMap, column_label
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import draw_plot
+from pupper_analysis.present.words import in_english
+from pupper_analysis.tools.study.cells import Cells, EndMap, column_label
+from pupper_analysis.tools.study.plots import (
+    EndsPlot,
+    FrontPlot,
+    MeansPlot,
+    ParallelPlot,
+)
 
 Array = NDArray[np.float64]
 

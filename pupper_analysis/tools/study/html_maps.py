@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.report.document import Name, Words
-from pupper_analysis.report.html.plots import (
+from pupper_analysis.present.document import Name, Words
+from pupper_analysis.present.html.plots import (
     BOTTOM,
     LEFT,
     TOP,
@@ -24,9 +24,14 @@ from pupper_analysis.report.html.plots import (
     round_ticks,
     word_at,
 )
-from pupper_analysis.report.plots import EndsPlot, FrontPlot, MeansPlot, ParallelPlot
-from pupper_analysis.report.words import text, word
-from pupper_analysis.study.cells import Cells, column_label, value_span
+from pupper_analysis.present.words import text, word
+from pupper_analysis.tools.study.cells import Cells, column_label, value_span
+from pupper_analysis.tools.study.plots import (
+    EndsPlot,
+    FrontPlot,
+    MeansPlot,
+    ParallelPlot,
+)
 
 if TYPE_CHECKING:
     import pandas as pd

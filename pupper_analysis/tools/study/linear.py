@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Place, find_place
@@ -18,8 +18,8 @@ from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
 from pupper_analysis.stance.sag.steady_state import steady_state
 from pupper_analysis.stance.stand import Stand, stand_statics
 from pupper_analysis.statics.support_polygon import interpolate_drop
-from pupper_analysis.study.design import Maker
-from pupper_analysis.study.named import AXES, Named, joints_of
+from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.named import AXES, Named, joints_of
 
 Array = NDArray[np.float64]
 

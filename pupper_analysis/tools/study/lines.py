@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from pupper_analysis.report.documents.estimate import duration_text
-from pupper_analysis.report.terminal import make_console
+from pupper_analysis.present.terminal import make_console
+from pupper_analysis.tools.study.document import duration_text
 
 if TYPE_CHECKING:
-    from pupper_analysis.study.running import Progress as Done
+    from pupper_analysis.tools.study.running import Progress as Done
 
 
 @contextmanager

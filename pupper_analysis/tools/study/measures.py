@@ -7,21 +7,20 @@ import importlib
 import inspect
 import pickle
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from pupper_analysis.analysis.payload import payload_limit
-from pupper_analysis.diagnostics import diagnose, phrase
-from pupper_analysis.errors import ConfigurationError, NotStandingError, PupperAnalysisError
+from pupper_analysis.base.diagnostics import diagnose, phrase
+from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
+from pupper_analysis.base.runs import note_input
+from pupper_analysis.base.tools import other_tools, own_tools
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import Stability
-from pupper_analysis.runs import note_input
 from pupper_analysis.simulation.causes import describe_growth
-from pupper_analysis.simulation.push import push_recovery
 from pupper_analysis.simulation.stability import rest_stability
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, minimum_stiffness, steady_state
@@ -243,13 +242,6 @@ _ALL = (
     ),
     Metric("stands", _stands, "1", fallen=0.0),
     Metric(
-        "payload_limit",
-        lambda d: payload_limit(d.robot, d.stand).mass,
-        "kg",
-        simulates=True,
-        better="max",
-    ),
-    Metric(
         "minimum_stiffness",
         lambda d: minimum_stiffness(d.robot, d.stand),
         "N m/rad",
@@ -278,19 +270,21 @@ _ALL = (
         "m",
         simulates=True,
     ),
-    Metric(
-        "push_recovery",
-        lambda d: push_recovery(d.robot, d.held).weakest_impulse,
-        "N s",
-        simulates=True,
-        better="max",
-    ),
 )
+
+
+def _of_tools() -> Iterator[Metric]:
+    """Yields what tools let studies measure: the ``METRICS`` of their ``metrics.py``."""
+    for tool in (*own_tools().values(), *other_tools().values()):
+        if (tool.folder / "metrics.py").is_file():
+            offered = importlib.import_module(f"{tool.package}.metrics").METRICS
+            yield from (Metric(name, **more) for name, more in offered.items())
+
 
 REVISION = 4
 """Of what metrics mean, raised when one changes: results of before are not taken for it."""
 
-METRICS: Mapping[str, Metric] = {metric.name: metric for metric in _ALL}
+METRICS: Mapping[str, Metric] = {metric.name: metric for metric in (*_ALL, *_of_tools())}
 """The named metrics."""
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from glob import escape
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS

@@ -6,17 +6,17 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.named import split_word
 from pupper_analysis.pupper.scaled import Scaled
 from pupper_analysis.pupper.variant_files import describe_variant
 from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study import study
-from pupper_analysis.study.parameters import without_visuals
-from pupper_analysis.study.source import RobotSource, load_source
+from pupper_analysis.tools.study import study
+from pupper_analysis.tools.study.parameters import without_visuals
+from pupper_analysis.tools.study.source import RobotSource, load_source
 
 
 class Variants(Scaled):

@@ -11,18 +11,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import orjson
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.diagnostics.record import from_record
-from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.results import Result
-from pupper_analysis.study.cells import Cells, metrics_in, spread_in, standing_designs, value_span
-from pupper_analysis.study.metrics import METRICS
-from pupper_analysis.study.pareto import pareto_front
-from pupper_analysis.study.sensitivity import AT_REST, LinearShares, SobolIndices, linear_shares
-from pupper_analysis.study.store import Store, require_library
-from pupper_analysis.study.study import DesignStudy
-from pupper_analysis.study.tolerance import Certainty, Tolerance, certainty
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics.record import from_record
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.study.cells import (
+    Cells,
+    metrics_in,
+    spread_in,
+    standing_designs,
+    value_span,
+)
+from pupper_analysis.tools.study.measures import METRICS
+from pupper_analysis.tools.study.pareto import pareto_front
+from pupper_analysis.tools.study.sensitivity import (
+    AT_REST,
+    LinearShares,
+    SobolIndices,
+    linear_shares,
+)
+from pupper_analysis.tools.study.store import Store, require_library
+from pupper_analysis.tools.study.study import DesignStudy
+from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, certainty
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, ModelError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.model_tree import ModelTree
@@ -19,8 +19,8 @@ from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.study.com import check_coms, move_coms
-from pupper_analysis.study.named import (
+from pupper_analysis.tools.study.com import check_coms, move_coms
+from pupper_analysis.tools.study.named import (
     AXES,
     BODIES,
     SERVOS,

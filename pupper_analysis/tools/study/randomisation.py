@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.files import whole_file
-from pupper_analysis.kinds import RANGES
-from pupper_analysis.study.named import AXES, Named
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import RANGES
+from pupper_analysis.tools.study.named import AXES, Named
 
 Form = Literal["yaml", "mjlab", "isaaclab"]
 

@@ -25,11 +25,11 @@ from multiprocessing.process import BaseProcess
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import PupperAnalysisError, StudyError
-from pupper_analysis.study.design import Row, failure_columns, servo_number
-from pupper_analysis.study.store import Store, design_keys
-from pupper_analysis.study.worker import (
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import PupperAnalysisError, StudyError
+from pupper_analysis.tools.study.design import Row, failure_columns, servo_number
+from pupper_analysis.tools.study.store import Store, design_keys
+from pupper_analysis.tools.study.worker import (
     Chunk,
     ChunkOutcome,
     answer_ready,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.study.study import DesignStudy
+from pupper_analysis.tools.study.study import DesignStudy
 
 if TYPE_CHECKING:
     import pandas as pd

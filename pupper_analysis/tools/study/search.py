@@ -11,19 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
-from pupper_analysis.study.pareto import pareto_front
-from pupper_analysis.study.running import Progress
-from pupper_analysis.study.store import require_library
-from pupper_analysis.study.variables import LogUniform, Normal, Variable
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import Term, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.study.pareto import pareto_front
+from pupper_analysis.tools.study.running import Progress
+from pupper_analysis.tools.study.store import require_library
+from pupper_analysis.tools.study.variables import LogUniform, Normal, Variable
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pupper_analysis.study.study import DesignStudy
+    from pupper_analysis.tools.study.study import DesignStudy
 
 Bounds = tuple[float | None, float | None]
 

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import Term, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
-from pupper_analysis.study.design import Maker
-from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
-from pupper_analysis.study.running import Progress
-from pupper_analysis.study.sampling import at_shares
-from pupper_analysis.study.store import require_library
-from pupper_analysis.study.study import DesignStudy
-from pupper_analysis.study.variables import Normal, Variable
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import Term, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.linear import sag_derivatives, torque_derivatives
+from pupper_analysis.tools.study.running import Progress
+from pupper_analysis.tools.study.sampling import at_shares
+from pupper_analysis.tools.study.store import require_library
+from pupper_analysis.tools.study.study import DesignStudy
+from pupper_analysis.tools.study.variables import Normal, Variable
 
 Array = NDArray[np.float64]
 

@@ -8,14 +8,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pupper_analysis.convert.files import FileSource, RobotFiles
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.spec_state import state_of
+from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.study.parameters import without_visuals
+from pupper_analysis.tools.study.parameters import without_visuals
 
 
 class RobotSource(Protocol):

@@ -14,12 +14,17 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError, MissingPackageError, OutputError, StudyError
-from pupper_analysis.files import Writing, whole_file, write_together
-from pupper_analysis.inputs import MOST_TEXT, read_input
-from pupper_analysis.kinds import EDITED, MODEL, OWN
-from pupper_analysis.study.design import ENDS, Row
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import (
+    InputError,
+    MissingPackageError,
+    OutputError,
+    StudyError,
+)
+from pupper_analysis.base.files import Writing, whole_file, write_together
+from pupper_analysis.base.inputs import MOST_TEXT, read_input
+from pupper_analysis.base.kinds import EDITED, MODEL, OWN
+from pupper_analysis.tools.study.design import ENDS, Row
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,16 +17,16 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_finite, check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, InputError, VariantError
-from pupper_analysis.inputs import is_input, read_toml
+from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, InputError, VariantError
+from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.robot.posture import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.design import STANCE, check_name, check_range
-from pupper_analysis.study.metrics import (
+from pupper_analysis.tools.study.design import STANCE, check_name, check_range
+from pupper_analysis.tools.study.measures import (
     REVISION,
     Function,
     metric_fingerprint,
@@ -34,19 +34,25 @@ from pupper_analysis.study.metrics import (
     metric_text,
     modules_in,
 )
-from pupper_analysis.study.named import OF_JOINTS, SERVOS, Named, groups_of, joints_of
-from pupper_analysis.study.running import Progress, Run, Settings
-from pupper_analysis.study.sampling import BLOCK, Sampling
-from pupper_analysis.study.source import RobotSource, digest_of, load_source
-from pupper_analysis.study.store import Store, require_library
-from pupper_analysis.study.table import names_of, order_rows
-from pupper_analysis.study.variables import Variable, make_variable
-from pupper_analysis.study.worker import Work, list_versions
+from pupper_analysis.tools.study.named import (
+    OF_JOINTS,
+    SERVOS,
+    Named,
+    groups_of,
+    joints_of,
+)
+from pupper_analysis.tools.study.running import Progress, Run, Settings
+from pupper_analysis.tools.study.sampling import BLOCK, Sampling
+from pupper_analysis.tools.study.source import RobotSource, digest_of, load_source
+from pupper_analysis.tools.study.store import Store, require_library
+from pupper_analysis.tools.study.table import names_of, order_rows
+from pupper_analysis.tools.study.variables import Variable, make_variable
+from pupper_analysis.tools.study.worker import Work, list_versions
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pupper_analysis.study.search import SearchOptimum
+    from pupper_analysis.tools.study.search import SearchOptimum
 
 Array = NDArray[np.float64]
 
@@ -347,7 +353,7 @@ class DesignStudy:
             options: ``minimise``, ``maximise``: columns; ``subject_to``: {column: (least,
                 greatest)}; ``trials``; and ``executor``, ``workers``, ``progress`` as in ``run``.
         """
-        from pupper_analysis.study.search import optimise_study
+        from pupper_analysis.tools.study.search import optimise_study
 
         return optimise_study(self, folder, **options)
 

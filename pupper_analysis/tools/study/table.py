@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError, StudyError
-from pupper_analysis.study.design import ENDS
-from pupper_analysis.study.sampling import Sampling
-from pupper_analysis.study.store import Store, require_library
-from pupper_analysis.study.variables import make_variable
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, StudyError
+from pupper_analysis.tools.study.design import ENDS
+from pupper_analysis.tools.study.sampling import Sampling
+from pupper_analysis.tools.study.store import Store, require_library
+from pupper_analysis.tools.study.variables import make_variable
 
 if TYPE_CHECKING:
     import pandas as pd

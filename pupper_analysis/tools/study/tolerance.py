@@ -13,15 +13,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_finite, check_type
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.results import Result
-from pupper_analysis.study.running import Progress
-from pupper_analysis.study.sampling import at_shares
-from pupper_analysis.study.screening import screen_variables
-from pupper_analysis.study.study import DesignStudy
-from pupper_analysis.study.variables import LogUniform, Normal, Uniform, Variable
+from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.study.running import Progress
+from pupper_analysis.tools.study.sampling import at_shares
+from pupper_analysis.tools.study.screening import screen_variables
+from pupper_analysis.tools.study.study import DesignStudy
+from pupper_analysis.tools.study.variables import (
+    LogUniform,
+    Normal,
+    Uniform,
+    Variable,
+)
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_finite, check_type
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.arguments import check_finite, check_type
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 

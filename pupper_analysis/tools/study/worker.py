@@ -16,12 +16,12 @@ from functools import lru_cache
 from importlib import metadata
 from multiprocessing import parent_process
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import StudyError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import StudyError
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.design import Maker, Row, row_of
-from pupper_analysis.study.metrics import Function, Metric, metric_of
-from pupper_analysis.study.source import RobotSource
+from pupper_analysis.tools.study.design import Maker, Row, row_of
+from pupper_analysis.tools.study.measures import Function, Metric, metric_of
+from pupper_analysis.tools.study.source import RobotSource
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
 """Whose versions results depend on."""

@@ -1,5 +1,8 @@
-"""How is what disagrees mended? The numbers of one file are written into the other, in place."""
+"""Make a URDF and an MJCF agree.
 
-from pupper_analysis.exports import exports_of
+How is what disagrees mended? The numbers of one file are written into the other, in place.
+"""
+
+from pupper_analysis.base.exports import exports_of
 
 __getattr__, __dir__, __all__ = exports_of(__name__, __file__)

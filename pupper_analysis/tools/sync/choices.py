@@ -7,11 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from pupper_analysis.checks.differences import SERVO_GAINS, Difference
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.inputs import read_text
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.inputs import read_text
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
+from pupper_analysis.robot.compare.differences import SERVO_GAINS, Difference
 
 SIDES: Final = ("urdf", "mjcf")
 

@@ -9,11 +9,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pupper_analysis.cli import models, shared
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.matching_options import (
+    fine_tolerance_option,
+    frame_option,
+    map_file_option,
+    map_option,
+    mapped_names,
+    with_changes,
+)
 from pupper_analysis.cli.modes import refuse_alone, refuse_idle
 
 if TYPE_CHECKING:
-    from pupper_analysis.sync.models import Sync
+    from pupper_analysis.tools.sync.models import Sync
 
 
 @shared.command("sync")
@@ -44,16 +52,16 @@ if TYPE_CHECKING:
     is_flag=True,
     help=f"Write even to files with uncommitted changes. {shared.FORCE}",
 )
-@models.map_option
-@models.map_file_option
+@map_option
+@map_file_option
 @shared.package_option
-@models.frame_option
+@frame_option
 @click.option("--fine", is_flag=True, help="Also sync rounding differences, down to 1e-9.")
-@models.fine_tolerance_option
+@fine_tolerance_option
 @shared.json_option
 @shared.look_option
 @shared.verbose_option
-def sync_command(
+def command(
     urdf: Path,
     mjcf: Path,
     take: tuple[str, ...],
@@ -88,17 +96,17 @@ def sync_command(
     \b
     Exit status: 0 the files agree (with --dry-run: would agree), 1 differences remain, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.matching.tolerances import Tolerances
-    from pupper_analysis.report.document import Report
-    from pupper_analysis.report.documents.sync import question_text, sync_document
-    from pupper_analysis.sync.models import FINE, sync_models
+    from pupper_analysis.present.document import Report
+    from pupper_analysis.robot.matching.tolerances import Tolerances
+    from pupper_analysis.tools.sync.document import question_text, sync_document
+    from pupper_analysis.tools.sync.models import FINE, sync_models
 
     if dry_run:
         refuse_idle("--dry-run", "backup")
     if not take and not _is_terminal():
         refuse_alone(("--take",), "take_absent", "partial", "backup")
-    names, folders = models.mapped_names(pairs, map_file), shared.package_folders(packages)
-    tolerances = models.with_changes(FINE if fine else Tolerances(), changes)
+    names, folders = mapped_names(pairs, map_file), shared.package_folders(packages)
+    tolerances = with_changes(FINE if fine else Tolerances(), changes)
 
     def run(chosen: tuple[str, ...], dry: bool) -> Sync:
         return sync_models(

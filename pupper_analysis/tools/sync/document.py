@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from pupper_analysis.report import document as doc
-from pupper_analysis.report.documents.registry import build_document
-from pupper_analysis.report.words import text
+from pupper_analysis.present import document as doc
+from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.sync.choices import difference_label, line_at
-from pupper_analysis.sync.models import Sync
-from pupper_analysis.sync.plan import UnwrittenCause
+from pupper_analysis.tools.sync.choices import difference_label, line_at
+from pupper_analysis.tools.sync.models import Sync
+from pupper_analysis.tools.sync.plan import UnwrittenCause
 
 
 def question_text(sync: Sync, place: int) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.efforts import (
     EffortStatement,
     effort_limit,
@@ -18,10 +18,10 @@ from pupper_analysis.models.efforts import (
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME
-from pupper_analysis.sync.frames import Key
+from pupper_analysis.tools.sync.frames import Key
 
 if TYPE_CHECKING:
-    from pupper_analysis.sync.mjcf_side import MjcfSide
+    from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 
 _LIMITED = {
     "actuatorfrcrange": "actuatorfrclimited",

@@ -12,16 +12,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import inertia_entries
-from pupper_analysis.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.arrays import inertia_entries
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_in_place import elements_within
 from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import Digits
-from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.inertia import (
+from pupper_analysis.tools.sync.frames import Key
+from pupper_analysis.tools.sync.inertia import (
     is_physical,
     is_same_body,
     spread_alike,
@@ -30,7 +30,7 @@ from pupper_analysis.sync.inertia import (
 )
 
 if TYPE_CHECKING:
-    from pupper_analysis.sync.mjcf_side import MjcfSide
+    from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 
 Array = NDArray[np.float64]
 

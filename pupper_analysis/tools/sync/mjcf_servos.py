@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.robot.servos import own_servos
-from pupper_analysis.sync.frames import Key
+from pupper_analysis.tools.sync.frames import Key
 
 if TYPE_CHECKING:
-    from pupper_analysis.sync.mjcf_side import MjcfSide
+    from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 
 
 def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:

@@ -11,18 +11,18 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arrays import placement_of
-from pupper_analysis.diagnostics import Source, diagnose
+from pupper_analysis.base.arrays import placement_of
+from pupper_analysis.base.diagnostics import Source, diagnose
 from pupper_analysis.models.conversion import joint_armature, joint_damping
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME
-from pupper_analysis.sync.frames import Key, Side
-from pupper_analysis.sync.mjcf_effort import write_effort
-from pupper_analysis.sync.mjcf_inertials import write_inertial
-from pupper_analysis.sync.mjcf_servos import write_gains
+from pupper_analysis.tools.sync.frames import Key, Side
+from pupper_analysis.tools.sync.mjcf_effort import write_effort
+from pupper_analysis.tools.sync.mjcf_inertials import write_inertial
+from pupper_analysis.tools.sync.mjcf_servos import write_gains
 
 Array = NDArray[np.float64]
 

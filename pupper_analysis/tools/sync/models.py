@@ -9,24 +9,30 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.checks.compare import Comparison, compare_models
-from pupper_analysis.checks.differences import Difference
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError, OutputError
-from pupper_analysis.files import Writing, write_together
-from pupper_analysis.kinds import EDITED
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError, OutputError
+from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.kinds import EDITED
+from pupper_analysis.base.results import Result
+from pupper_analysis.base.temporary import clear_left, hidden_token, write_new
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.xml_bytes import XmlDocument
-from pupper_analysis.results import Result
-from pupper_analysis.sync.choices import choose_files, difference_label
-from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.plan import Edit, Files, Plan, UnwrittenCause, make_plan
-from pupper_analysis.temporary import clear_left, hidden_token, write_new
+from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.differences import Difference
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.sync.choices import choose_files, difference_label
+from pupper_analysis.tools.sync.frames import Key
+from pupper_analysis.tools.sync.plan import (
+    Edit,
+    Files,
+    Plan,
+    UnwrittenCause,
+    make_plan,
+)
 
 FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
 """What counts as a difference, digit for digit: rounding does not; a URDF states no gravity."""

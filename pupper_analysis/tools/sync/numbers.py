@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.checks.attribution import align_robot
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.files import Writing, write_together
-from pupper_analysis.inputs import MOST_FILE, read_input
-from pupper_analysis.kinds import hash_of, made_model
-from pupper_analysis.matching.match import match_models
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.inputs import MOST_FILE, read_input
+from pupper_analysis.base.kinds import hash_of, made_model
+from pupper_analysis.base.runs import note_input, running
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text, read_mjcf
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
@@ -24,20 +22,22 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
+from pupper_analysis.robot.compare.attribution import align_robot
+from pupper_analysis.robot.matching.match import match_models
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.runs import note_input, running
-from pupper_analysis.sync.copies import (
+from pupper_analysis.tools.sync.copies import (
     Copies,
     copies_of_mjcf,
     copies_of_urdf,
     laid_out,
 )
-from pupper_analysis.sync.frames import Key, Side, pair_robots
-from pupper_analysis.sync.mjcf_side import MjcfSide
-from pupper_analysis.sync.plan import Edit, edits_of
-from pupper_analysis.sync.trial import try_files
-from pupper_analysis.sync.urdf_side import UrdfSide
-from pupper_analysis.sync.wanted import (
+from pupper_analysis.tools.sync.frames import Key, Side, pair_robots
+from pupper_analysis.tools.sync.mjcf_side import MjcfSide
+from pupper_analysis.tools.sync.plan import Edit, edits_of
+from pupper_analysis.tools.sync.trial import try_files
+from pupper_analysis.tools.sync.urdf_side import UrdfSide
+from pupper_analysis.tools.sync.wanted import (
     OF_BODIES,
     OF_SERVOS,
     NumberChanges,

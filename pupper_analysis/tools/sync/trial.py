@@ -11,16 +11,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, diagnose
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.transmission import drives_of, law_of
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.sync.frames import Key
-from pupper_analysis.sync.wanted import (
+from pupper_analysis.tools.sync.frames import Key
+from pupper_analysis.tools.sync.wanted import (
     OF_BODIES,
     OF_JOINTS,
     OF_SERVOS,

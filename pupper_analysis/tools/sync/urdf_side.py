@@ -10,16 +10,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
-from pupper_analysis.diagnostics import Term, diagnose
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries, inertia_tensor
+from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
 from pupper_analysis.models.orientation import origin_changes
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME, Digits
-from pupper_analysis.sync.frames import Key, Side
-from pupper_analysis.sync.inertia import (
+from pupper_analysis.tools.sync.frames import Key, Side
+from pupper_analysis.tools.sync.inertia import (
     is_physical,
     is_same_body,
     spread_alike,

@@ -10,15 +10,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching.match import Match
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.conversion import joint_armature, joint_damping
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.robot.matching.match import Match
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.sync.frames import Key, MatchedRobots
+from pupper_analysis.tools.sync.frames import Key, MatchedRobots
 
 Array = NDArray[np.float64]
 

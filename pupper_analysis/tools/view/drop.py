@@ -9,15 +9,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import ConfigurationError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import show_window
-from pupper_analysis.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
+from pupper_analysis.tools.view.window import show_window
 
 Array = NDArray[np.float64]
 

@@ -7,12 +7,17 @@ import contextlib
 import mujoco
 import numpy as np
 
-from pupper_analysis.pupper.drop import DEFAULT_SECONDS, at_home, check_seconds, drop
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.pupper.window import check_display, open_window, play_steps
-from pupper_analysis.pupper.words import print_imu, print_joints, print_readings
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import STABLE_DEVIATION
+from pupper_analysis.tools.view.drop import (
+    DEFAULT_SECONDS,
+    at_home,
+    check_seconds,
+    drop,
+)
+from pupper_analysis.tools.view.window import check_display, open_window, play_steps
+from pupper_analysis.tools.view.words import print_imu, print_joints, print_readings
 
 
 def view_robot(

@@ -16,8 +16,8 @@ from typing import Any
 
 import mujoco
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import PupperAnalysisError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
 
 _FRAME = 1 / 60  # s between two pictures
 

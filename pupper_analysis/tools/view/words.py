@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.pupper.drop import Reading, imu_sensors
-from pupper_analysis.results import Result
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.view.drop import Reading, imu_sensors
 
 Array = NDArray[np.float64]
 IMU_SENSORS = {

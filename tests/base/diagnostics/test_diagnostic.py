@@ -9,15 +9,14 @@ import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from string import Formatter
 
 import numpy as np
 import pytest
 
-from pupper_analysis import errors
-from pupper_analysis.diagnostics import (
+from pupper_analysis.base import errors
+from pupper_analysis.base.diagnostics import (
     LANGUAGES,
     Diagnostic,
     Quantity,
@@ -32,14 +31,23 @@ from pupper_analysis.diagnostics import (
     merge_diagnostics,
     term,
 )
-from pupper_analysis.diagnostics.catalogue import LINED
-from pupper_analysis.diagnostics.record import from_record, to_record
-from pupper_analysis.diagnostics.templates import fill_template
-from pupper_analysis.errors import ModelError
-from pupper_analysis.results import to_json
+from pupper_analysis.base.diagnostics.catalogue import word_files
+from pupper_analysis.base.diagnostics.record import from_record, to_record
+from pupper_analysis.base.diagnostics.templates import fill_template
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.results import to_json
 from tests.support.rooms import PACKAGE, trees
 
-CATALOGUE = sorted(Path(str(files("pupper_analysis.diagnostics"))).joinpath("catalogue").iterdir())
+WORDS = {
+    whose: tomllib.loads(path.read_text(encoding="utf-8")) for whose, path in word_files().items()
+}
+TEXTS = WORDS.pop("texts") | {
+    k: v for one in WORDS.values() for k, v in one.pop("texts", {}).items()
+}
+TERMS = WORDS.pop("terms")
+MEANINGS = WORDS.pop("meanings") | {
+    k: v for one in WORDS.values() for k, v in one.pop("meanings", {}).items()
+}
 CODES = sorted(codes())
 HAN = re.compile("[\u4e00-\u9fff]")
 
@@ -102,10 +110,7 @@ def literals(node: ast.expr, where: str) -> Iterator[str]:
 
 def test_the_tables_are_those_that_toml_reads_and_no_code_is_in_two() -> None:
     found = []
-    for file in CATALOGUE:
-        if file.name in LINED:
-            continue
-        read = tomllib.loads(file.read_text(encoding="utf-8"))
+    for read in WORDS.values():
         found += list(read)
         for code, stated in read.items():
             assert set(stated) <= {"severity", "group", *LANGUAGES}, code

@@ -6,19 +6,18 @@ import importlib
 import inspect
 import pkgutil
 import re
-import tomllib
 from dataclasses import fields, is_dataclass
 from functools import cache
 
 import pupper_analysis as pa
-from pupper_analysis.analysis.hold import Hold
-from pupper_analysis.analysis.path import PathThere
-from pupper_analysis.analysis.push import PushedStance
-from pupper_analysis.analysis.stance import Stance
-from pupper_analysis.diagnostics import LANGUAGES, meaning
-from pupper_analysis.diagnostics.catalogue import list_entries
-from pupper_analysis.results import Result
-from tests.diagnostics.test_diagnostic import CATALOGUE, HAN
+from pupper_analysis.base.diagnostics import LANGUAGES, meaning
+from pupper_analysis.base.diagnostics.catalogue import list_entries
+from pupper_analysis.base.results import Result
+from pupper_analysis.tools.hold.hold import Hold
+from pupper_analysis.tools.path.tracked import PathThere
+from pupper_analysis.tools.push.pushed import PushedStance
+from pupper_analysis.tools.stand.stance import Stance
+from tests.base.diagnostics.test_diagnostic import HAN, MEANINGS
 from tests.support.names import public, public_modules
 
 OWN_PAGES = (
@@ -47,8 +46,7 @@ def documented(kind: type) -> dict[str, str]:
 
 def listed() -> dict[str, dict[str, str]]:
     """{class.field: its words} of the catalogue."""
-    read = tomllib.loads((CATALOGUE[0].parent / "meanings.toml").read_text(encoding="utf-8"))
-    return {f"{kind}.{name}": both for kind, of in read.items() for name, both in of.items()}
+    return {f"{kind}.{name}": both for kind, of in MEANINGS.items() for name, both in of.items()}
 
 
 def all_results(kind: type = Result) -> set[type]:

@@ -10,9 +10,9 @@ import pytest
 
 from pupper_analysis.models.attributes import ELEMENT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.robot_model.elements import ENABLED, list_elements
-from pupper_analysis.robot_model.geometry import shape_points, support_of
-from pupper_analysis.robot_model.model import Pose, Shape
+from pupper_analysis.models.stated.elements import ENABLED, list_elements
+from pupper_analysis.models.stated.geometry import shape_points, support_of
+from pupper_analysis.models.stated.model import Pose, Shape
 
 TEXT = """<mujoco>
   <option timestep="0.003" cone="elliptic">

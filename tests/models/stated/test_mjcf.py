@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pupper_analysis.models.mjcf_file import read_mjcf
-from pupper_analysis.robot_model.mjcf import read_mjcf_model
+from pupper_analysis.models.stated.mjcf import read_mjcf_model
 
 ROBOT = """<body name="{name}" pos="0 0 1">{free}<geom size="0.1" mass="{mass}"/>
 <body><joint name="{name}_hinge"/><geom size="0.1" pos="0.3 0 0" mass="0.1"/></body></body>"""

@@ -13,13 +13,13 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 from pxr import Gf, Usd, UsdGeom, UsdPhysics
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.errors import ModelError
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.stated.model import Array
+from pupper_analysis.models.stated.urdf import read_urdf_model
+from pupper_analysis.models.stated.usd import UsdModel, read_usd_model
+from pupper_analysis.models.stated.usd_mass import Origin
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.usd_file import read_usd
-from pupper_analysis.robot_model.model import Array
-from pupper_analysis.robot_model.urdf import read_urdf_model
-from pupper_analysis.robot_model.usd import UsdModel, read_usd_model
-from pupper_analysis.robot_model.usd_mass import Origin
 from tests.support import usd
 
 

@@ -12,10 +12,10 @@ import pytest
 from lxml import etree
 
 import pupper_analysis as pa
-from pupper_analysis.convert import meshes
-from pupper_analysis.convert.load import read_pair
 from pupper_analysis.models.urdf_file import urdf_from
 from pupper_analysis.models.xml import parse_text
+from pupper_analysis.prepare.convert import meshes
+from pupper_analysis.prepare.convert.load import read_pair
 from pupper_analysis.prepare.own_run import own_run
 from pupper_analysis.pupper.variants import model_folder
 
@@ -112,8 +112,8 @@ def test_it_is_said_that_there_was_one_file(
 
 
 def test_a_verdict_says_so(of_mjcf: pa.Robot, both: pa.Robot) -> None:
-    from pupper_analysis.analysis.stance import study_stance
-    from pupper_analysis.report.verdict import in_words, verdict_word
+    from pupper_analysis.present.verdict import in_words, verdict_word
+    from pupper_analysis.tools.stand.stance import study_stance
 
     verdict = study_stance(of_mjcf, pa.StandTask()).verdict
     assert verdict.passed

@@ -13,10 +13,10 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from pupper_analysis.convert import mesh_files
-from pupper_analysis.convert.mesh_files import UnreadableError, obj_of
-from tests.convert.test_model import _shape, compiled
+from pupper_analysis.prepare.convert import mesh_files
+from pupper_analysis.prepare.convert.mesh_files import UnreadableError, obj_of
 from tests.support.robots import arm, urdf_text
+from tests.tools.convert.test_model import _shape, compiled
 
 BOX = trimesh.creation.box((0.1, 0.2, 0.3))
 

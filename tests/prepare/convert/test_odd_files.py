@@ -11,7 +11,8 @@ import pytest
 import trimesh
 
 import pupper_analysis as pa
-from tests.convert.test_model import (
+from tests.support.legged import quadruped as legged
+from tests.tools.convert.test_model import (
     _shape,
     compiled,
     converted,
@@ -19,7 +20,6 @@ from tests.convert.test_model import (
     same_dynamics,
     standing_urdf,
 )
-from tests.support.legged import quadruped as legged
 
 
 def _changed(folder: Path, *changes: tuple[str, str]) -> Path:

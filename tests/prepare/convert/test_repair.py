@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.convert.repair import is_possible, nearest_moments
-from tests.convert.test_model import compiled, converted, same_dynamics, standing_urdf
+from pupper_analysis.prepare.convert.repair import is_possible, nearest_moments
 from tests.support.robots import Part, Parts, arm, changed, urdf_text
+from tests.tools.convert.test_model import compiled, converted, same_dynamics, standing_urdf
 
 CAMERA = (8.7e-6, 6.7e-4, 1.37e-3, 0.0, 0.0, 0.0)  # of ANYmal C's depth cameras
 FLAT = (1e-3, 1e-3, 1e-2, 0.0, 0.0, 0.0)
@@ -121,7 +121,7 @@ def test_what_moves_without_mass_is_given_a_gram_if_asked_for(tmp_path: Path) ->
 
 def test_what_else_differs_still_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A repair of one body excuses no difference of another."""
-    from pupper_analysis.convert import model
+    from pupper_analysis.tools.convert import model
 
     real = model.mjcf_draft
 

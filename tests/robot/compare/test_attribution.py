@@ -14,13 +14,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.checks import changes as explain_module
-from pupper_analysis.checks.attribution import explain_differences
-from pupper_analysis.checks.differences import Difference, Explanation
-from pupper_analysis.checks.states import random_states
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.arrays import rotation_from_quaternion
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.robot.compare import changes as explain_module
+from pupper_analysis.robot.compare.attribution import explain_differences
+from pupper_analysis.robot.compare.differences import Difference, Explanation
+from pupper_analysis.robot.compare.states import random_states
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.engines import addresses, mujoco_at
 from tests.support.robots import (
     FEET,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.diagnostics import Quantity
+from pupper_analysis.base.diagnostics import Quantity
 from tests.support.repository import ROOT
 
 FOOT = '"collision" type="sphere" size="0.01995"'

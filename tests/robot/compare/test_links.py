@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.checks.links import body_moments, fold_bodies
-from pupper_analysis.checks.patterns.links import by_pattern
 from pupper_analysis.models.multibody import TreeBody
-from tests.report.test_comparison import lines
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.compare.links import body_moments, fold_bodies
+from pupper_analysis.robot.compare.patterns.links import by_pattern
+from tests.present.test_comparison import lines
 from tests.support.robots import (
     Part,
     Parts,

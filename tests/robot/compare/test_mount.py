@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.report.test_comparison import lines
+from tests.present.test_comparison import lines
 from tests.support.robots import Files, arm, compared, mjcf_text, pendulum, urdf_text, write
 
 GRAVITY = 9.81  # m/s^2

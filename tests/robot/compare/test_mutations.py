@@ -18,8 +18,8 @@ from xml.etree import ElementTree
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.checks.compare import Comparison, compare_models
-from pupper_analysis.checks.differences import Difference
+from pupper_analysis.robot.compare.compare import Comparison, compare_models
+from pupper_analysis.robot.compare.differences import Difference
 
 Element = ElementTree.Element
 PLACES = 3  # randomly chosen places per kind and pair
@@ -836,7 +836,7 @@ def test_the_program_says_so_if_a_change_is_missed(
 
 
 def main() -> int:
-    """Prints the score: ``python -m tests.checks.test_mutations``; returns 1 if any was missed."""
+    """Prints the score, returns 1 if any was missed: ``python -m`` this module."""
     import tempfile
 
     total = found = 0

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.checks.test_mutations import sources
-from tests.report.test_comparison import lines
+from tests.present.test_comparison import lines
+from tests.robot.compare.test_mutations import sources
 from tests.support.robots import (
     Files,
     Parts,

@@ -15,13 +15,18 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.checks.attribution import _entries
-from pupper_analysis.checks.behaviour import Behaviour
-from pupper_analysis.checks.engines import URDF_MUJOCO, URDF_READ, cross_check
-from pupper_analysis.checks.size import MOST_IN_PINOCCHIO, affordable_states, size_notes, some_of
-from pupper_analysis.checks.states import random_states
-from pupper_analysis.matching.trees import Reference, kinematic_trees
 from pupper_analysis.models.mujoco_tree import MujocoTree
+from pupper_analysis.robot.compare.attribution import _entries
+from pupper_analysis.robot.compare.behaviour import Behaviour
+from pupper_analysis.robot.compare.engines import URDF_MUJOCO, URDF_READ, cross_check
+from pupper_analysis.robot.compare.size import (
+    MOST_IN_PINOCCHIO,
+    affordable_states,
+    size_notes,
+    some_of,
+)
+from pupper_analysis.robot.compare.states import random_states
+from pupper_analysis.robot.matching.trees import Reference, kinematic_trees
 from pupper_analysis.robot.structure import Structure
 from tests.support.cases import some
 from tests.support.repository import benchmark

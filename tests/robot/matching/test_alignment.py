@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from pupper_analysis.matching.alignment import count_digits, digits_in_all, with_base
-from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.robot.matching.alignment import count_digits, digits_in_all, with_base
+from pupper_analysis.robot.matching.tolerances import Tolerances
 
 
 def inertia_of(points: np.ndarray, masses: np.ndarray) -> np.ndarray:

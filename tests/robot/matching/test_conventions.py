@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pupper_analysis.matching.conventions import _fitted
-from tests.report.test_comparison import lines
+from pupper_analysis.robot.matching.conventions import _fitted
+from tests.present.test_comparison import lines
 from tests.support.robots import (
     FEET,
     Files,

@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.checks.compare import Comparison
-from pupper_analysis.errors import ModelError, UnknownNameError
-from pupper_analysis.matching.match import match_models, read_mapping
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
+from pupper_analysis.robot.compare.compare import Comparison
+from pupper_analysis.robot.matching.match import match_models, read_mapping
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from tests.support.robots import (
     FEET,
     Files,
@@ -811,9 +811,9 @@ def test_a_continuous_joint_lacks_the_limits_of_a_revolute_one(tmp_path: Path) -
 
 def test_nothing_is_changed_in_the_files_that_were_read(tmp_path: Path) -> None:
     """Matching works on copies: the same files can be matched again."""
-    from pupper_analysis.matching.match import match_models
     from pupper_analysis.models.mjcf_file import read_mjcf
     from pupper_analysis.models.urdf_file import read_urdf
+    from pupper_analysis.robot.matching.match import match_models
 
     files = write_parts(tmp_path, quadruped() | {"tail": light("tail", "base")}, quadruped())
     urdf, mjcf = read_urdf(files.urdf), read_mjcf(files.mjcf)

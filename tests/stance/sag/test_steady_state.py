@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.diagnostics import Subject
+from pupper_analysis.base.diagnostics import Subject
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.sag import steady_state as settle

@@ -16,13 +16,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
-from pupper_analysis.checks.audit import RULES, Audit, Finding, Rule, Severity, audit_model
-from pupper_analysis.checks.audit.pairs import mirror_name, mirror_pairs
-from pupper_analysis.checks.audit.registry import CHECKS
-from pupper_analysis.checks.audit.rules.joints import expected_axis
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Source
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Source
+from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.robot_model.urdf import read_urdf_model
+from pupper_analysis.tools.audit.audit import (
+    RULES,
+    Audit,
+    Finding,
+    Rule,
+    Severity,
+    audit_model,
+)
+from pupper_analysis.tools.audit.pairs import mirror_name, mirror_pairs
+from pupper_analysis.tools.audit.registry import CHECKS
+from pupper_analysis.tools.audit.rules.joints import expected_axis
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 

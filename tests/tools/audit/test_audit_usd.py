@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pxr", reason="usd-core is not installed")
 
-from pupper_analysis.checks.audit import RULES, audit_model
+from pupper_analysis.tools.audit.audit import RULES, audit_model
 from tests.support import usd
 from tests.support.commands import answer
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import pytest
 
 from pupper_analysis import cli
-from pupper_analysis.checks.audit import RULES, audit_model
+from pupper_analysis.tools.audit.audit import RULES, audit_model
 from tests.support.commands import Answer, answer
 from tests.support.printing import printed
 from tests.support.repository import ROOT

@@ -16,17 +16,22 @@ from hypothesis import strategies as st
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.diagnostics import Severity, catalogue, diagnose, diagnostic
-from pupper_analysis.guard.baseline import (
+from pupper_analysis.base.diagnostics import (
+    Severity,
+    catalogue,
+    diagnose,
+    diagnostic,
+)
+from pupper_analysis.present import formats
+from pupper_analysis.tools.check.baseline import (
     BaselineEntry,
     is_same,
     judge_remarks,
     read_baseline,
     write_baseline,
 )
-from pupper_analysis.guard.config import read_config
-from pupper_analysis.guard.remarks import Remark, RemarkState, to_plain
-from pupper_analysis.report import formats
+from pupper_analysis.tools.check.config import read_config
+from pupper_analysis.tools.check.remarks import Remark, RemarkState, to_plain
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 

@@ -14,12 +14,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pupper_analysis.checks.audit import Severity
-from pupper_analysis.errors import ConfigurationError, ModelError
-from pupper_analysis.guard import config
-from pupper_analysis.guard.config import find_config, read_config
-from pupper_analysis.guard.toml import read_toml, toml_table, toml_value
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.audit.audit import Severity
+from pupper_analysis.tools.check import config
+from pupper_analysis.tools.check.config import find_config, read_config
+from pupper_analysis.tools.check.toml import read_toml, toml_table, toml_value
 from tests.support.repository import ROOT
 
 LEAST = '[[pair]]\nname = "a"\nurdf = "a.urdf"\n'

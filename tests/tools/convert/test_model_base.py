@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from tests.convert.test_model import _shape, compiled, converted, standing_urdf
 from tests.support.robots import Part, Parts, urdf_text
+from tests.tools.convert.test_model import _shape, compiled, converted, standing_urdf
 
 
 def hand(folder: Path, count: int = 3) -> Path:

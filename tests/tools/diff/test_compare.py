@@ -19,10 +19,15 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.checks.versions.behaviour import Trial
-from pupper_analysis.matching.trees import kinematic_trees
 from pupper_analysis.models.git import refuse_uncommitted
-from pupper_analysis.models.multibody import from_pinocchio, rename_joints, to_pinocchio, with_fixed
+from pupper_analysis.models.multibody import (
+    from_pinocchio,
+    rename_joints,
+    to_pinocchio,
+    with_fixed,
+)
+from pupper_analysis.robot.matching.trees import kinematic_trees
+from pupper_analysis.tools.diff.behaviour import Trial
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import (

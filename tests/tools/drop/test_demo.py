@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis import Configuration
-from pupper_analysis.pupper import demo
-from pupper_analysis.simulation.tracking import track_path
+from pupper_analysis.tools.drop import demo
+from pupper_analysis.tools.path.tracking import track_path
 from tests.support.commands import run_command
 from tests.support.variants import load
 
@@ -75,7 +75,7 @@ def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> No
 def test_a_path_that_is_not_tracked_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from pupper_analysis.simulation import tracking
+    from pupper_analysis.tools.path import tracking
 
     monkeypatch.setattr(tracking, "TRACKING_TOLERANCE", 1e-6)
     status, out, _ = run_command(capfd, "drop", "--headless", "--demo", "squat")

@@ -14,10 +14,10 @@ from rosbags import rosbag1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from pupper_analysis.errors import ConfigurationError, MeasurementError, MissingPackageError
-from pupper_analysis.identification.measurements import bags, unpacking
-from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.measurements.log_files import read_log
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
+from pupper_analysis.tools.fit.measurements import bags, unpacking
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.measurements.log_files import read_log
 
 STATE, CONTROLLER = "sensor_msgs/msg/JointState", "control_msgs/msg/JointTrajectoryControllerState"
 TRAJECTORY, ARRAY = "trajectory_msgs/msg/JointTrajectory", "std_msgs/msg/Float64MultiArray"
@@ -321,7 +321,7 @@ def test_a_chunk_of_zeros_does_not_take_what_it_unpacks_to(tmp_path: Path) -> No
 
     from lz4 import frame
 
-    from pupper_analysis.identification.measurements.unpacking import _bounded
+    from pupper_analysis.tools.fit.measurements.unpacking import _bounded
 
     piece = frame.compress(bytes(10_000_000))
     unpack = _bounded(frame.LZ4FrameDecompressor)

@@ -7,16 +7,22 @@ import math
 import numpy as np
 import pytest
 
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.motions.result import MotionFit
-from pupper_analysis.identification.parameters import Parameter
-from pupper_analysis.identification.result import Estimate, Expected, describe_parameters
-from pupper_analysis.identification.stands.plan import PlannedStand, StandPlan
-from pupper_analysis.identification.stands.result import JointResidual, StandFit
-from pupper_analysis.identification.told import Together, Told
-from pupper_analysis.report import plots
-from pupper_analysis.report.document import Cell, Document, Name, Number, Table
-from pupper_analysis.report.documents.registry import document
+from pupper_analysis.present import plots
+from pupper_analysis.present.document import (
+    Cell,
+    Document,
+    Name,
+    Number,
+    Table,
+)
+from pupper_analysis.present.documents.registry import document
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.motions.result import MotionFit
+from pupper_analysis.tools.fit.parameters import Parameter
+from pupper_analysis.tools.fit.result import Estimate, Expected, describe_parameters
+from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan
+from pupper_analysis.tools.fit.stands.result import JointResidual, StandFit
+from pupper_analysis.tools.fit.told import Together, Told
 
 PARAMETERS = (
     Parameter("offset", "knee", "", 0.01, 0.035),

@@ -5,15 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pupper_analysis.errors import FitError
-from pupper_analysis.identification.estimate import (
-    Linearised,
-    Posterior,
-    estimate_parameters,
-)
-from pupper_analysis.identification.moments import Moments
-from pupper_analysis.identification.parameters import Parameter, ParameterTable
-from pupper_analysis.identification.slopes import Slopes
+from pupper_analysis.base.errors import FitError
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.moments import Moments
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
+from pupper_analysis.tools.fit.slopes import Slopes
 
 Array = np.ndarray
 

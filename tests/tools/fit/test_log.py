@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.measurements.log_files import read_log
-from pupper_analysis.identification.measurements.log_quality import find_quantum, inspect_log
+from pupper_analysis.base.errors import MeasurementError, UnknownNameError
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.measurements.log_files import read_log
+from pupper_analysis.tools.fit.measurements.log_quality import find_quantum, inspect_log
 from tests.support.arm import arm
 
 JOINTS = ("shoulder", "elbow")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised, estimate_parameters
-from pupper_analysis.identification.logarithms import Logarithms
-from pupper_analysis.identification.parameters import Parameter, ParameterTable
+from pupper_analysis.tools.fit.estimate import Linearised, estimate_parameters
+from pupper_analysis.tools.fit.logarithms import Logarithms
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 
 Array = NDArray[np.float64]
 

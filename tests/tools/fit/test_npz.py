@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pupper_analysis.errors import InputError, MeasurementError
-from pupper_analysis.identification.measurements import npz
-from pupper_analysis.identification.measurements.columns import Column, read_columns
-from pupper_analysis.identification.measurements.npz import read_npz
+from pupper_analysis.base.errors import InputError, MeasurementError
+from pupper_analysis.tools.fit.measurements import npz
+from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
+from pupper_analysis.tools.fit.measurements.npz import read_npz
 
 TIME = np.arange(6.0).reshape(2, 3)
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.identification.parameters import (
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.tools.fit.parameters import (
     ParameterTable,
     Prior,
     give_widths,

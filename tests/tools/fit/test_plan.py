@@ -7,9 +7,9 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.stands.plan import choose_stands, plan_stands
+from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.tools.fit.stands.plan import choose_stands, plan_stands
 
 
 def test_the_chosen_make_the_determinant_largest() -> None:

@@ -6,13 +6,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from pupper_analysis.identification.links import bodies_of
-from pupper_analysis.identification.parameters import parse_prior
-from pupper_analysis.identification.stands import random_stands
-from pupper_analysis.identification.stands.random_stands import RandomStands
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.study.parameters import scale_robot
+from pupper_analysis.tools.fit.links import bodies_of
+from pupper_analysis.tools.fit.parameters import parse_prior
+from pupper_analysis.tools.fit.stands import random_stands
+from pupper_analysis.tools.fit.stands.random_stands import RandomStands
+from pupper_analysis.tools.study.parameters import scale_robot
 
 
 @pytest.mark.parametrize(

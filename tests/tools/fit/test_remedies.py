@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.parameters import ParameterTable, give_widths
-from pupper_analysis.identification.stands.equations import StandEquations
-from pupper_analysis.identification.stands.fit import parameters_of
-from pupper_analysis.identification.stands.remedies import further_measurements, on_three_feet
-from pupper_analysis.identification.stands.rows import StandNoise
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.parameters import ParameterTable, give_widths
+from pupper_analysis.tools.fit.stands.equations import StandEquations
+from pupper_analysis.tools.fit.stands.fit import parameters_of
+from pupper_analysis.tools.fit.stands.remedies import further_measurements, on_three_feet
+from pupper_analysis.tools.fit.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
 

@@ -11,16 +11,21 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.links import link_of
-from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.moments import Moments
-from pupper_analysis.identification.motions.bodies import MovingBodies
-from pupper_analysis.identification.motions.derivatives import differentiate
-from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
-from pupper_analysis.identification.noise import SeriesNoise
-from pupper_analysis.identification.parameters import Parameter, ParameterTable
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.tools.fit.links import link_of
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.moments import Moments
+from pupper_analysis.tools.fit.motions.bodies import MovingBodies
+from pupper_analysis.tools.fit.motions.derivatives import differentiate
+from pupper_analysis.tools.fit.motions.rollouts import (
+    SERVOS,
+    Run,
+    Simulator,
+    split_runs,
+)
+from pupper_analysis.tools.fit.noise import SeriesNoise
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
 from tests.support.arm import arm
 from tests.support.variants import load
 

@@ -12,23 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import (
+from pupper_analysis.base.errors import (
     ConfigurationError,
     MeasurementError,
     PupperAnalysisError,
     UnknownNameError,
 )
-from pupper_analysis.identification.hulls import unbounded_coms
-from pupper_analysis.identification.links import bodies_of
-from pupper_analysis.identification.measurements.stands import (
-    MeasuredStands,
-    quantum_of,
-    read_stands,
-)
-from pupper_analysis.identification.parameters import Parameter, ParameterTable, give_widths
-from pupper_analysis.identification.stands.equations import StandEquations
-from pupper_analysis.identification.stands.fit import fit_stands, parameters_of
-from pupper_analysis.identification.stands.rows import StandNoise
 from pupper_analysis.pupper.load import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos
@@ -37,7 +26,14 @@ from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import follow_to_end
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.study.parameters import scale_robot
+from pupper_analysis.tools.fit.hulls import unbounded_coms
+from pupper_analysis.tools.fit.links import bodies_of
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of, read_stands
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, give_widths
+from pupper_analysis.tools.fit.stands.equations import StandEquations
+from pupper_analysis.tools.fit.stands.fit import fit_stands, parameters_of
+from pupper_analysis.tools.fit.stands.rows import StandNoise
+from pupper_analysis.tools.study.parameters import scale_robot
 
 Array = NDArray[np.float64]
 

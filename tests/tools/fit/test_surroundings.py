@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.parameters import Parameter, ParameterTable
-from pupper_analysis.identification.stands.doubts import doubt_surroundings
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
+from pupper_analysis.tools.fit.stands.doubts import doubt_surroundings
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.identification.parameters import Parameter, ParameterTable
-from pupper_analysis.identification.told import Told, find_together, told_by
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
+from pupper_analysis.tools.fit.told import Told, find_together, told_by
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.report.document import Table
-from pupper_analysis.report.documents.hold import hold_document
+from pupper_analysis.present.document import Table
+from pupper_analysis.tools.hold.document import hold_document
 from tests.support.arm import arm
 
 pytestmark = pytest.mark.slow

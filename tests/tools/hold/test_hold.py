@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.posture.posture import find_posture
-from pupper_analysis.posture.sag import sag_posture
-from pupper_analysis.posture.verify import verify_posture
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.balance import load_by_mujoco
 from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.stance.posture import find_posture
+from pupper_analysis.tools.hold.sag import sag_posture
+from pupper_analysis.tools.hold.verify import verify_posture
 from tests.support import arm as by_hand
 from tests.support.arm import STIFFNESS, arm, load_arm
 

@@ -12,16 +12,16 @@ import pytest
 from scipy import optimize, spatial
 
 import pupper_analysis as pa
-from pupper_analysis.posture.force import tool_force, withstood
-from pupper_analysis.posture.payload import posture_payload, servo_payload, tool_payload
-from pupper_analysis.posture.posture import find_posture, joint_ranges
-from pupper_analysis.posture.verify import verify_posture
-from pupper_analysis.posture.worst import worst_postures
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.payload import with_payload
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.balance import load_by_mujoco
-from pupper_analysis.stance.optimize.first_order import borne_by_motors
+from pupper_analysis.stance.first_order import borne_by_motors
+from pupper_analysis.stance.posture import find_posture, joint_ranges
+from pupper_analysis.tools.hold.force import tool_force, withstood
+from pupper_analysis.tools.hold.payload import posture_payload, servo_payload, tool_payload
+from pupper_analysis.tools.hold.verify import verify_posture
+from pupper_analysis.tools.hold.worst import worst_postures
 from tests.support import arm as by_hand
 from tests.support.arm import MASSES, ORDER, RANGES, G, arm, load_arm
 

@@ -20,11 +20,11 @@ import pytest
 from PIL import Image
 
 import pupper_analysis as pa
-from pupper_analysis.live.export import write_link
-from pupper_analysis.live.server import Page
-from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import LiveVariants
-from tests.report.test_html_browser import browser  # noqa: F401 - the fixture
+from pupper_analysis.tools.live.export import write_link
+from pupper_analysis.tools.live.server import Page
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.variants import LiveVariants
+from tests.present.test_html_browser import browser  # noqa: F401 - the fixture
 from tests.repository.test_readme import README, commands
 from tests.support.repository import ROOT
 from tests.support.variants import load
@@ -144,7 +144,7 @@ class Opened:
 @pytest.fixture(autouse=True)
 def begin_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test's browser is another one, though it says the same of itself."""
-    monkeypatch.setattr("pupper_analysis.live.server.RELOADED", 0.0)
+    monkeypatch.setattr("pupper_analysis.tools.live.server.RELOADED", 0.0)
 
 
 @pytest.fixture
@@ -339,7 +339,7 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
     served: Page,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("pupper_analysis.live.server.RELOADED", 60.0)
+    monkeypatch.setattr("pupper_analysis.tools.live.server.RELOADED", 60.0)
 
     def asked() -> list[State]:
         return [session.asked[0] for session in served.sessions.values()]

@@ -15,11 +15,17 @@ from urllib.parse import parse_qs, urlsplit
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.live.door import COOKIE, MOST_BYTES, Door, problem_of, without_folders
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.server import Page
-from pupper_analysis.pupper.live import LiveVariants
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.tools.live.door import (
+    COOKIE,
+    MOST_BYTES,
+    Door,
+    problem_of,
+    without_folders,
+)
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.server import Page
+from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.stubs import problem
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
@@ -258,7 +264,7 @@ def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture
 
 MEMORY = """
 import os, threading
-from pupper_analysis.live.memory import give_back
+from pupper_analysis.tools.live.memory import give_back
 def used():
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

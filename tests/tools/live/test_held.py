@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.convert.files import FileSource, RobotFiles
-from pupper_analysis.errors import ConfigurationError
-from pupper_analysis.live import viser_parts
-from pupper_analysis.live.held import HeldPage, HeldSession
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.source import load_source
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variants import model_folder
-from tests.live.test_session import PATIENCE, Browser, wait_for
+from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live.held import HeldPage, HeldSession
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.source import load_source
+from tests.tools.live.test_session import PATIENCE, Browser, wait_for
 
 pytest.importorskip("viser", reason="viser is not installed")
 

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.live import viser_parts
-from pupper_analysis.live.language import Language
-from pupper_analysis.live.model import Model
-from pupper_analysis.live.motion import interpolate_motion
-from pupper_analysis.live.session import Session
-from pupper_analysis.live.state import State
-from pupper_analysis.pupper.live import LiveVariants
+from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.motion import interpolate_motion
+from pupper_analysis.tools.live.session import Session
+from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
@@ -147,7 +147,7 @@ def test_what_is_not_known_yet_is_said(page: Open, monkeypatch: pytest.MonkeyPat
         go_on.wait(PATIENCE)
         return real(*arguments, **options)
 
-    monkeypatch.setattr("pupper_analysis.live.model.steady_state", slow)
+    monkeypatch.setattr("pupper_analysis.tools.live.model.steady_state", slow)
     page.ask(State(pitch=4.0))
     wait_for(lambda: page.shows(State(pitch=4.0)), "it is not solved")
     assert "being worked out" in page.numbers
@@ -252,7 +252,7 @@ def test_between_two_moves_of_a_hand_it_is_solved_once_more(
     page: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each picture is a stance that is solved: none is only drawn between two."""
-    monkeypatch.setattr("pupper_analysis.live.session.MOVING", PATIENCE)
+    monkeypatch.setattr("pupper_analysis.tools.live.session.MOVING", PATIENCE)
     shown: list[Any] = []
     real = page.session._scene.show
 
@@ -410,7 +410,7 @@ def test_a_bug_is_told_and_the_page_lives_on(page: Open, monkeypatch: pytest.Mon
         raise ZeroDivisionError("<b>oh</b>")
 
     with monkeypatch.context() as patched:
-        patched.setattr("pupper_analysis.live.model.solve_stand", fails)
+        patched.setattr("pupper_analysis.tools.live.model.solve_stand", fails)
         page.ask(State(roll=1.0))
         wait_for(lambda: "ZeroDivisionError: &lt;b&gt;oh" in page.numbers, "it is not told")
     page.ask(State(roll=2.0))

@@ -15,9 +15,9 @@ from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
-from pupper_analysis.simulation.tracking import track_path
-from pupper_analysis.stance.path.stance_path import StancePath, stance_path
 from pupper_analysis.statics.dynamics import joint_resistance
+from pupper_analysis.tools.path.plan import StancePath, stance_path
+from pupper_analysis.tools.path.tracking import track_path
 from tests.support.cases import some
 from tests.support.variants import load
 
@@ -344,7 +344,7 @@ def test_a_path_refuses_bad_arguments(
 ) -> None:
     if named == "jumps":
         tasks = [Task(height=0.15), Task(height=0.08)]
-        monkeypatch.setattr("pupper_analysis.stance.path.stance_path.LEAST_PER_SEGMENT", 2)
+        monkeypatch.setattr("pupper_analysis.tools.path.plan.LEAST_PER_SEGMENT", 2)
     with pytest.raises(pa.ConfigurationError, match=named) as caught:
         stance_path(load("v3"), tasks, seconds, rate=rate)
     assert "\n" not in str(caught.value)
@@ -394,7 +394,7 @@ def test_a_sample_out_of_reach_names_the_moment(monkeypatch: pytest.MonkeyPatch)
             raise pa.StanceUnreachableError(str(task), {"FL": 0.01}, {})
         return solve(robot, task, explain=explain)
 
-    monkeypatch.setattr("pupper_analysis.stance.path.geometry.solve_stand", refuse)
+    monkeypatch.setattr("pupper_analysis.tools.path.geometry.solve_stand", refuse)
     where = r"^at 1\.44 s, between stances 2 and 3: stance out of reach .*FL by 10 mm"
     with pytest.raises(pa.StanceUnreachableError, match=where) as caught:
         stance_path(load("v3"), [Task(), Task(), Task(roll=0.3)], 2.0, rate=4.0)

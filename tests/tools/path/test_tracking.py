@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.pupper.demo import demo_stances
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation.path_commands import path_commands
 from pupper_analysis.simulation.rollout import STATE, simulate
-from pupper_analysis.simulation.tracking import track_path
-from pupper_analysis.stance.path.stance_path import stance_path
-from tests.stance.path.test_stance_path import SECONDS, path_of, stances
+from pupper_analysis.tools.drop.demo import demo_stances
+from pupper_analysis.tools.path.path_commands import path_commands
+from pupper_analysis.tools.path.plan import stance_path
+from pupper_analysis.tools.path.tracking import track_path
 from tests.support.cases import some
 from tests.support.engines import mujoco_at
 from tests.support.repository import benchmark
 from tests.support.variants import load
+from tests.tools.path.test_plan import SECONDS, path_of, stances
 
 # What MuJoCo makes of them, with a margin of about a half: joint (rad), height (m), base (rad).
 # v3's servos are soft (5 N m/rad), and a foot that rolls has no grip left: it creeps.

@@ -14,15 +14,21 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.analysis import payload
-from pupper_analysis.analysis.payload import BEYOND, FINE, TRIED, Bound, payload_limit
-from pupper_analysis.analysis.stance import study_stance
 from pupper_analysis.robot.stability import free_of_friction
 from pupper_analysis.robot.tool import Place, find_tool
-from pupper_analysis.simulation.payload import Failure
 from pupper_analysis.simulation.rollout import STATE, begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability, stand_stability
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.tools.payload import limit as payload
+from pupper_analysis.tools.payload.limit import (
+    BEYOND,
+    FINE,
+    TRIED,
+    Bound,
+    payload_limit,
+)
+from pupper_analysis.tools.payload.trial import Failure
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.engines import with_efforts
 from tests.support.random_legged import drawn, ring, written
 from tests.support.variants import NAMES, load, stand_of

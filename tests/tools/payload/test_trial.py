@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.simulation import payload
-from pupper_analysis.simulation.payload import NUDGE, nudge_velocities, simulate_payload
+from pupper_analysis.tools.payload import trial as payload
+from pupper_analysis.tools.payload.trial import NUDGE, nudge_velocities, simulate_payload
 from tests.support.variants import load, stand_of
 
 

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.report.figures.push import push_figure
+from pupper_analysis.tools.push.figures import push_figure
 from tests.support.commands import check_refusal, run_command
 from tests.support.variants import load
 

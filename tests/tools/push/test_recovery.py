@@ -13,13 +13,13 @@ import pytest
 from matplotlib.image import imread
 
 import pupper_analysis as pa
-from pupper_analysis.report.figures.push import push_figure
-from pupper_analysis.report.figures.style import DPI
+from pupper_analysis.present.figures.style import DPI
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.simulation import push
-from pupper_analysis.simulation.push import PushRecovery, push_recovery, tipping_impulses
-from pupper_analysis.simulation.push_bench import bench_of
 from pupper_analysis.simulation.rollout import place_on_ground
+from pupper_analysis.tools.push import recovery as push
+from pupper_analysis.tools.push.bench import bench_of
+from pupper_analysis.tools.push.figures import push_figure
+from pupper_analysis.tools.push.recovery import PushRecovery, push_recovery, tipping_impulses
 from tests.support.engines import mujoco_at, with_efforts
 from tests.support.legged import quadruped
 from tests.support.variants import load, stand_of

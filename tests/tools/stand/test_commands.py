@@ -11,20 +11,27 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from pupper_analysis import Ground, StandTask, best_stance, cli, payload_limit, solve_stand
-from pupper_analysis.analysis.path import way_to
+from pupper_analysis import (
+    Ground,
+    StandTask,
+    best_stance,
+    cli,
+    payload_limit,
+    solve_stand,
+)
 from pupper_analysis.cli.robots import RobotOptions
 from pupper_analysis.cli.stance_fields import TYPED
 from pupper_analysis.cli.stance_options import RobotAndTask
+from pupper_analysis.present.figures.pose import pose_figure
 from pupper_analysis.pupper.variants import VariantSpec
-from pupper_analysis.report.figures.pose import pose_figure
-from pupper_analysis.report.figures.workspace import workspace_figure
 from pupper_analysis.stance import (
     Objective,
     base_workspace,
     solve_stand_on_soft_ground,
     stand_statics,
 )
+from pupper_analysis.tools.path.tracked import way_to
+from pupper_analysis.tools.workspace.figures import workspace_figure
 from tests.support.commands import check_refusal, run_command
 from tests.support.variants import load
 

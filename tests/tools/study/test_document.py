@@ -13,12 +13,12 @@ import pandas as pd
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.report.html.maps import MOST_LINES, colour_of_share
-from pupper_analysis.study.cells import Cells
-from pupper_analysis.study.outcome import main_effects
-from pupper_analysis.study.sensitivity import LinearShares, SobolIndices
-from pupper_analysis.study.tolerance import Certainty, Tolerance, probability_interval
-from tests.report.test_html import EVIL, written
+from pupper_analysis.tools.study.cells import Cells
+from pupper_analysis.tools.study.html_maps import MOST_LINES, colour_of_share
+from pupper_analysis.tools.study.outcome import main_effects
+from pupper_analysis.tools.study.sensitivity import LinearShares, SobolIndices
+from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, probability_interval
+from tests.present.test_html import EVIL, written
 from tests.support.commands import answer
 from tests.support.html_page import Page, shown
 

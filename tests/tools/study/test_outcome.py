@@ -19,20 +19,20 @@ from matplotlib.image import imread
 from scipy import stats
 
 import pupper_analysis as pa
+from pupper_analysis.present.documents.registry import build_report
+from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.pupper.variants import model_folder
-from pupper_analysis.report.documents.registry import build_report
-from pupper_analysis.report.figures import study as figures
-from pupper_analysis.report.markdown import write_markdown
-from pupper_analysis.study.cells import Cells, mean_map, split_panels
-from pupper_analysis.study.design import Maker
-from pupper_analysis.study.linear import sag_derivatives, torque_derivatives
-from pupper_analysis.study.metrics import METRICS
-from pupper_analysis.study.outcome import main_effects, study_outcome
-from pupper_analysis.study.pareto import pareto_front
-from pupper_analysis.study.randomisation import write_randomisation
-from pupper_analysis.study.search import optimise_study
-from pupper_analysis.study.sensitivity import linear_shares, sobol_indices
-from pupper_analysis.study.tolerance import (
+from pupper_analysis.tools.study import figures
+from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
+from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.linear import sag_derivatives, torque_derivatives
+from pupper_analysis.tools.study.measures import METRICS
+from pupper_analysis.tools.study.outcome import main_effects, study_outcome
+from pupper_analysis.tools.study.pareto import pareto_front
+from pupper_analysis.tools.study.randomisation import write_randomisation
+from pupper_analysis.tools.study.search import optimise_study
+from pupper_analysis.tools.study.sensitivity import linear_shares, sobol_indices
+from pupper_analysis.tools.study.tolerance import (
     certainty,
     narrow_study,
     probability_interval,

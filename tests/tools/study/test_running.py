@@ -20,11 +20,11 @@ import pandas as pd
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.errors import OutputError
-from pupper_analysis.study import running, store
-from pupper_analysis.study.design import Maker
-from pupper_analysis.study.running import Progress
-from pupper_analysis.study.worker import Chunk
+from pupper_analysis.base.errors import OutputError
+from pupper_analysis.tools.study import running, store
+from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.running import Progress
+from pupper_analysis.tools.study.worker import Chunk
 from tests.support import legged, study_metrics
 from tests.support.cases import some
 from tests.support.commands import run_command
@@ -177,7 +177,7 @@ def test_threads_processes_and_any_order_give_the_same_bits(
 
 @pytest.mark.longest
 def test_dask_gives_the_same_bits(undisturbed: pd.DataFrame, tmp_path: Path) -> None:
-    from pupper_analysis.study.dask import open_cluster
+    from pupper_analysis.tools.study.dask import open_cluster
 
     with open_cluster(None, 2) as (executor, dashboard):
         assert dashboard.startswith("http://127.0.0.1")
@@ -189,7 +189,9 @@ def test_of_other_versions_no_result_is_taken(
 ) -> None:
     made = study()
     work = made.work()
-    monkeypatch.setattr("pupper_analysis.study.worker.list_versions", lambda: {"mujoco": "3.9"})
+    monkeypatch.setattr(
+        "pupper_analysis.tools.study.worker.list_versions", lambda: {"mujoco": "3.9"}
+    )
     monkeypatch.setattr(made, "work", lambda: work)
     with pytest.raises(pa.StudyError, match=r"other versions.*mujoco 3.9 \(here 4"):
         made.run(tmp_path, executor=threads)
@@ -353,7 +355,7 @@ import sys
 sys.path.insert(0, {tests!r})
 from tests.support import study_metrics
 import pupper_analysis as pa
-from pupper_analysis.study import running
+from pupper_analysis.tools.study import running
 running.SHARD_SECONDS = 0.2
 
 if __name__ == "__main__":
@@ -453,7 +455,7 @@ def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
                 refusals.append(str(error))
             script = (
                 "import sys; from pathlib import Path; "
-                "from pupper_analysis.study.store import Store"
+                "from pupper_analysis.tools.study.store import Store"
                 "\nwith Store(Path(sys.argv[1])).locked(): print('held')"
             )
             found = subprocess.run(
@@ -469,7 +471,7 @@ def test_two_runs_in_one_folder(tmp_path: Path, threads: Executor) -> None:
     assert len(refusals) == 2
     assert all("another run is writing to it" in text for text in refusals)
     killed = (
-        "import os, signal, sys; from pathlib import Path; from pupper_analysis.study.store "
+        "import os, signal, sys; from pathlib import Path; from pupper_analysis.tools.study.store "
         "import Store\nwith Store(Path(sys.argv[1])).locked(): os.kill(os.getpid(), signal.SIGKILL)"
     )
     subprocess.run(

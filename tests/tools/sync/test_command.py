@@ -100,7 +100,7 @@ def asked(folder: Path, keys: str, monkeypatch: pytest.MonkeyPatch) -> Answer:
     """Runs it in what it takes for a terminal, in which keys are pressed."""
     waiting = iter(keys)
     monkeypatch.setattr(click, "getchar", lambda: next(waiting))
-    monkeypatch.setattr("pupper_analysis.cli.sync._is_terminal", lambda: True)
+    monkeypatch.setattr("pupper_analysis.tools.sync.command._is_terminal", lambda: True)
     result = run(folder)
     assert list(waiting) == []
     return result

@@ -12,11 +12,11 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.matching.match import match_models
-from pupper_analysis.matching.tolerances import Tolerances
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.sync.numbers import WrittenNumbers, write_numbers
+from pupper_analysis.robot.matching.match import match_models
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.tools.sync.numbers import WrittenNumbers, write_numbers
 from tests.support.robots import (
     Files,
     Part,

@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.arrays import inertia_of
+from pupper_analysis.base.arrays import inertia_of
 from pupper_analysis.models.xml_bytes import read_document
 from pupper_analysis.models.xml_text import Digits
-from pupper_analysis.sync.inertia import is_same_body
-from pupper_analysis.sync.plan import UnwrittenCause
+from pupper_analysis.tools.sync.inertia import is_same_body
+from pupper_analysis.tools.sync.plan import UnwrittenCause
 from tests.support.robots import (
     Files,
     Parts,
@@ -506,8 +506,8 @@ def test_changes_that_are_not_committed_are_not_written_over(tmp_path: Path) -> 
 LOOP = """
 import sys
 from pathlib import Path
-from pupper_analysis.files import Writing, write_together
-from pupper_analysis.kinds import EDITED
+from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.kinds import EDITED
 path, one, two = Path(sys.argv[1]), b"1" * 4_000_000, b"2" * 4_000_001
 print("begun", flush=True)
 while True:

@@ -12,9 +12,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from pupper_analysis.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.pupper import drop, viewer, window, words
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.tools.view import (
+    drop,
+    viewer,
+    window,
+    words,
+)
 
 GRAVITY = 9.81
 
@@ -207,7 +212,7 @@ def test_macos_is_told_of_mjpython(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is how Linux says so")
 def test_a_screen_that_is_not_there_ends_no_interpreter() -> None:
-    code = "from pupper_analysis.pupper import window; window.check_display()"
+    code = "from pupper_analysis.tools.view import window; window.check_display()"
     environment = {**os.environ, "DISPLAY": ":4711"}
     environment.pop("WAYLAND_DISPLAY", None)
     done = subprocess.run(

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import pupper_analysis as pa
-from pupper_analysis.report.figures import style
-from pupper_analysis.report.figures import workspace as workspace_figure
+from pupper_analysis.present.figures import style
+from pupper_analysis.tools.workspace import figures as workspace_figure
 from tests.support.variants import load
 
 

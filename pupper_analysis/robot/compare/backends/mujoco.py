@@ -9,15 +9,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.backends.quantities import (
+from pupper_analysis.models.conversion import joint_armature, joint_damping
+from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.robot.compare.backends.quantities import (
     Evaluation,
     model_quantities,
     state_quantities,
 )
-from pupper_analysis.checks.behaviour import offsets_in_world
-from pupper_analysis.checks.states import States
-from pupper_analysis.models.conversion import joint_armature, joint_damping
-from pupper_analysis.models.efforts import effort_limit
+from pupper_analysis.robot.compare.behaviour import offsets_in_world
+from pupper_analysis.robot.compare.states import States
 from pupper_analysis.robot.coordinates import MujocoConvention
 from pupper_analysis.robot.feet import foot_site
 from pupper_analysis.robot.robot import Robot

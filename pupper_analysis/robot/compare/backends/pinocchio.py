@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.backends.quantities import (
+from pupper_analysis.models.multibody import joint_placements
+from pupper_analysis.robot.compare.backends.quantities import (
     Evaluation,
     model_quantities,
     state_quantities,
 )
-from pupper_analysis.checks.states import States
-from pupper_analysis.models.multibody import joint_placements
+from pupper_analysis.robot.compare.states import States
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 

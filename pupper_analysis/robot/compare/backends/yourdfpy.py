@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import rotation_from_quaternion
-from pupper_analysis.checks.backends.quantities import Evaluation, state_quantities
-from pupper_analysis.checks.states import States
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot.compare.backends.quantities import Evaluation, state_quantities
+from pupper_analysis.robot.compare.states import States
 from pupper_analysis.robot.robot import Robot
 
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.trees import Reference
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.robot.matching.trees import Reference
 
 Slot = tuple[str, int | slice]
 """An array of ``mjModel`` (or a number of its ``opt``), and which of its rows."""

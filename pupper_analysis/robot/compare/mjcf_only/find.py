@@ -13,22 +13,22 @@ arrays are those of ``mjModel``.
 
 from __future__ import annotations
 
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect, NamedModel
-from pupper_analysis.checks.mjcf_only.joints import (
+from pupper_analysis.robot.compare.mjcf_only.effect import MjcfOnlyEffect, NamedModel
+from pupper_analysis.robot.compare.mjcf_only.joints import (
     find_damping_polynomials,
     find_gravity_compensation,
     find_springs,
     free_joint_friction,
 )
-from pupper_analysis.checks.mjcf_only.others import (
+from pupper_analysis.robot.compare.mjcf_only.others import (
     find_equalities,
     find_flags,
     find_flexes,
     find_fluid,
     find_plugins,
 )
-from pupper_analysis.checks.mjcf_only.transmissions import find_actuators, find_tendons
-from pupper_analysis.matching.trees import Reference
+from pupper_analysis.robot.compare.mjcf_only.transmissions import find_actuators, find_tendons
+from pupper_analysis.robot.matching.trees import Reference
 
 
 def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:

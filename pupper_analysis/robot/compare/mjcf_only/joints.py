@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pupper_analysis.checks.mjcf_only.effect import DISABLE, MjcfOnlyEffect, NamedModel
-from pupper_analysis.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.robot.compare.mjcf_only.effect import DISABLE, MjcfOnlyEffect, NamedModel
 
 
 def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:

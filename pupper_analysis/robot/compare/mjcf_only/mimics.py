@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import mujoco
 
-from pupper_analysis.checks.mjcf_only.effect import MjcfOnlyEffect
-from pupper_analysis.matching.trees import Reference
-from pupper_analysis.matching.urdf import Mimics
+from pupper_analysis.robot.compare.mjcf_only.effect import MjcfOnlyEffect
+from pupper_analysis.robot.matching.trees import Reference
+from pupper_analysis.robot.matching.urdf import Mimics
 
 EQUALITY = mujoco.mjtEq
 

@@ -7,10 +7,21 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.mjcf_only.effect import DISABLE, MjcfOnlyEffect, NamedModel, Slot
-from pupper_analysis.checks.mjcf_only.mimics import EQUALITY
-from pupper_analysis.checks.mjcf_only.transmissions import wrapped_bodies
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.robot.compare.mjcf_only.effect import (
+    DISABLE,
+    MjcfOnlyEffect,
+    NamedModel,
+    Slot,
+)
+from pupper_analysis.robot.compare.mjcf_only.mimics import EQUALITY
+from pupper_analysis.robot.compare.mjcf_only.transmissions import wrapped_bodies
 
 
 def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:

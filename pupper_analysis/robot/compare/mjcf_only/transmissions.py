@@ -7,15 +7,21 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.mjcf_only.effect import (
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.robot.compare.mjcf_only.effect import (
     DISABLE,
     MjcfOnlyEffect,
     NamedModel,
     Slot,
     acts_without_command,
 )
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
-from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 
 
 def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:

@@ -8,21 +8,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pupper_analysis.checks.differences import OF_INERTIALS, Difference
-from pupper_analysis.checks.links import mjcf_links, urdf_links
-from pupper_analysis.checks.patterns.angles import other_angles
-from pupper_analysis.checks.patterns.case import PatternCase
-from pupper_analysis.checks.patterns.dropped import find_dropped
-from pupper_analysis.checks.patterns.exchanged import find_exchanged
-from pupper_analysis.checks.patterns.inertials import other_inertials
-from pupper_analysis.checks.patterns.lines import other_lines
-from pupper_analysis.checks.patterns.links import other_links
-from pupper_analysis.checks.patterns.units import before_gears, other_units
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.tolerances import Tolerances
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.results import Result
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.results import Result
+from pupper_analysis.robot.compare.differences import OF_INERTIALS, Difference
+from pupper_analysis.robot.compare.links import mjcf_links, urdf_links
+from pupper_analysis.robot.compare.patterns.angles import other_angles
+from pupper_analysis.robot.compare.patterns.case import PatternCase
+from pupper_analysis.robot.compare.patterns.dropped import find_dropped
+from pupper_analysis.robot.compare.patterns.exchanged import find_exchanged
+from pupper_analysis.robot.compare.patterns.inertials import other_inertials
+from pupper_analysis.robot.compare.patterns.lines import other_lines
+from pupper_analysis.robot.compare.patterns.links import other_links
+from pupper_analysis.robot.compare.patterns.units import before_gears, other_units
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
 
 

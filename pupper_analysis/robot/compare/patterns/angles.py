@@ -8,9 +8,14 @@ from functools import partial
 
 import mujoco
 
-from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.matching.trees import kinematic_trees
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.robot.compare.patterns.case import (
+    Found,
+    Key,
+    PatternCase,
+    PatternFinding,
+)
+from pupper_analysis.robot.matching.trees import kinematic_trees
 
 _SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.changes import changes_between
-from pupper_analysis.checks.links import Links
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.matching.alignment import align_frames
-from pupper_analysis.matching.tolerances import Tolerances
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.compare.changes import changes_between
+from pupper_analysis.robot.compare.links import Links
+from pupper_analysis.robot.matching.alignment import align_frames
+from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

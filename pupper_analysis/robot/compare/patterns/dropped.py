@@ -8,11 +8,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.changes import body_changes
-from pupper_analysis.checks.links import ComparedLink, fold_bodies
-from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.compare.changes import body_changes
+from pupper_analysis.robot.compare.links import ComparedLink, fold_bodies
+from pupper_analysis.robot.compare.patterns.case import (
+    Found,
+    Key,
+    PatternCase,
+    PatternFinding,
+)
 
 Array = NDArray[np.float64]
 

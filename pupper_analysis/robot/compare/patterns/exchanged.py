@@ -6,9 +6,14 @@ from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations, islice
 
-from pupper_analysis.checks.patterns.case import Found, Key, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.models.multibody import MultibodyTree
+from pupper_analysis.robot.compare.patterns.case import (
+    Found,
+    Key,
+    PatternCase,
+    PatternFinding,
+)
 
 
 def find_exchanged(case: PatternCase) -> Found:

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.robot.compare.patterns.case import Found, PatternCase, PatternFinding
 
 _LEAST_INERTIALS = 4  # bodies that are told in one line
 

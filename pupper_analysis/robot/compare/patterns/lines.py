@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.matching.alignment import in_body_frame
+from pupper_analysis.base.diagnostics import Quantity, diagnose
 from pupper_analysis.models.multibody import MultibodyTree, TreeJoint
+from pupper_analysis.robot.compare.patterns.case import Found, PatternCase, PatternFinding
+from pupper_analysis.robot.matching.alignment import in_body_frame
 
 _PARALLEL = 1e-9  # sine of an angle
 

@@ -17,12 +17,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.changes import body_changes
-from pupper_analysis.checks.differences import OF_INERTIALS
-from pupper_analysis.checks.links import ComparedLink, body_moments, from_moments
-from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.multibody import TreeBody
+from pupper_analysis.robot.compare.changes import body_changes
+from pupper_analysis.robot.compare.differences import OF_INERTIALS
+from pupper_analysis.robot.compare.links import ComparedLink, body_moments, from_moments
+from pupper_analysis.robot.compare.patterns.case import Found, PatternCase, PatternFinding
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.checks.patterns.case import Found, PatternCase, PatternFinding
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.efforts import gear_left_out
 from pupper_analysis.models.xml import MAX_NUMBER
+from pupper_analysis.robot.compare.patterns.case import Found, PatternCase, PatternFinding
 
 Array = NDArray[np.float64]
 _MASS = {

@@ -14,11 +14,16 @@ from dataclasses import asdict, dataclass
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Severity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Quantity,
+    Severity,
+    Term,
+    diagnose,
+)
+from pupper_analysis.models.stated.mjcf import joint_name
+from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.models.transmission import ActuatorLaw, is_at_one_joint, law_of
-from pupper_analysis.robot_model.mjcf import joint_name
-from pupper_analysis.robot_model.model import MjcfModel
+from pupper_analysis.tools.audit.registry import Found, rule
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.robot_model.geometry import solid_of
-from pupper_analysis.robot_model.model import Shape, UrdfModel
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.models.stated.geometry import solid_of
+from pupper_analysis.models.stated.model import Shape, UrdfModel
+from pupper_analysis.tools.audit.registry import Found, rule
 
 WATER = 1000.0
 """The density that PhysX gives a shape of which none is known (kg/m^3)."""

@@ -7,13 +7,18 @@ from pathlib import Path
 
 from lxml import etree
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot_model.geometry import mesh_problem
-from pupper_analysis.robot_model.model import FIXED, MjcfModel, RobotModel, UrdfModel
+from pupper_analysis.models.stated.geometry import mesh_problem
+from pupper_analysis.models.stated.model import (
+    FIXED,
+    MjcfModel,
+    RobotModel,
+    UrdfModel,
+)
+from pupper_analysis.tools.audit.registry import Found, rule
 
 
 @rule

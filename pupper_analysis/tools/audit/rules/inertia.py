@@ -6,10 +6,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.robot_model.geometry import known_points, link_points
-from pupper_analysis.robot_model.model import Array, Inertial, Link, RobotModel
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.models.stated.geometry import known_points, link_points
+from pupper_analysis.models.stated.model import (
+    Array,
+    Inertial,
+    Link,
+    RobotModel,
+)
+from pupper_analysis.tools.audit.registry import Found, rule
 
 FACTOR = 100.0
 """How far an inertia may be from that of a solid box: units slip by 1000 or more."""

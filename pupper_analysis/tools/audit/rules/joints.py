@@ -7,10 +7,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.pairs import mirror_plane
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Term, Vector, diagnose
-from pupper_analysis.robot_model.model import HINGE, RobotModel
+from pupper_analysis.base.diagnostics import (
+    Quantity,
+    Term,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.models.stated.model import HINGE, RobotModel
+from pupper_analysis.tools.audit.pairs import mirror_plane
+from pupper_analysis.tools.audit.registry import Found, rule
 
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 

@@ -8,9 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.robot_model.model import HINGE, Array, Joint, Link, RobotModel
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.models.stated.model import (
+    HINGE,
+    Array,
+    Joint,
+    Link,
+    RobotModel,
+)
+from pupper_analysis.tools.audit.registry import Found, rule
 
 PARALLEL, LEVEL = 0.99, 0.3
 """Cosine of axes that count as parallel; and the most that an axis of pitch points up."""

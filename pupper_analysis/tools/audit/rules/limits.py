@@ -8,12 +8,23 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    diagnose,
+)
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
-from pupper_analysis.robot_model.mjcf import line_of
-from pupper_analysis.robot_model.model import HINGE, Joint, MjcfModel, RobotModel, UrdfModel
+from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.model import (
+    HINGE,
+    Joint,
+    MjcfModel,
+    RobotModel,
+    UrdfModel,
+)
+from pupper_analysis.tools.audit.registry import Found, rule
 
 
 @rule

@@ -7,12 +7,17 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
+from pupper_analysis.base.diagnostics import (
+    Quantity,
+    Severity,
+    Vector,
+    diagnose,
+)
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot_model.geometry import extent_points, link_points, outside_hull
-from pupper_analysis.robot_model.mjcf import line_of
-from pupper_analysis.robot_model.model import FREE, MjcfModel, RobotModel
+from pupper_analysis.models.stated.geometry import extent_points, link_points, outside_hull
+from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.model import FREE, MjcfModel, RobotModel
+from pupper_analysis.tools.audit.registry import Found, rule
 
 LIGHT, HEAVY = 0.05, 500.0
 """Total masses between which a legged robot is expected (kg)."""

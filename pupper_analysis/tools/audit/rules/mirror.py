@@ -7,13 +7,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from pupper_analysis.arrays import INERTIA_ENTRIES, inertia_entries
-from pupper_analysis.checks.audit.pairs import Mirror, mirror_pairs, mirror_plane
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Term, Vector, describe_bound, diagnose
+from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries
+from pupper_analysis.base.diagnostics import (
+    Quantity,
+    Term,
+    Vector,
+    describe_bound,
+    diagnose,
+)
 from pupper_analysis.models.attributes import PASSIVE
-from pupper_analysis.robot_model.geometry import known_points
-from pupper_analysis.robot_model.model import HINGE, Array, Inertial, Joint, Link, RobotModel
+from pupper_analysis.models.stated.geometry import known_points
+from pupper_analysis.models.stated.model import (
+    HINGE,
+    Array,
+    Inertial,
+    Joint,
+    Link,
+    RobotModel,
+)
+from pupper_analysis.tools.audit.pairs import Mirror, mirror_pairs, mirror_plane
+from pupper_analysis.tools.audit.registry import Found, rule
 
 POSITION, MASS, COM, INERTIA, LIMIT = 1e-3, 0.01, 1e-3, 0.1, 0.02
 """Tolerances: m, relative, m, relative, rad or m."""

@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Vector, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.robot_model.mjcf import line_of
-from pupper_analysis.robot_model.model import MjcfModel, UrdfModel
+from pupper_analysis.tools.audit.registry import Found, rule
 
 FULL_TURN = 2 * math.pi + 1e-3
 

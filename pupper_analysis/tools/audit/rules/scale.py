@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.robot_model.geometry import extent_points, known_points, link_points
-from pupper_analysis.robot_model.model import Array, Link, RobotModel
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.models.stated.geometry import extent_points, known_points, link_points
+from pupper_analysis.models.stated.model import Array, Link, RobotModel
+from pupper_analysis.tools.audit.registry import Found, rule
 
 DENSEST = 20_000.0
 """Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.

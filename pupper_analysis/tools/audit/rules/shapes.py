@@ -6,9 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Severity, Subject, Term, diagnose
-from pupper_analysis.robot_model.model import Array, Link, RobotModel, Shape
+from pupper_analysis.base.diagnostics import (
+    Quantity,
+    Severity,
+    Subject,
+    Term,
+    diagnose,
+)
+from pupper_analysis.models.stated.model import (
+    Array,
+    Link,
+    RobotModel,
+    Shape,
+)
+from pupper_analysis.tools.audit.registry import Found, rule
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""

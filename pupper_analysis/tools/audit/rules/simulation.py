@@ -7,13 +7,18 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.rules.actuators import drives
-from pupper_analysis.checks.audit.rules.files import first_place
-from pupper_analysis.diagnostics import Quantity, Severity, Vector, diagnose
+from pupper_analysis.base.diagnostics import (
+    Quantity,
+    Severity,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.models.stated.model import MjcfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.servo_stability import servo_stability
-from pupper_analysis.robot_model.model import MjcfModel
+from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.rules.actuators import drives
+from pupper_analysis.tools.audit.rules.files import first_place
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2; what is used differs by the third digit."""

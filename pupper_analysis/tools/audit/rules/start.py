@@ -10,15 +10,20 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.rules.actuators import drives
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Severity,
+    diagnose,
+)
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.stated.mjcf import joint_name
+from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import own_motion
-from pupper_analysis.robot_model.mjcf import joint_name
-from pupper_analysis.robot_model.model import Array, MjcfModel, RobotModel
+from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.rules.actuators import drives
 
 FLOOR_DEPTH = 5e-3
 """How deep a start may be in the floor (m): a standing robot sinks a few mm into soft contacts."""

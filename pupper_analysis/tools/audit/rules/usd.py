@@ -7,13 +7,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.diagnostics import Quantity, Severity, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Severity, diagnose
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.places import Place
-from pupper_analysis.robot_model.model import HINGE, SLIDE
-from pupper_analysis.robot_model.usd import UsdModel
-from pupper_analysis.robot_model.usd_mass import BALL, WATER, Origin
+from pupper_analysis.models.stated.model import HINGE, SLIDE
+from pupper_analysis.models.stated.usd import UsdModel
+from pupper_analysis.models.stated.usd_mass import BALL, WATER, Origin
+from pupper_analysis.tools.audit.registry import Found, rule
 
 CONTRADICTION = 1e-3
 """Relative: one schema has single precision, 1e-7, and some writers five digits."""

@@ -8,16 +8,21 @@ from collections.abc import Iterator
 import numpy as np
 from lxml import etree
 
-from pupper_analysis.checks.audit.registry import Found, rule
-from pupper_analysis.checks.audit.rules.files import first_place
-from pupper_analysis.diagnostics import Severity, Term, Vector, diagnose
+from pupper_analysis.base.diagnostics import (
+    Severity,
+    Term,
+    Vector,
+    diagnose,
+)
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
+from pupper_analysis.models.stated.usd import UsdModel
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.robot_model.mjcf import line_of
-from pupper_analysis.robot_model.model import MjcfModel, UrdfModel
-from pupper_analysis.robot_model.usd import UsdModel
+from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.rules.files import first_place
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 

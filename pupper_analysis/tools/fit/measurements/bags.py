@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError, MeasurementError, MissingPackageError
-from pupper_analysis.identification.measurements.unpacking import (
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
+from pupper_analysis.tools.fit.measurements.unpacking import (
     MOST_CHUNK,
     bounded_unpacking,
     check_size,

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_type
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError, MeasurementError
-from pupper_analysis.identification.measurements.npz import read_npz
-from pupper_analysis.inputs import decode_input, read_input
+from pupper_analysis.base.arguments import check_type
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError, MeasurementError
+from pupper_analysis.base.inputs import decode_input, read_input
+from pupper_analysis.base.units import UNITS
 from pupper_analysis.models.places import quote_short
-from pupper_analysis.units import UNITS
+from pupper_analysis.tools.fit.measurements.npz import read_npz
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import MeasurementError, UnknownNameError
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -8,11 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Quantity, Severity, diagnose
-from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.measurements.log import Log
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Severity,
+    diagnose,
+)
+from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.measurements.log import Log
 
 Array = NDArray[np.float64]
 

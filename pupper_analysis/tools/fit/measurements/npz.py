@@ -14,9 +14,9 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import InputError
-from pupper_analysis.inputs import read_input
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import InputError
+from pupper_analysis.base.inputs import read_input
 
 MOST_UNPACKED = 500_000_000
 """Bytes of all arrays: three numbers of twelve joints at 1 kHz for half an hour. Zeros are packed a

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Quantity, diagnose
-from pupper_analysis.errors import MeasurementError, UnknownNameError
-from pupper_analysis.identification.measurements.columns import Column, Columns, read_columns
-from pupper_analysis.identification.measurements.log_quality import find_degrees
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import MeasurementError, UnknownNameError
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.measurements.columns import Column, Columns, read_columns
+from pupper_analysis.tools.fit.measurements.log_quality import find_degrees
 
 Array = NDArray[np.float64]
 

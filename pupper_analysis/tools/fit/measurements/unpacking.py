@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, Any, Final
 
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import MeasurementError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import MeasurementError
 
 MOST_CHUNK: Final = 500_000_000
 """Bytes of a chunk or a message, unpacked. Writers make chunks of some MB; 500 kB of zeros, packed,

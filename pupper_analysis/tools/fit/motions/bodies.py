@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.links import AXES, link_of
-from pupper_analysis.identification.moments import LEAST_MASS
-from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.links import AXES, link_of
+from pupper_analysis.tools.fit.moments import LEAST_MASS
+from pupper_analysis.tools.fit.parameters import ParameterTable
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.moments import Moments
-from pupper_analysis.identification.motions.rollouts import Run, Simulator
+from pupper_analysis.tools.fit.moments import Moments
+from pupper_analysis.tools.fit.motions.rollouts import Run, Simulator
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,31 +8,32 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import MeasurementError
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.held_out import HOLD_OUT, hold_base, share_out
-from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.measurements.log_quality import (
-    LogQuality,
-    find_quantum,
-    inspect_log,
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import MeasurementError
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import Servos, model_with_servos
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.held_out import HOLD_OUT, hold_base, share_out
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.measurements.log_quality import LogQuality, find_quantum, inspect_log
+from pupper_analysis.tools.fit.motions.residuals import Motion
+from pupper_analysis.tools.fit.motions.result import MotionFit
+from pupper_analysis.tools.fit.motions.rollouts import (
+    SERVOS,
+    Run,
+    Simulator,
+    split_runs,
 )
-from pupper_analysis.identification.motions.residuals import Motion
-from pupper_analysis.identification.motions.result import MotionFit
-from pupper_analysis.identification.motions.rollouts import SERVOS, Run, Simulator, split_runs
-from pupper_analysis.identification.noise import root_mean_square
-from pupper_analysis.identification.parameters import (
+from pupper_analysis.tools.fit.noise import root_mean_square
+from pupper_analysis.tools.fit.parameters import (
     ParameterTable,
     Prior,
     give_widths,
     parse_priors,
 )
-from pupper_analysis.identification.result import describe_parameters
-from pupper_analysis.identification.told import find_together
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import Servos, model_with_servos
+from pupper_analysis.tools.fit.result import describe_parameters
+from pupper_analysis.tools.fit.told import find_together
 
 Array = NDArray[np.float64]
 

@@ -8,17 +8,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import (
-    Linearised,
-    Posterior,
-    estimate_parameters,
-)
-from pupper_analysis.identification.moments import Moments
-from pupper_analysis.identification.motions.derivatives import differentiate
-from pupper_analysis.identification.motions.rollouts import Run, Simulator
-from pupper_analysis.identification.noise import SeriesNoise, root_mean_square
-from pupper_analysis.identification.parameters import KINDS
-from pupper_analysis.identification.slopes import Slopes
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.moments import Moments
+from pupper_analysis.tools.fit.motions.derivatives import differentiate
+from pupper_analysis.tools.fit.motions.rollouts import Run, Simulator
+from pupper_analysis.tools.fit.noise import SeriesNoise, root_mean_square
+from pupper_analysis.tools.fit.parameters import KINDS
+from pupper_analysis.tools.fit.slopes import Slopes
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from pupper_analysis.identification.result import Fit
+from pupper_analysis.tools.fit.result import Fit
 
 
 @dataclass(frozen=True, eq=False)

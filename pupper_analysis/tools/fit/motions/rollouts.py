@@ -12,12 +12,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.measurements.log import Log
-from pupper_analysis.identification.motions.bodies import MovingBodies
-from pupper_analysis.identification.parameters import ParameterTable
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Servos
 from pupper_analysis.simulation.rollout import full_state, roll_out, settled_activations
+from pupper_analysis.tools.fit.measurements.log import Log
+from pupper_analysis.tools.fit.motions.bodies import MovingBodies
+from pupper_analysis.tools.fit.parameters import ParameterTable
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.parameters import OF_SURROUNDINGS, Parameter
-from pupper_analysis.identification.stands.rows import StandNoise
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS, Parameter
+from pupper_analysis.tools.fit.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
 

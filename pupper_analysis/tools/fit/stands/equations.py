@@ -11,15 +11,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised
-from pupper_analysis.identification.links import AXES, bodies_of
-from pupper_analysis.identification.measurements.stands import APPROACHES, MeasuredStands
-from pupper_analysis.identification.parameters import ParameterTable, give_widths
-from pupper_analysis.identification.stands.numbers import GravityRegressor, Numbers
-from pupper_analysis.identification.stands.rows import Reading, StandNoise, StandRows, readings_of
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.estimate import Linearised
+from pupper_analysis.tools.fit.links import AXES, bodies_of
+from pupper_analysis.tools.fit.measurements.stands import APPROACHES, MeasuredStands
+from pupper_analysis.tools.fit.parameters import ParameterTable, give_widths
+from pupper_analysis.tools.fit.stands.numbers import GravityRegressor, Numbers
+from pupper_analysis.tools.fit.stands.rows import (
+    Reading,
+    StandNoise,
+    StandRows,
+    readings_of,
+)
 
 Array = NDArray[np.float64]
 

@@ -9,28 +9,28 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments, check_finite
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import ConfigurationError, FitError, MeasurementError
-from pupper_analysis.identification.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.identification.hulls import unbounded_coms
-from pupper_analysis.identification.links import AXES, bodies_of
-from pupper_analysis.identification.logarithms import Logarithms
-from pupper_analysis.identification.measurements.stands import MeasuredStands, quantum_of
-from pupper_analysis.identification.parameters import (
+from pupper_analysis.base.arguments import check_arguments, check_finite
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, FitError, MeasurementError
+from pupper_analysis.robot.friction import DryFriction
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos, servo_gains
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
+from pupper_analysis.tools.fit.hulls import unbounded_coms
+from pupper_analysis.tools.fit.links import AXES, bodies_of
+from pupper_analysis.tools.fit.logarithms import Logarithms
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of
+from pupper_analysis.tools.fit.parameters import (
     ParameterTable,
     Prior,
     give_widths,
     parse_priors,
 )
-from pupper_analysis.identification.stands.equations import StandEquations
-from pupper_analysis.identification.stands.noise_levels import find_noise
-from pupper_analysis.identification.stands.remedies import WEIGHED
-from pupper_analysis.identification.stands.result import StandFit, describe_stands
-from pupper_analysis.identification.stands.rows import StandNoise
-from pupper_analysis.robot.friction import DryFriction
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servos import own_servos, servo_gains
+from pupper_analysis.tools.fit.stands.equations import StandEquations
+from pupper_analysis.tools.fit.stands.noise_levels import find_noise
+from pupper_analysis.tools.fit.stands.remedies import WEIGHED
+from pupper_analysis.tools.fit.stands.result import StandFit, describe_stands
+from pupper_analysis.tools.fit.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.identification.estimate import Linearised, Posterior
-from pupper_analysis.identification.parameters import ParameterTable
-from pupper_analysis.identification.stands.equations import StandEquations
-from pupper_analysis.identification.stands.rows import StandNoise
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior
+from pupper_analysis.tools.fit.parameters import ParameterTable
+from pupper_analysis.tools.fit.stands.equations import StandEquations
+from pupper_analysis.tools.fit.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
 

@@ -12,37 +12,30 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.arguments import check_arguments
-from pupper_analysis.diagnostics import diagnose
-from pupper_analysis.errors import (
-    ConfigurationError,
-    MeasurementError,
-)
-from pupper_analysis.files import whole_file
-from pupper_analysis.identification.estimate import NORMAL_95
-from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.parameters import (
-    ParameterTable,
-    Prior,
-    give_widths,
-    parse_priors,
-)
-from pupper_analysis.identification.result import Expected
-from pupper_analysis.identification.stands.equations import StandEquations
-from pupper_analysis.identification.stands.fit import (
-    expected_noise,
-    parameters_of,
-    stated_stiffness,
-)
-from pupper_analysis.identification.stands.random_stands import RandomStands
-from pupper_analysis.identification.told import told_by
-from pupper_analysis.kinds import PLAN
-from pupper_analysis.results import Result
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, MeasurementError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.kinds import PLAN
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, servo_gains
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState
+from pupper_analysis.tools.fit.estimate import NORMAL_95
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.parameters import (
+    ParameterTable,
+    Prior,
+    give_widths,
+    parse_priors,
+)
+from pupper_analysis.tools.fit.result import Expected
+from pupper_analysis.tools.fit.stands.equations import StandEquations
+from pupper_analysis.tools.fit.stands.fit import expected_noise, parameters_of, stated_stiffness
+from pupper_analysis.tools.fit.stands.random_stands import RandomStands
+from pupper_analysis.tools.fit.told import told_by
 
 Array = NDArray[np.float64]
 

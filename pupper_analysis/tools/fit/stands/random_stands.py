@@ -11,16 +11,16 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from pupper_analysis.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.identification.links import AXES, bodies_of
-from pupper_analysis.identification.parameters import Prior, give_widths
-from pupper_analysis.identification.stands.fit import SURE
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.sag.steady_state import SteadyState, steady_state
 from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.fit.links import AXES, bodies_of
+from pupper_analysis.tools.fit.parameters import Prior, give_widths
+from pupper_analysis.tools.fit.stands.fit import SURE
 
 _TRIES = 8
 """Per stand: one in two to four is in reach, in balance and lasts."""

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.errors import PupperAnalysisError
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.stands.equations import StandEquations
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.stands.equations import StandEquations
 
 Array = NDArray[np.float64]
 

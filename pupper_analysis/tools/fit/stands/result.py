@@ -9,23 +9,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.diagnostics import Diagnostic
-from pupper_analysis.identification.estimate import Posterior
-from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.parameters import Parameter
-from pupper_analysis.identification.result import (
+from pupper_analysis.base.diagnostics import Diagnostic
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.estimate import Posterior
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.parameters import Parameter
+from pupper_analysis.tools.fit.result import (
     Estimate,
     Fit,
     describe_parameter,
     describe_parameters,
 )
-from pupper_analysis.identification.stands.doubts import doubt_stands
-from pupper_analysis.identification.stands.equations import StandEquations
-from pupper_analysis.identification.stands.remedies import further_measurements
-from pupper_analysis.identification.stands.rows import StandNoise
-from pupper_analysis.identification.told import find_together, told_by
-from pupper_analysis.results import Result
-from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.stands.doubts import doubt_stands
+from pupper_analysis.tools.fit.stands.equations import StandEquations
+from pupper_analysis.tools.fit.stands.remedies import further_measurements
+from pupper_analysis.tools.fit.stands.rows import StandNoise
+from pupper_analysis.tools.fit.told import find_together, told_by
 
 Array = NDArray[np.float64]
 

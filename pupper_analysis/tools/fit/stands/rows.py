@@ -9,14 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.arrays import cross_matrices
-from pupper_analysis.identification.links import AXES
-from pupper_analysis.identification.measurements.stands import MeasuredStands
-from pupper_analysis.identification.parameters import KINDS, ParameterTable
-from pupper_analysis.identification.stands.numbers import GravityRegressor, Numbers
+from pupper_analysis.base.arrays import cross_matrices
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.tools.fit.links import AXES
+from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
+from pupper_analysis.tools.fit.parameters import KINDS, ParameterTable
+from pupper_analysis.tools.fit.stands.numbers import GravityRegressor, Numbers
 
 Array = NDArray[np.float64]
 

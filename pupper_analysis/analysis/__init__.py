@@ -1,5 +1,0 @@
-"""All that is found out about one robot, or about one of its stances: a module per question."""
-
-from pupper_analysis.exports import exports_of
-
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

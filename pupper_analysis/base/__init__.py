@@ -1,0 +1,1 @@
+"""Errors, diagnostics, files, arrays, arguments, results: knows no robot."""

@@ -1,5 +1,0 @@
-"""Are the model files right, and if not, why not."""
-
-from pupper_analysis.exports import exports_of
-
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

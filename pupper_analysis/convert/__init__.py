@@ -1,5 +1,0 @@
-"""Conversion of a URDF into an MJCF that agrees and stands, and back."""
-
-from pupper_analysis.exports import exports_of
-
-__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

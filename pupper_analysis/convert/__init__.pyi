@@ -1,1 +1,0 @@
-from .conversion import Conversion as Conversion

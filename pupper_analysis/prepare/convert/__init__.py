@@ -1,0 +1,1 @@
+"""The other model of a robot of which there is one file: an MJCF of a URDF, or back."""

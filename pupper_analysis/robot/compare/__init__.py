@@ -1,0 +1,1 @@
+"""Two files of one robot in both engines, and what makes them disagree."""

@@ -1,1 +1,0 @@
-"""From stance to stance, at rest and at speed."""

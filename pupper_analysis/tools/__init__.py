@@ -1,0 +1,5 @@
+"""One folder for each question, named as its command."""
+
+from pupper_analysis.base.exports import exports_of
+
+__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

@@ -1,0 +1,1 @@
+"""Take robots from their model files to a verified stand."""

@@ -1,0 +1,68 @@
+"""``pupper-analysis best``: a better stance."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.modes import refuse_idle
+from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.stance_options import (
+    RobotAndTask,
+    at_option,
+    draw_stand,
+    robot_and_task,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@shared.command("best")
+@click.argument("objective", type=click.Choice(["utilisation", "margin", "payload"]))
+@robot_argument
+@at_option
+@robot_and_task
+@shared.figure_option
+@shared.json_option
+def command(
+    asked: RobotAndTask,
+    objective: str,
+    words: tuple[str, ...],
+    at: str,
+    figure: Path | None,
+    json_path: Path | None,
+) -> None:
+    """Search for the best stance: the base's pose and the place of each foot are free.
+
+    OBJECTIVE is utilisation (lowest peak of torque / limit), margin (CoM deepest inside the support
+    polygon) or payload (largest, at --at). The search starts from the given stance (as for `stand`)
+    and keeps its ground, swing feet and margins. It takes a few seconds. The result is then printed
+    and simulated as by `stand`.
+
+    \b
+    Examples:
+      pupper-analysis best utilisation v3
+      pupper-analysis best payload v3-heavy --at 0,0,8cm --figure best.png
+      pupper-analysis best margin original --swing FL=2cm --com inside --self-clearance 5mm
+
+    \b
+    Exit status: 0 it holds (and so does its payload), 1 it fails in simulation,
+    2 the stance itself is out of reach or not holdable, or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.tools.best.best import study_best
+    from pupper_analysis.tools.best.search import Objective
+
+    if objective != "payload":
+        refuse_idle(objective, "at")
+    task, place = asked.task(), shared.parse_place("at", at)
+    robot = asked.robot(words)
+    kp, kd = asked.gains(robot)
+    with shared.show_progress("searching for the best stance, and simulating it"):
+        result = study_best(robot, Objective(objective), task, place, kp=kp, kd=kd)
+    asked.show(result, robot)
+    draw_stand(robot, result.stance.stand, result.stance.statics, figure)
+    shared.finish_command(json_path, result, passed=result.passed)

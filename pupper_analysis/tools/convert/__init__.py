@@ -1,0 +1,5 @@
+"""Make an MJCF of a URDF, or back."""
+
+from pupper_analysis.base.exports import exports_of
+
+__getattr__, __dir__, __all__ = exports_of(__name__, __file__)

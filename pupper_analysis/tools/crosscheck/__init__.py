@@ -1,0 +1,1 @@
+"""Find what makes a URDF and an MJCF disagree."""

@@ -1,0 +1,125 @@
+"""``pupper-analysis crosscheck``: what makes two model files disagree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.matching_options import (
+    frame_option,
+    map_file_option,
+    map_option,
+    mapped_names,
+    with_changes,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@shared.command("crosscheck")
+@click.argument("urdf", type=shared.MODEL_FILE)
+@click.argument("mjcf", type=shared.MODEL_FILE)
+@map_option
+@map_file_option
+@shared.package_option
+@frame_option
+@click.option(
+    "--tolerance",
+    "changes",
+    multiple=True,
+    metavar="KIND=VALUE",
+    help="Largest difference to ignore; e.g. mass=1e-3. KIND is mass, com, inertia, position, "
+    "rotation, axis, limit, effort, velocity, damping, friction, gravity or dynamics. "
+    "Repeatable.",
+)
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Report everything above rounding errors (1e-9): differences in printed digits, in "
+    "names, and damping that the URDF lacks.",
+)
+@click.option(
+    "--any-coordinates",
+    is_flag=True,
+    help="Accept other zero angles of joints and another frame of a free base; notes list them.",
+)
+@click.option(
+    "--same-mount",
+    is_flag=True,
+    help="Count a fixed base that is tilted against the URDF's as a difference (as --strict "
+    "does), since it changes the gravity torques.",
+)
+@shared.all_option
+@shared.json_option
+@shared.report_option
+@shared.format_option
+def command(
+    urdf: Path,
+    mjcf: Path,
+    pairs: tuple[str, ...],
+    map_file: Path | None,
+    packages: tuple[str, ...],
+    feet: tuple[str, ...],
+    changes: tuple[str, ...],
+    strict: bool,
+    any_coordinates: bool,
+    same_mount: bool,
+    everything: bool,
+    json_path: Path | None,
+    report_path: Path | None,
+    style: str,
+) -> None:
+    """Find which number in which file makes a robot's URDF and MJCF disagree.
+
+    Both models are compared in both engines, and body by body. Each difference is shown with its
+    line in both files and its effect on the dynamics, the most important first, and the list is
+    proven complete. The placement of link frames does not count. Joints are matched by --map, by
+    name, by name without prefixes and suffixes, and finally by structure (which is then printed).
+
+    SAME ROBOT, DIFFERENT CONVENTIONS means that only the zero angles of joints, or the frame of a
+    free base, differ, so that the same joint angles are another pose. The exit status is then 1, or
+    0 with --any-coordinates.
+
+    \b
+    Examples:
+      pupper-analysis crosscheck go1.urdf go1.xml
+      pupper-analysis crosscheck robot.urdf robot.xml --map lf_haa=FL_hip --tolerance mass=1e-3
+      pupper-analysis crosscheck robot.urdf robot.xml --strict --format github
+      xacro robot.urdf.xacro | pupper-analysis crosscheck - robot.xml
+
+    \b
+    Exit status: 0 they agree within the tolerances (a tilted base counts with --same-mount
+    alone), 1 they differ, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.present import comparison as comparison_report
+    from pupper_analysis.present import formats
+    from pupper_analysis.robot.compare.compare import compare_models
+    from pupper_analysis.robot.matching.tolerances import Tolerances
+
+    names = mapped_names(pairs, map_file)
+    folders = shared.package_folders(packages)
+    tolerances = Tolerances.strict() if strict else Tolerances()
+    tolerances = with_changes(tolerances, changes)
+    comparison = compare_models(
+        urdf,
+        mjcf,
+        names=names,
+        packages=folders,
+        feet=feet,
+        tolerances=tolerances,
+        strict_names=strict,
+        any_coordinates=any_coordinates,
+        same_mount=same_mount or strict,
+    )
+    if style in ("text", "markdown"):
+        shared.show_results([("", comparison)], style, everything=everything)
+    else:
+        suite = f"{urdf.name} against {mjcf.name}"
+        remarks, cases = comparison_report.comparison_remarks, comparison_report.comparison_cases
+        click.echo(formats.for_machines(style, suite, remarks(comparison), cases(comparison)))
+    shared.write_page(report_path, comparison)
+    shared.finish_command(json_path, comparison, passed=comparison.agree)

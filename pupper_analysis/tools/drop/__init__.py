@@ -1,0 +1,1 @@
+"""Drop a robot, and see that it stands."""

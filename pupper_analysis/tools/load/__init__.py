@@ -1,0 +1,1 @@
+"""Load a robot, and tell what was added."""

@@ -1,0 +1,1 @@
+"""Move to a stance, in balance all the way."""

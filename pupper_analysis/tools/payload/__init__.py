@@ -1,0 +1,1 @@
+"""How much can a stance carry, and what fails?"""

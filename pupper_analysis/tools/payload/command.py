@@ -1,0 +1,51 @@
+"""``pupper-analysis payload``: how much a stance carries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.stance_options import (
+    RobotAndTask,
+    at_option,
+    robot_and_task,
+)
+
+if TYPE_CHECKING:
+    pass
+
+
+@shared.command("payload")
+@robot_argument
+@at_option
+@robot_and_task
+@shared.json_option
+def command(asked: RobotAndTask, words: tuple[str, ...], at: str, json_path: Path | None) -> None:
+    """Find the largest payload of a stance, and what fails beyond it.
+
+    It is the largest mass with which `stand --payload` holds: reach and contacts, motor torques and
+    servo stiffness each set a limit. The base moves from under the load where the CoM shall be over
+    the feet. The robot is then judged as by `stand` with 97 % of it, and simulated with that and
+    with 105 % while it is nudged from all sides. Robot and stance are given as for `stand`.
+
+    \b
+    Examples:
+      pupper-analysis payload v3 --at 0,0,8cm
+      pupper-analysis payload v3-long-leg --height 15cm --kp 20 --kd 0.5
+      pupper-analysis payload original --swing FL=2cm --com inside --com-margin 1cm
+
+    \b
+    Exit status: 0 it carries something, 1 nothing, or it falls in simulation,
+    2 out of reach, not holdable or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.tools.payload.limit import payload_limit
+
+    task, place = asked.task(), shared.parse_place("at", at)
+    robot = asked.robot(words)
+    kp, kd = asked.gains(robot)
+    with shared.show_progress("searching for the payload, and simulating it"):
+        result = payload_limit(robot, task, place, kp=kp, kd=kd)
+    asked.show(result, robot)
+    shared.finish_command(json_path, result, passed=result.passed)

@@ -1,0 +1,1 @@
+"""Push robots over: how hard, which way?"""

@@ -1,0 +1,87 @@
+"""``pupper-analysis push``: what makes robots fall."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import robots_argument
+from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_task
+
+
+@shared.command("push")
+@robots_argument
+@click.option(
+    "--directions",
+    default=12,
+    show_default=True,
+    help="Number of push directions, evenly spaced; e.g. 4.",
+)
+@click.option(
+    "--resolution",
+    default=0.02,
+    show_default=True,
+    metavar="NS",
+    help="Resolution of the impulses (N s); e.g. 0.1.",
+)
+@robot_and_task
+@shared.figure_option
+@shared.json_option
+@shared.report_option
+def command(
+    asked: RobotAndTask,
+    words: tuple[str, ...],
+    directions: int,
+    resolution: float,
+    figure: Path | None,
+    json_path: Path | None,
+    report_path: Path | None,
+) -> None:
+    """Find the largest horizontal push, in each direction, that standing robots survive.
+
+    Each ROBOT is a variant, a URDF, an MJCF, or both: the URDF and then the MJCF. By default the
+    six variants are pushed (about three seconds each). Robot and
+    stance are given as for `stand`. A push lasts 20 ms and acts at the CoM of the base. A robot
+    survives it if it is upright and at rest after 6 s and only its feet ever touched the
+    ground. The legs are lengthened by the depth to which the feet penetrate MuJoCo's soft
+    ground.
+
+    \b
+    Examples:
+      pupper-analysis push v3 v3-heavy --figure push.png
+      pupper-analysis push original --height 0.12 --directions 4 --resolution 0.1
+      pupper-analysis push v3 --swing FL=2cm --com inside --com-margin 1cm
+      pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
+
+    \b
+    Exit status: 0 done, 1 a robot falls even without a push, 2 bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.pupper.variants import VARIANTS
+    from pupper_analysis.tools.push.pushed import study_pushes
+
+    task = asked.task()
+    robots = asked.robots(words, default=tuple(VARIANTS))
+    kp, kd = asked.gains(robots[0])
+    with shared.show_progress(
+        f"pushing {', '.join(robot.name for robot in robots)}: some three seconds each"
+    ):
+        results = study_pushes(
+            robots,
+            task,
+            kp=kp,
+            kd=kd,
+            directions=directions,
+            resolution=resolution,
+        )
+    shared.show_results(results.items(), asked.style, robots=robots, everything=asked.everything)
+    if figure is not None:
+        from pupper_analysis.tools.push.figures import push_figure
+
+        push_figure({name: result.recovery for name, result in results.items()}, figure)
+        shared.confirm_written(figure)
+    shared.write_page(report_path, results, robots)
+    shared.finish_command(
+        json_path, results, passed=all(result.passed for result in results.values())
+    )

@@ -1,0 +1,1 @@
+"""Solve a stance: its cost, and if it holds."""

@@ -1,0 +1,1 @@
+"""Show a robot in MuJoCo's viewer."""

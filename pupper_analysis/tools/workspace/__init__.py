@@ -1,0 +1,1 @@
+"""How far can the base go, with feet planted?"""

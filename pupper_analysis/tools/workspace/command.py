@@ -1,0 +1,50 @@
+"""``pupper-analysis workspace``: how far a base can go."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pupper_analysis.cli import shared
+from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_stance
+
+if TYPE_CHECKING:
+    pass
+
+
+@shared.command("workspace")
+@robot_argument
+@robot_and_stance
+@shared.figure_option
+@shared.json_option
+def command(
+    asked: RobotAndTask, words: tuple[str, ...], figure: Path | None, json_path: Path | None
+) -> None:
+    """Find how far the base can rise, shift, roll, pitch and yaw from a stance.
+
+    The feet stay planted. Each direction is searched separately, up to the first pose that is out
+    of reach. Robot and stance are given as for `stand`.
+
+    \b
+    Examples:
+      pupper-analysis workspace v3 --figure workspace.png
+      pupper-analysis workspace v3-heavy --height 12cm --self-clearance 5mm
+      pupper-analysis workspace v3 --swing FL=2cm --com inside --json workspace.json
+
+    \b
+    Exit status: 0 done, 2 the stance itself is out of reach, or bad input.
+    """  # noqa: D301 - click reads the \b
+    from pupper_analysis.stance.workspace import base_workspace
+
+    task = asked.task()
+    robot = asked.robot(words)
+    with shared.show_progress("searching how far the base can go"):
+        result = base_workspace(robot, task)
+    asked.show(result, robot)
+    if figure is not None:
+        from pupper_analysis.tools.workspace.figures import workspace_figure
+
+        workspace_figure(robot, result, figure)
+        shared.confirm_written(figure)
+    shared.finish_command(json_path, result, passed=True)

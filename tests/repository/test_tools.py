@@ -1,0 +1,123 @@
+"""A tool is dropped by deleting its folders: what is left works."""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pupper_analysis.base.tools import own_tools
+from tests.support.repository import ROOT
+
+QUICK = (
+    "tests/base/test_results.py",
+    "tests/cli/test_lazy.py",
+    "tests/robot/test_friction.py",
+    "tests/statics/test_support_polygon.py",
+    "tests/repository/test_house.py",
+)
+"""Some of the core's: of what all tools rest on, and of what finds them."""
+
+ALSO = ("diff", "workspace", "crosscheck", "audit")
+"""Tools of which some quick tests are run, too: of two that are left, and do not know the other."""
+
+
+def known_to() -> dict[str, set[str]]:
+    """{tool: the tools that it knows}, as pyproject.toml allows it."""
+    text = (ROOT / "pyproject.toml").read_text()
+    pairs = re.findall(
+        r'"pupper_analysis\.tools\.(\w+)\.\*\* -> pupper_analysis\.tools\.(\w+)\.', text
+    )
+    found: dict[str, set[str]] = {name: set() for name in own_tools()}
+    for one, other in pairs:
+        found[one].add(other)
+    return found
+
+
+def without(tool: str, folder: Path) -> Path:
+    """Copies the checkout without a tool, and without those that are allowed to know it."""
+    known = known_to()
+    gone = {tool}
+    while more := {one for one, others in known.items() if others & gone} - gone:
+        gone |= more
+    left_out = shutil.ignore_patterns(".git", ".venv*", "build", "__pycache__", ".*_cache", "docs")
+    copy = folder / "checkout"
+    shutil.copytree(ROOT, copy, ignore=left_out)
+    for one in gone:
+        shutil.rmtree(copy / "pupper_analysis/tools" / one)
+        shutil.rmtree(copy / "tests/tools" / one, ignore_errors=True)
+    return copy
+
+
+def run(copy: Path, *words: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *words],
+        capture_output=True,
+        text=True,
+        cwd=copy,
+        env={**os.environ, "PYTHONPATH": str(copy)},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return done.stdout
+
+
+def check_without(tool: str, folder: Path) -> None:
+    copy = without(tool, folder)
+    code = (
+        "import pupper_analysis as pa; print(pa.__file__); "
+        "[getattr(pa, name) for name in pa.__all__]; "
+        "[getattr(one, name) for one in vars(pa).values() if hasattr(one, '__all__')"
+        " for name in one.__all__ if one.__name__.startswith('pupper_analysis.')]"
+    )
+    assert str(copy) in run(copy, "-c", code)
+    said = run(copy, "-m", "pupper_analysis", "--help")
+    left = {path.parent.name for path in (copy / "pupper_analysis/tools").glob("*/command.py")}
+    listed = re.findall(r"^  (\w+)  +\S", said.partition("Commands:")[2], re.M)
+    assert set(listed) == left
+    assert tool not in left
+    assert len(left) > len(own_tools()) / 2
+    others = [
+        path.relative_to(copy).as_posix()
+        for one in ALSO
+        if one in left
+        for path in sorted((copy / "tests/tools" / one).glob("test_*.py"))[:1]
+    ]
+    there = [path for path in QUICK if (copy / path).exists()]
+    run(
+        copy,
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-q",
+        "-m",
+        "not slow",
+        "--maxfail",
+        "3",
+        *there,
+        *others[:2],
+    )
+
+
+@pytest.mark.longest
+@pytest.mark.parametrize("tool", own_tools())
+def test_each_tool_goes_with_its_folders(tool: str, tmp_path: Path) -> None:
+    check_without(tool, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("which", range(3))
+def test_some_tool_goes_with_its_folders(which: int, tmp_path: Path) -> None:
+    """Others on another day: seeded by the commit, so that a failure can be had again."""
+    head = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    tools = random.Random(head.stdout.strip()).sample(sorted(own_tools()), 3)
+    check_without(tools[which], tmp_path)

@@ -1,0 +1,89 @@
+"""The tool of the guide *Write a tool*, installed beside the package, is a command like others."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.support.repository import ROOT
+
+PAGE = ROOT / "docs/how-to/write-a-tool.md"
+PARTS = dict(
+    re.findall(r"```(?:python|toml)\n# ([a-z_]+\.\w+)\n(.*?)```", PAGE.read_text("utf-8"), re.S)
+)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what pip installs of it: the package, and its entry point."""
+    folder = tmp_path_factory.mktemp("site")
+    package = folder / "inertia_tool"
+    package.mkdir()
+    for name in ("__init__.py", "document.py", "command.py", "words.toml"):
+        (package / name).write_text(PARTS[name], encoding="utf-8")
+    project = tomllib.loads(PARTS["pyproject.toml"])["project"]
+    about = folder / "inertia_tool-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    ((group, points),) = project["entry-points"].items()
+    lines = [f"{name} = {package}" for name, package in points.items()]
+    (about / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines]) + "\n")
+    return folder
+
+
+def run(installed: Path, folder: Path, *words: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "pupper_analysis", *words],
+        capture_output=True,
+        text=True,
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": f"{installed}{os.pathsep}{ROOT}", "NO_COLOR": "1"},
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_it_is_short() -> None:
+    code = [PARTS[name] for name in ("__init__.py", "document.py", "command.py")]
+    lines = [line for part in code for line in part.splitlines() if line.strip()]
+    assert len(lines) <= 60
+
+
+def test_help_lists_it_and_imports_it_not(installed: Path, tmp_path: Path) -> None:
+    said = run(installed, tmp_path, "--help")
+    assert re.search(r"^  inertia +How hard is a robot to turn\?$", said, re.M)
+    assert re.search(r"^  payload ", said, re.M)
+    code = (
+        "import sys; from pupper_analysis.cli.lazy import list_tools; "
+        "print('inertia' in list_tools(), 'inertia_tool' in sys.modules)"
+    )
+    environment = {**os.environ, "PYTHONPATH": f"{installed}{os.pathsep}{ROOT}"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True
+    )
+    assert done.stdout.split() == ["True", "False"]
+
+
+@pytest.mark.slow
+def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
+    assert "about its base" in run(installed, tmp_path, "inertia", "--help")
+    words = ("inertia", "v3", "--json", "inertia.json", "--report", "inertia.html")
+    said = run(installed, tmp_path, *words, "--format", "markdown")
+    moments = json.loads((tmp_path / "inertia.json").read_text())["moments"]
+    assert len(moments) == 3
+    assert 0 < moments[0] < moments[1] < moments[2] < moments[0] + moments[1]
+    assert "Rotational inertia" in said
+    assert f"| 3 | {moments[2]:.5f} |" in said
+    page = (tmp_path / "inertia.html").read_text("utf-8")
+    assert "Rotational inertia" in page
+    assert "轴" in page  # and what has no Chinese is there in English
