@@ -54,8 +54,8 @@ test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that a
 browser: $(VENV)/.ready-dev ## see to a browser for the tests of pages: apt or Playwright install chromium
 	.ci/browser
 
-durations: $(VENV)/.ready ## run all but the longest, and write how long each takes: sets what is slow
-	$(BIN)/python -m pytest -m "not longest" --record-durations
+durations: $(VENV)/.ready-dev ## run some cases of each test, and write how long it takes: sets what is slow
+	$(BIN)/python -m pytest --record-durations
 
 mutate: $(VENV)/.ready-mutation ## change SAMPLE operators and numbers of each ROOM: does a test notice?
 	$(BIN)/python tests/mutate.py $(ROOM) --sample $(SAMPLE) $(MUTATE)

@@ -207,12 +207,16 @@ def main(
         sys.exit(not check_ratios(variant))
     found: dict[str, Any] = {"variant": variant, "quick": quick, "setting": setting()}
     rows: list[Row] = []
-    for job in (*bare.jobs(variant), *whole.jobs(variant)):
+    jobs = bare.jobs(variant)
+    for job in (*jobs, *whole.jobs(variant)):
         if not quick or job.quick:
             click.echo(f"{job.name} ...", err=True)
             rows.append(measured(job, 1 if quick else repeats, 0.0 if quick else 1.0))
     found["jobs"] = [asdict(row) for row in rows]
+    own: dict[str, float] = {}
     if not quick:
+        click.echo("ratios ...", err=True)
+        own = ratios.best(jobs, ratios.measure_ratio)
         found["stages"] = stages.stages(variant, 100 * repeats)
         click.echo("start-up, default run, growth ...", err=True)
         found["start-up"] = whole.start_up(3)
@@ -228,7 +232,6 @@ def main(
         json_path.write_bytes(orjson.dumps(found, option=orjson.OPT_INDENT_2))
     if folder is not None:
         if not quick:
-            own = {row.name: row.ratio for row in rows if row.ratio is not None}
             record = ratios.read_recorded(folder) | {ratios.family(processor()): own}
             made["Ratios"] = ratios.record_rows(record)
         write_tables(folder, {"setting": setting_rows(found)} | made)

@@ -9,7 +9,7 @@ import hypothesis
 import pytest
 
 import pupper_analysis as pa
-from tests.support.durations import Limit, Recorder, mark
+from tests.support.durations import Limit, Recorder, mark, sample
 from tests.support.ran import Ran, summary_lines
 from tests.support.rooms import trees
 from tests.support.tiny import TINY_MJCF, TINY_URDF, Files
@@ -55,6 +55,9 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Marks what is slow, before any are chosen by their marks."""
+    if config.getoption("--record-durations"):
+        sample(items)
+        return
     mark(items)
     if ran := config.pluginmanager.get_plugin("ran"):
         ran.collected(items)

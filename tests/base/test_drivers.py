@@ -39,7 +39,6 @@ main()
 """
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("gl", ["osmesa", "egl", "bogus"])
 def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
     result = run(
@@ -49,7 +48,6 @@ def test_commands_need_no_opengl(gl: str, tmp_path: Path) -> None:
     assert "rules" in result.stdout
 
 
-@pytest.mark.slow
 def test_pictures_are_drawn_without(tmp_path: Path) -> None:
     command = ("analyze", "original", "--output", "out")
     result = run("-c", BROKEN, *command, folder=tmp_path, gl="osmesa")

@@ -233,9 +233,10 @@ def test_a_folder_that_cannot_be_searched_is_an_output_error(
         files.check_folder(tmp_path / "folder" / "new")
 
 
-@pytest.mark.slow
-def test_dash_is_standard_output(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    os.chdir(tmp_path)
+def test_dash_is_standard_output(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     status, out, err = run_command(capfd, "workspace", "v3", "--json", "-")
     assert status == 0
     assert "intervals" in json.loads(out) or json.loads(out)

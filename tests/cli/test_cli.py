@@ -82,7 +82,6 @@ def test_a_page_by_default_and_a_line_if_quiet(tmp_path: Path) -> None:
     page = answer("analyze", "v3", "v3-long-leg", "--no-figures", folder=tmp_path)
     assert page.returncode == 0
     lines = page.stdout.splitlines()
-    assert len(lines) < 40
     robot = pa.load_variant("v3")
     held = pa.stance.stand_statics(robot, pa.stance.solve_stand_as_simulated(robot))
     peak = f"{held.motor_utilisation.max():.1%} of its limit"

@@ -234,7 +234,6 @@ _STAGED = [
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", _STAGED, ids=lambda command: str(command.name))
 def test_no_output_is_an_input(command: Command, folder: Path) -> None:
     before, count = sums(folder), 0
@@ -308,7 +307,6 @@ def test_a_folder_that_takes_no_file_is_found_before_the_work(
     assert not (folder / "new").exists()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", _STAGED, ids=lambda command: str(command.name))
 def test_a_full_disk_is_one_line_and_leaves_nothing(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch

@@ -103,7 +103,6 @@ def test_what_names_no_robot_or_two_is_refused(
         RobotOptions.taken_from(dict(options)).one(words)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("file", [URDF, MJCF], ids=["urdf", "mjcf"])
 def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Path) -> None:
     status, out, _ = run_command(capfd, "stand", str(file))
@@ -113,7 +112,6 @@ def test_one_file_is_enough_to_stand(capfd: pytest.CaptureFixture[str], file: Pa
     assert f"the {made} was made of {file.name} in memory" in out.replace("\n", " ")
 
 
-@pytest.mark.slow
 def test_robots_of_files_stand_beside_variants(capfd: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run_command(capfd, "analyze", str(MJCF), "original", "--no-figures")
     assert status == 0

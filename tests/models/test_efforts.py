@@ -73,7 +73,6 @@ def test_motors_that_cannot_hold_it_are_told_wherever_their_limit_stands(way: st
     assert pa.verify_stand(strong, stand, kp=KP, kd=KD, duration=2.0).passed
 
 
-@pytest.mark.slow
 def test_what_stands_or_falls_does_not_hang_on_where_the_limit_stands() -> None:
     """The payload of the same motors, said in three ways, and once by the URDF alone."""
     stand, masses = stand_of("v3"), []

@@ -37,7 +37,6 @@ def in_parts(pair: Pair, turning: str, place: str, rest: str = "") -> Pair:
     return pair
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turning", "place"), [(HINGES, "0 0.35 0 0 0 0"), (BALL, "0 0.35 0 1 0 0 0")]
 )
@@ -51,7 +50,6 @@ def test_crosscheck_and_convert_take_it_for_free(turning: str, place: str, tmp_p
     assert "pelvis_tx" not in (tmp_path / "back.urdf").read_text()
 
 
-@pytest.mark.slow
 def test_a_robot_stands_on_it_as_on_a_free_joint(tmp_path: Path) -> None:
     (tmp_path / "whole").mkdir()
     whole = quadruped(tmp_path / "whole")

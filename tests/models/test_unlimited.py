@@ -59,7 +59,6 @@ def test_a_slide_without_a_range_stays_locked(tmp_path: Path) -> None:
     assert read_urdf(urdf).notes == ()
 
 
-@pytest.mark.slow
 def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     edited(pair.urdf, (KNEE, 'effort="80"'))
@@ -76,7 +75,6 @@ def test_the_mjcfs_range_counts_where_the_urdf_states_none(tmp_path: Path) -> No
     assert pa.compare_models(pair.urdf, pair.mjcf).agree
 
 
-@pytest.mark.slow
 def test_a_converted_hinge_without_limits_has_none(tmp_path: Path) -> None:
     urdf = edited(standing_urdf(tmp_path), ('lower="-0.8" upper="0.8" effort', "effort"))
     mjcf, found = converted(urdf, "quad.xml")
@@ -105,7 +103,6 @@ def test_an_effort_of_zero_is_the_mjcfs_or_none(tmp_path: Path) -> None:
     np.testing.assert_array_equal(robot.effort_limits, np.inf)
 
 
-@pytest.mark.slow
 def test_what_the_urdfs_motors_cannot_hold_does_not_pass(tmp_path: Path) -> None:
     """Its MJCF has no limit of force, and its servos are given the URDF's."""
     pair = biped(tmp_path)

@@ -58,7 +58,6 @@ def test_servos_of_the_model_are_kept(tmp_path: Path) -> None:
     stands(robot)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("keyframe", ["", "0 2.4 -2.6", "0 0.1 0.4"])
 def test_a_start_pose_is_found(keyframe: str, tmp_path: Path) -> None:
     """There is none, or it is one in which the robot lies, or one beyond the limits."""
@@ -76,7 +75,6 @@ def test_a_base_that_the_mjcf_holds_is_freed(tmp_path: Path) -> None:
     stands(robot)
 
 
-@pytest.mark.slow
 def test_a_base_that_was_fused_with_the_world_is_made_anew(tmp_path: Path) -> None:
     """MuJoCo's own conversion of a URDF has no body for the root link, and loses its mass."""
     whole = quadruped(tmp_path, keyframe="", floor=True)
@@ -115,7 +113,6 @@ def test_a_joint_that_only_one_file_has_is_held_and_named(tmp_path: Path) -> Non
     assert "8.400 kg" in str(found.failures[-1])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "frame"),
     [("own", "own"), ("a geom", "toe"), ("a link and a body", ("FL_calf", "FL_calf"))],
@@ -156,7 +153,6 @@ def test_a_robot_whose_limbs_touch_nothing(tmp_path: Path) -> None:
 COUNTS = {"box": 4, "four spheres": 4, "two capsules": 4, "cylinder": 3}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", BIPED_FEET)
 def test_a_biped_stands_on_two_flat_feet(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
@@ -185,7 +181,6 @@ def test_the_contact_points_are_mujocos(tmp_path: Path) -> None:
     np.testing.assert_allclose(sorted(stand.depths.values()), depths, atol=1e-8)
 
 
-@pytest.mark.slow
 def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> None:
     """By hand: force times lever, less the weight of the foot below the joint."""
     robot = load(biped(tmp_path))
@@ -203,7 +198,6 @@ def test_the_torque_of_an_ankle_is_the_centre_of_pressures(tmp_path: Path) -> No
     assert held.joint_torques[ankle] == pytest.approx(-(about + foot)[1], rel=1e-9)
 
 
-@pytest.mark.slow
 def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
@@ -214,7 +208,6 @@ def test_sag_on_flat_feet_is_what_mujoco_settles_at(tmp_path: Path) -> None:
     assert sag.height_loss > 1e-3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("ahead", "held"), [(0.088, True), (0.092, False)])
 def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_path: Path) -> None:
     """The soles, 0.18 m long, reach 0.09 m to either side of their middle."""
@@ -230,7 +223,6 @@ def test_a_biped_tips_over_the_edge_of_its_feet(ahead: float, held: bool, tmp_pa
             pa.solve_stand(robot, task)
 
 
-@pytest.mark.slow
 def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     ground = pa.Ground(slope=0.1, uphill=0.4)
@@ -241,7 +233,6 @@ def test_a_flat_foot_lies_flat_on_a_slope(tmp_path: Path) -> None:
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot, stand.task)).passed
 
 
-@pytest.mark.slow
 def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     task = pa.StandTask(swing={"left_tilt_link": 0.03}, com="inside", com_margin=0.005)
@@ -254,7 +245,6 @@ def test_a_flat_foot_swings_as_a_whole(tmp_path: Path) -> None:
     assert held.contact_forces.keys() == set(robot.feet["right_tilt_link"])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", sorted(BIPED_FEET.keys() - {"cylinder"}))  # its points turn
 def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     robot = load(biped(tmp_path, BIPED_FEET[shape]))
@@ -270,7 +260,6 @@ def test_a_flat_foot_stands_on_a_step(shape: str, tmp_path: Path) -> None:
     assert max(found.torque_error, found.force_error) < 1e-4
 
 
-@pytest.mark.slow
 def test_flat_feet_on_steps_of_a_slope_and_one_in_the_air(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     heights = {"left_tilt_link": 0.02, "right_tilt_link": 0.045}
@@ -315,13 +304,11 @@ def test_the_margin_of_a_contact_counts(tmp_path: Path) -> None:
     stands(robot)
 
 
-@pytest.mark.slow
 def test_feet_of_a_robot_that_lies_are_found_all_the_same(tmp_path: Path) -> None:
     robot = load(quadruped(tmp_path, keyframe="0 2.4 -2.6"))
     assert len(robot.feet) == 4
 
 
-@pytest.mark.slow
 def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     """As a Berkeley Humanoid Lite's: it is put to the base's com, and all is as if it had been."""
     plain = load(biped(tmp_path))
@@ -337,7 +324,6 @@ def test_a_base_frame_on_the_ground_between_the_feet(tmp_path: Path) -> None:
     assert not [note for note in plain.notes if note.code == "base-frame-lifted"]
 
 
-@pytest.mark.slow
 def test_preparing_changes_no_file(tmp_path: Path) -> None:
     pair = biped(tmp_path)
     before = pair.urdf.read_bytes(), pair.mjcf.read_bytes()
@@ -415,7 +401,6 @@ def advised(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return kp, kd
 
 
-@pytest.mark.slow
 def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Path) -> None:
     """As a Berkeley Humanoid's, of 1 to 15 N m/rad: they stay, and a line says what would hold."""
     pair = biped(tmp_path, damping=0.02)
@@ -428,7 +413,6 @@ def test_servos_that_let_it_fall_are_told_with_gains_that_would_not(tmp_path: Pa
     assert pa.verify_stand(robot, stand, kp=kp, kd=kd).passed
 
 
-@pytest.mark.slow
 def test_servos_that_let_it_fall_slowly_are_told_too(tmp_path: Path) -> None:
     """As T1's and G1's of mujoco_playground: upright for 5 s, and on the ground after 12."""
     pair = biped(tmp_path)
@@ -475,7 +459,6 @@ def test_defaults_for_the_robots_geoms_are_not_the_added_floors(tmp_path: Path) 
     stands(robot)
 
 
-@pytest.mark.slow
 def test_a_foot_that_is_a_lying_cylinder_in_the_urdf(tmp_path: Path) -> None:
     """As on a B2 or an M20: what MuJoCo lets touch the ground is the MJCF's, and that is a sphere.
 
@@ -521,7 +504,6 @@ def test_bodies_that_overlap_are_kept_from_pushing(tmp_path: Path) -> None:
     stands(robot)
 
 
-@pytest.mark.slow
 def test_zeros_that_differ_are_brought_together(tmp_path: Path) -> None:
     """The URDF counts one knee from 0.3 rad before the MJCF's zero: the same robot."""
     pair = quadruped(tmp_path)
@@ -561,7 +543,6 @@ def test_wrong_arguments_are_refused_by_name(wrong: dict[str, object], tmp_path:
         load(quadruped(tmp_path), **wrong)
 
 
-@pytest.mark.slow
 def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path) -> None:
     robot = load(biped(tmp_path))
     again = pickle.loads(pickle.dumps(robot))
@@ -572,7 +553,6 @@ def test_a_prepared_robot_goes_to_another_process_and_is_the_same(tmp_path: Path
     assert pa.verify_stand(again, two).torque_error < 1e-6
 
 
-@pytest.mark.slow
 def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     """Pi Plus' knees bend one way in the MJCF, and both in the URDF: it was thrown into the air."""
     pair = quadruped(tmp_path, keyframe="")
@@ -595,7 +575,6 @@ def test_limits_of_both_files_are_kept(tmp_path: Path) -> None:
     stands(robot)
 
 
-@pytest.mark.slow
 def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
     """A slide is a direction: where a file puts its origin says nothing of the foot's place."""
     pair = quadruped(tmp_path, floor=True, keyframe="0 0.1 0")
@@ -625,7 +604,6 @@ def test_feet_behind_a_slide_are_where_they_are(tmp_path: Path) -> None:
     stands(robot)
 
 
-@pytest.mark.slow
 def test_a_base_that_is_free_by_slides_and_a_ball_joint(tmp_path: Path) -> None:
     """As XBot-L's, which was taken for one that hangs in the world."""
     whole = load(quadruped(tmp_path))

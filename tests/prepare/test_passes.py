@@ -20,6 +20,7 @@ from pupper_analysis.prepare.load import explain_loading
 from pupper_analysis.prepare.passes import PASSES, Pass
 from pupper_analysis.prepare.ready import Request
 from tests.support.legged import Pair, fused, quadruped
+from tests.support.repository import ROOT
 
 
 def named(name: str) -> Pass:
@@ -168,7 +169,10 @@ def test_the_command_prints_the_passes_in_their_order(tmp_path: Path) -> None:
 
 
 def test_files_that_are_ready_need_no_pass() -> None:
-    files = read_urdf("urdf/pupper_skeleton.urdf"), read_mjcf("mjcf/pupper_skeleton.xml")
+    files = (
+        read_urdf(ROOT / "urdf/pupper_skeleton.urdf"),
+        read_mjcf(ROOT / "mjcf/pupper_skeleton.xml"),
+    )
     feet = pa.load_variant("original").description.contact_points
     told, _ = explain_loading(*files, Request(feet=feet))
     assert told.passes == ()

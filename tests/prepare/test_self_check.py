@@ -117,7 +117,6 @@ def test_a_servo_whose_bias_is_all_zero_is_no_motor(tmp_path: Path) -> None:
     assert {made.instead_of for made in robot.description.made_servos} == {Drive.OTHER}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "said"),
     [
@@ -179,7 +178,6 @@ CAUSES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("cause", CAUSES)
 def test_what_makes_it_differ_is_named_with_its_line(tmp_path: Path, cause: str) -> None:
     old, new, element, line = CAUSES[cause]
@@ -225,7 +223,6 @@ def slip_holds(folder: Path, name: str, seed: int) -> tuple[float, bool, str]:
     return lost, verdict.passed, in_words(verdict)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_no_robot_that_falls_is_said_to_hold(tmp_path: Path, seed: int) -> None:
     name = str(np.random.default_rng(seed).choice(list(SLIPS)))

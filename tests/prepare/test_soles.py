@@ -28,7 +28,6 @@ def holds(robot: Robot, task: pa.StandTask | None = None, *, within: float) -> p
     return stand
 
 
-@pytest.mark.slow
 def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     """MuJoCo's contacts of a mesh with many vertices jump as loads shift: by 1.4 % on an H1-2."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
@@ -51,7 +50,6 @@ def test_a_sole_of_a_mesh_has_balls_at_its_corners(tmp_path: Path) -> None:
     holds(robot, pa.StandTask(offset=(0.02, 0.015)), within=1e-3)
 
 
-@pytest.mark.slow
 def test_the_balls_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
     """A Zeroth bot's sole has a corner 0.14 mm off the others: its foot tilted, by 1.9 %."""
     pair = sole_mesh(biped(tmp_path), BIPED_FEET["box"])
@@ -71,7 +69,6 @@ def test_the_balls_of_a_sole_are_in_one_plane(tmp_path: Path) -> None:
     holds(robot, within=1e-8)  # 3e-5 with balls where the mesh has its corners
 
 
-@pytest.mark.slow
 def test_a_sole_of_a_mesh_with_four_corners_touches_itself(tmp_path: Path) -> None:
     """A box as a mesh has its four corners in contact, however it tilts."""
     box = " ".join(
@@ -100,7 +97,6 @@ def test_the_corners_of_a_hull_are_those_that_matter() -> None:
     assert sole_corners(line, np.array([0.0, 0.0, 1.0]), 1e-3) == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("shape", some(["box", "four spheres", "two capsules"], 3))
 def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     """Roll at the hip; pitch at hip, knee and ankle: as TRON 1's. The com is 2 um aside."""
@@ -114,7 +110,6 @@ def test_legs_of_four_joints_stand_on_soles(shape: str, tmp_path: Path) -> None:
     holds(robot, pa.StandTask(height=0.95 * robot.stand_height), within=1e-2)
 
 
-@pytest.mark.slow
 def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) -> None:
     """By a mesh's last digits: no roll of the foot can mend it."""
     foot = BIPED_FEET["box"].replace("/>", ' euler="3e-6 0 0"/>')
@@ -122,7 +117,6 @@ def test_a_sole_that_is_not_quite_level_lies_as_the_leg_lays_it(tmp_path: Path) 
     holds(load(pair), within=1e-2)
 
 
-@pytest.mark.slow
 def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
     """They tilted as far as they may, for a com that need not be where it was put: by 2.8 %.
 
@@ -138,7 +132,6 @@ def test_soles_on_legs_of_five_joints_lie_flat(tmp_path: Path) -> None:
         assert np.ptp(heights) < 1e-6
 
 
-@pytest.mark.slow
 def test_what_legs_of_four_joints_cannot_do_is_refused(tmp_path: Path) -> None:
     robot = load(held(biped(tmp_path), "_yaw", "_tilt"))
     task = pa.StandTask(foot_offsets={"left_tilt_link": (0.0, 0.03)})
@@ -168,7 +161,6 @@ def test_a_quadruped_with_boxes_at_three_joints_has_points(tmp_path: Path) -> No
     assert len(load(quadruped(tmp_path, foot=foot)).contact_points) == 4
 
 
-@pytest.mark.slow
 def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     """Legs of three joints cannot lay them flat: corners carry that the prediction lacks."""
     box = '<geom type="box" size="0.03 0.02 0.01" pos="0 0 -0.2" euler="0 0.6 0"/>'
@@ -187,7 +179,6 @@ def test_flat_soles_that_lean_are_told(tmp_path: Path) -> None:
     assert cause.values["count"] > 1
 
 
-@pytest.mark.slow
 def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None:
     """The ball that was taken for the foot is not the lowest there; the others are no feet.
 
@@ -205,7 +196,6 @@ def test_soles_of_balls_that_lean_the_other_way_are_told(tmp_path: Path) -> None
     assert "_calf is 0.1 mm in the ground" in str(caught.value.blocked[0])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("size", ["0.02 0.02 0.02", "0.03 0.02 0.01"])
 def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> None:
     """Of three equal half axes it is a ball; of others its lowest point is a closed form."""
@@ -231,7 +221,6 @@ def test_an_ellipsoid_touches_where_it_is_lowest(size: str, tmp_path: Path) -> N
         )
 
 
-@pytest.mark.slow
 def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
     """At the cylinder's radius, 90 mm from its axis, and not at its half length."""
     robot = load(biped(tmp_path, BIPED_FEET["cylinder"]))
@@ -242,7 +231,6 @@ def test_a_round_sole_touches_on_its_rim(tmp_path: Path) -> None:
         np.testing.assert_allclose(from_axis, 0.09, rtol=0.02)
 
 
-@pytest.mark.slow
 def test_a_sole_sinks_as_a_plane_whose_forces_have_the_resultant(tmp_path: Path) -> None:
     """By unequal loads of the soles it tilts, and a corner lifts: 8e-4 off, and "not >= 0 m"."""
     pair = biped(tmp_path)

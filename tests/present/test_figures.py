@@ -157,7 +157,6 @@ def test_shares_of_a_bar_are_of_its_limit() -> None:
 # ------------------------------------------------------------------------------------- figures
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_pose_figure_has_the_pose(name: str, tmp_path: Path) -> None:
     analysis = analysis_of(name)
@@ -259,7 +258,6 @@ def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
 
 
-@pytest.mark.slow
 def test_gain_figure_marks_what_fell_and_what_is_not_stable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -181,7 +181,6 @@ def pushed() -> PushRecovery:
 # What the page is
 
 
-@pytest.mark.slow
 def test_a_page_is_well_formed_and_loads_nothing() -> None:
     page = page_of(analysis())
     assert page.text.startswith("<!doctype html>")
@@ -196,7 +195,6 @@ def test_a_page_is_well_formed_and_loads_nothing() -> None:
     assert not re.search(r"url\(|@import|http", style)
 
 
-@pytest.mark.slow
 def test_every_number_s_header_has_a_unit() -> None:
     """A column's own, or one beside it for each row."""
     count = 0
@@ -773,7 +771,6 @@ def test_a_report_goes_to_standard_output() -> None:
     assert "OK" in found.stderr
 
 
-@pytest.mark.slow
 def test_the_template_engine_is_loaded_when_a_report_is_written() -> None:
     code = (
         "import sys, pupper_analysis.cli, pupper_analysis.present.html.write, "

@@ -87,7 +87,6 @@ def stage(opened: Opened) -> Any:
     return canvas
 
 
-@pytest.mark.slow
 def test_the_robot_is_drawn_and_turns(opened: Opened) -> None:
     canvas = stage(opened)
     before = opened.pixels(canvas)
@@ -296,7 +295,6 @@ def test_a_page_is_light_and_dark_and_fits_a_phone(browser: Any, file: Path, sch
     one.context.close()
 
 
-@pytest.mark.slow
 def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "study.html"
     pa.report.write_report(outcome(), file)
@@ -340,7 +338,6 @@ def test_a_study_tells_its_cells_and_designs(browser: Any, tmp_path: Path) -> No
     one.context.close()
 
 
-@pytest.mark.slow
 def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
     none = "HTMLCanvasElement.prototype.getContext = () => null"
     one = Opened(browser, file, script=none)
@@ -354,7 +351,6 @@ def test_without_webgl_it_says_so(browser: Any, file: Path) -> None:
     one.context.close()
 
 
-@pytest.mark.slow
 def test_no_name_acts(browser: Any, tmp_path: Path) -> None:
     file = tmp_path / "evil.html"
     pa.report.write_report(evil_analysis(), file, robots=())

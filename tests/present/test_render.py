@@ -54,7 +54,6 @@ def render_with_opengl(*arguments: Any, **options: Any) -> render.Picture:
 # ------------------------------------------------------------------------------------- OpenGL
 
 
-@pytest.mark.slow
 def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
     picture = render_with_opengl(
         pairs("original", "v3", "v3-heavy"), tmp_path / "a.png", width=WIDTH
@@ -71,7 +70,6 @@ def test_robots_are_rendered_side_by_side(tmp_path: Path) -> None:
         assert all(is_background(edge).all() for edge in edges)
 
 
-@pytest.mark.slow
 def test_the_shadow_is_below_the_robot_and_soft(tmp_path: Path) -> None:
     picture = render_with_opengl(pairs("v3"), tmp_path / "a.png", width=WIDTH)
     image = pixels(picture.path)
@@ -81,7 +79,6 @@ def test_the_shadow_is_below_the_robot_and_soft(tmp_path: Path) -> None:
     assert len(np.unique(image[grey].round(2), axis=0)) > 10
 
 
-@pytest.mark.slow
 def test_rows_and_scale(tmp_path: Path) -> None:
     two = pairs("original", "long-leg")
     beside = render_with_opengl(two, tmp_path / "a.png", width=WIDTH, columns=2)
@@ -94,7 +91,6 @@ def test_rows_and_scale(tmp_path: Path) -> None:
     assert np.abs(lower - same).mean() < 0.01
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fixed_base", [False, True])
 def test_one_robot_is_rendered(fixed_base: bool, tmp_path: Path) -> None:
     robot = load("v3", fixed_base=fixed_base)
@@ -108,7 +104,6 @@ def test_nothing_is_left_in_the_environment(tmp_path: Path) -> None:
     assert dict(os.environ) == before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_the_projection_is_that_of_the_camera(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -138,7 +133,6 @@ def test_line_drawing_without_opengl(tmp_path: Path) -> None:
         assert 0.2 < 1 - is_background(tile).mean() < 0.8
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variables", "methods"),
     [

@@ -130,7 +130,6 @@ def test_verdicts_are_coloured() -> None:
     assert "\x1b[1;31mFAILS" in file.getvalue()
 
 
-@pytest.mark.slow
 def test_a_stand_fits_80_columns_and_its_files_are_confirmed(
     capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

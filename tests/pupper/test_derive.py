@@ -41,7 +41,6 @@ def second_moments(inertia: np.ndarray) -> np.ndarray:
 # ------------------------------------------------------------------------------------- two routes
 
 
-@pytest.mark.slow
 @settings(max_examples=30)
 @given(base=bases, leg_scale=leg_scales, torso_mass_scale=torso_scales)
 def test_urdf_and_mjcf_agree_at_any_scale(
@@ -58,7 +57,6 @@ def test_urdf_and_mjcf_of_the_variants_agree(robot: pa.Robot) -> None:
     assert_same_bodies(pinocchio_bodies(robot), mujoco_bodies(robot), 1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("source", BODIES)
 @settings(max_examples=15)
 @given(base=bases, leg_scale=leg_scales, torso_mass_scale=torso_scales)
@@ -94,7 +92,6 @@ def lump(points: np.ndarray, masses: np.ndarray) -> tuple[float, np.ndarray, np.
     return mass, com, np.asarray(inertia)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("source", BODIES)
 @settings(max_examples=15)
 @given(first=leg_scales, second=leg_scales)
@@ -188,7 +185,6 @@ def test_capsule_inertia_is_mujocos(radius: float, length: float) -> None:
     np.testing.assert_allclose(sorted(np.diag(ours)), sorted(model.body_inertia[1]), rtol=1e-10)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("source", BODIES)
 @settings(max_examples=15)
 @given(scale=leg_scales)
@@ -358,7 +354,6 @@ def test_written_files_are_the_variant(variant: str, tmp_path: Path) -> None:
         assert getattr(again.mj_model.opt, name) == getattr(ours.mj_model.opt, name)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3-heavy"])
 @given(data=st.data())
 @settings(max_examples=10)

@@ -199,7 +199,6 @@ def child_of(robot: pa.Robot, joint: str) -> str:
     return str(model.body(int(model.joint(joint).bodyid[0])).name)
 
 
-@pytest.mark.slow
 @given(data=st.data())
 def test_the_robot_is_its_own_mirror_image(variant: str, data: st.DataObject) -> None:
     """Mirrored, it has the same mass matrix, gravity and feet: in the URDF and in the MJCF."""

@@ -77,7 +77,6 @@ def test_heavy_mass_ratio(heavy: str, base: str, ratio: float) -> None:
     assert load(heavy).total_mass / load(base).total_mass == pytest.approx(ratio, abs=5e-4)
 
 
-@pytest.mark.slow
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
@@ -97,7 +96,6 @@ def test_skeleton_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:
     )
 
 
-@pytest.mark.slow
 @settings(max_examples=15)
 @given(s=st.floats(0.3, 3), t=st.floats(0.2, 5))
 def test_v3_mass_com_and_feet_in_closed_form(s: float, t: float) -> None:

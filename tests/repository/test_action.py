@@ -94,14 +94,12 @@ def test_the_action_is_one() -> None:
     assert not any("${{" in one["run"] for one in STEPS.values())
 
 
-@pytest.mark.slow
 def test_the_action_passes_on_the_sample(installed: Path) -> None:
     result = step("Check", installed)
     assert result.returncode == 0, result.stderr
     assert result.stdout == "passed: 0 to mend, 1 known\n"
 
 
-@pytest.mark.slow
 def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     text = (installed / "hopper.urdf").read_text()
     (installed / "hopper.urdf").write_text(text.replace('upper="1.5"', 'upper="1.2"'))
@@ -111,7 +109,6 @@ def test_the_action_fails_at_the_line_of_what_is_new(installed: Path) -> None:
     assert f"::error file=hopper.urdf,line={line},title=upper limit of hip::" in result.stdout
 
 
-@pytest.mark.slow
 def test_the_action_has_its_inputs(installed: Path) -> None:
     (installed / "robots and more").mkdir()
     for name in ("hopper.urdf", "hopper.xml", "pupper-analysis.toml"):
@@ -199,7 +196,6 @@ main()
 V3 = [str(ROOT / "urdf" / "pupper_v3.urdf"), str(ROOT / "mjcf" / "pupper_v3.xml")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "more"),
     [
@@ -252,7 +248,6 @@ def test_pre_commit_takes_the_hook() -> None:
     assert [one["id"] for one in config["repos"][0]["hooks"]] == list(HOOKS)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("mass", ["0.22", "0.3"])
 def test_pre_commit_runs_the_hook(installed: Path, mass: str) -> None:
     """With the entry of the hook, in an environment that has it installed."""

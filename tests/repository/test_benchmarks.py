@@ -25,7 +25,6 @@ import run as benchmarks
 import whole
 
 
-@pytest.mark.slow
 def test_the_quick_setting_runs_and_writes(tmp_path: Path) -> None:
     """It ends with 1 where an answer is not exact; times are not looked at."""
     written = tmp_path / "found.json"

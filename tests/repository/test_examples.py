@@ -96,7 +96,6 @@ def test_example_compare_legs_runs(shown: Shown) -> None:
     assert torque == pytest.approx(2.09, abs=0.01)
 
 
-@pytest.mark.slow
 def test_example_push_runs(shown: Shown) -> None:
     text = shown("push")
     rows = re.findall(r"(\d+) deg: ([\d.]+) N s \(([\d.]+) if rigid\), then: \S", text)
@@ -154,7 +153,6 @@ def test_example_cross_check_runs(shown: Shown) -> None:
     assert "explained: 100%" in text
 
 
-@pytest.mark.slow
 def test_example_payload_runs(shown: Shown) -> None:
     text = shown("payload")
     robot, mass = load("v3"), number("limit", text)

@@ -17,13 +17,11 @@ from tests.support.robots import mjcf_text, quadruped, urdf_text
 SEEDS = sorted((Path(fuzz.__file__).parent / "fuzz_seeds").glob("*.json"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("path", SEEDS, ids=lambda path: path.stem)
 def test_seeds_that_once_failed_pass(path: Path) -> None:
     assert fuzz.found_in(fuzz.Case.from_json(path.read_text())) == []
 
 
-@pytest.mark.slow
 @settings(max_examples=15, suppress_health_check=list(HealthCheck))
 @given(fuzz.on_files())
 def test_spoilt_files_are_refused(case: fuzz.Case) -> None:

@@ -94,7 +94,6 @@ def test_loading_a_base_model_needs_no_drawing_and_no_urdf_writer(tmp_path: Path
     assert run(code, tmp_path) == "[]"
 
 
-@pytest.mark.slow
 def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path) -> None:
     code = (
         "import pupper_analysis as pa; r = pa.load_variant('v3'); s = pa.solve_stand(r); "
@@ -106,7 +105,6 @@ def test_a_stand_needs_no_drawing_and_of_scipy_the_linear_algebra(tmp_path: Path
     assert run(code + LOADED.format(names=names), tmp_path) == "[]"
 
 
-@pytest.mark.slow
 def test_two_versions_of_a_file_are_compared_without_scipy(tmp_path: Path) -> None:
     code = (
         "import pupper_analysis as pa; pa.load_variant('v3'); "
@@ -115,7 +113,6 @@ def test_two_versions_of_a_file_are_compared_without_scipy(tmp_path: Path) -> No
     assert run(code, tmp_path) == "[]"
 
 
-@pytest.mark.slow
 def test_models_are_found_from_any_folder(tmp_path: Path) -> None:
     code = "import pupper_analysis as pa; print(round(pa.load_variant('heavy').total_mass, 9))"
     assert run(code, tmp_path) == "4.216"

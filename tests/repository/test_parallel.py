@@ -122,7 +122,6 @@ def assert_same_model(one: mujoco.MjModel, two: mujoco.MjModel, tolerance: float
         np.testing.assert_array_equal(getattr(one.opt, name), getattr(two.opt, name))
 
 
-@pytest.mark.slow
 @COPIES
 def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any]) -> None:
     robot = load(variant)
@@ -141,7 +140,6 @@ def test_a_robot_comes_back_the_same(variant: str, copied: Callable[[Any], Any])
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["v3-heavy", "long-leg"])
 def test_a_pickled_robot_stands_the_same(variant: str) -> None:
     robot = load(variant)
@@ -268,7 +266,6 @@ def heights(robot: pa.Robot, height: float) -> list[float]:
     return [float(value) for value in stand.qpos]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", sorted({"spawn", "fork"} & {*multiprocessing.get_all_start_methods()})
 )
@@ -292,7 +289,6 @@ def test_twenty_threads_at_once() -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_twenty_threads_load_their_own() -> None:
     with ThreadPoolExecutor(20) as pool:
         robots = list(pool.map(lambda _: pa.load_variant("v3-heavy"), range(20)))

@@ -112,7 +112,6 @@ def test_each_tool_goes_with_its_folders(tool: str, tmp_path: Path) -> None:
     check_without(tool, tmp_path)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("which", range(3))
 def test_some_tool_goes_with_its_folders(which: int, tmp_path: Path) -> None:
     """Others on another day: seeded by the commit, so that a failure can be had again."""

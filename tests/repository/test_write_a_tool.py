@@ -74,7 +74,6 @@ def test_help_lists_it_and_imports_it_not(installed: Path, tmp_path: Path) -> No
     assert done.stdout.split() == ["True", "False"]
 
 
-@pytest.mark.slow
 def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path) -> None:
     assert "about its base" in run(installed, tmp_path, "inertia", "--help")
     words = ("inertia", "v3", "--json", "inertia.json", "--report", "inertia.html")

@@ -102,7 +102,6 @@ def test_a_belts_motor_holds_what_the_knee_would(tmp_path: Path) -> None:
         )
 
 
-@pytest.mark.slow
 def test_belts_stand_as_predicted_though_they_stretch(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = holds(robot)
@@ -130,7 +129,6 @@ def test_constraints_may_be_as_soft_as_they_are(pair, tmp_path: Path) -> None:
             pa.steady_state(robot, pa.solve_stand(robot), feet="sliding")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("polynomial", [(0.0, -0.7, -0.08), (-0.1, -0.9, 0.05, 0.01, -0.002)])
 def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: Path) -> None:
     robot = load(belts(tmp_path, polynomial))
@@ -142,7 +140,6 @@ def test_a_coupling_need_not_be_linear(polynomial: tuple[float, ...], tmp_path: 
     holds(robot)
 
 
-@pytest.mark.slow
 def test_coupled_legs_squat_shift_lift_a_foot_and_lean_on_a_slope(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     holds(robot, pa.StandTask(height=0.9 * robot.stand_height))
@@ -170,7 +167,6 @@ def test_a_parallelograms_crank_holds_what_the_knee_would(tmp_path: Path) -> Non
         assert (tau["knee"], tau["pin"]) == (0.0, 0.0)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("crank", [0.05, 0.04])
 def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, crank))
@@ -181,7 +177,6 @@ def test_four_bars_stand_as_predicted(crank: float, tmp_path: Path) -> None:
     holds(robot, pa.StandTask(swing={"FL_calf": 0.03}, com_margin=0.005))
 
 
-@pytest.mark.slow
 def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     """A crank of 30 mm folds the knee no further than to 0.336 m: "the feet miss by 2e-05 mm"."""
     robot = load(four_bars(tmp_path, 0.03))
@@ -196,7 +191,6 @@ def test_a_dead_point_is_the_cause_of_a_refusal(tmp_path: Path) -> None:
     assert refused.value.blocked == ()
 
 
-@pytest.mark.slow
 def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> None:
     """Without them all feet are in place, and a refusal had nothing to name."""
     robot = load(four_bars(tmp_path))
@@ -216,7 +210,6 @@ def test_a_foot_that_comes_nearest_does_so_with_loops_closed(tmp_path: Path) -> 
     assert [one.code for one in told.blocked] == ["loops-stay-open"]
 
 
-@pytest.mark.slow
 def test_a_loops_derivative_is_that_of_its_residual(tmp_path: Path) -> None:
     robot = load(four_bars(tmp_path, 0.04))
     closure, qpos = robot.closure, pa.solve_stand(robot).qpos
@@ -261,7 +254,6 @@ def test_a_give_is_what_mujoco_opens_by(tmp_path: Path) -> None:
     np.testing.assert_allclose(robot.closure.give(qpos, load_on_knees), opened, rtol=1e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
 def test_sag_is_mujocos(pair, tmp_path: Path) -> None:
     """Where MuJoCo's feet have crept to, without tangential forces."""
@@ -295,7 +287,6 @@ def test_legs_that_cannot_make_up_for_softness_are_told_so(tmp_path: Path) -> No
         pa.stance.solve_stand_on_soft_ground(robot)
 
 
-@pytest.mark.slow
 def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, words='active="false"'))
     assert robot.closure is None
@@ -306,7 +297,6 @@ def test_a_coupling_that_is_switched_off_binds_nothing(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 def test_motors_at_both_ends_each_hold_their_own(tmp_path: Path) -> None:
     """Statics leaves it open which of them gives what: each gives what it is told."""
     pair = belts(tmp_path)
@@ -330,7 +320,6 @@ def test_what_does_not_keep_to_its_loops_is_refused(tmp_path: Path) -> None:
         pa.gravity_compensation(pa.Configuration(robot, qpos), ())
 
 
-@pytest.mark.slow
 def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     heights = (robot.stand_height, 0.95 * robot.stand_height)
@@ -341,7 +330,6 @@ def test_many_states_at_once_are_those_one_by_one(tmp_path: Path) -> None:
         np.testing.assert_allclose(torques, alone.joint_torques, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     qpos = pa.solve_stand(robot).qpos.copy()
@@ -350,7 +338,6 @@ def test_many_states_that_are_open_are_refused(tmp_path: Path) -> None:
         pa.statics.gravity_compensations(robot, qpos[None])
 
 
-@pytest.mark.slow
 def test_what_is_not_computed_is_refused_by_name(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = pa.solve_stand(robot)
@@ -381,7 +368,6 @@ def test_a_fixed_bases_motors_hold_what_follows(tmp_path: Path) -> None:
         )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pair", [belts, four_bars])
 def test_robots_with_closed_loops_stand_at_the_command_line(
     pair, tmp_path: Path, capfd: pytest.CaptureFixture[str]
@@ -397,7 +383,6 @@ def test_robots_with_closed_loops_stand_at_the_command_line(
     assert "soft loops and couplings open by up to" in said
 
 
-@pytest.mark.slow
 def test_pushes_and_gains_are_simulated(tmp_path: Path) -> None:
     robot = load(belts(tmp_path))
     stand = pa.stance.solve_stand_on_soft_ground(robot)
@@ -407,7 +392,6 @@ def test_pushes_and_gains_are_simulated(tmp_path: Path) -> None:
     assert not pushed.failure
 
 
-@pytest.mark.slow
 def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     robot = load(belts(tmp_path, in_mjcf=False))
     assert any(
@@ -421,7 +405,6 @@ def test_a_mimic_of_the_urdf_alone_is_given_to_the_mjcf(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 def test_a_mimic_with_a_motor_of_its_own_stays_free_and_is_told(tmp_path: Path) -> None:
     pair = belts(tmp_path, in_mjcf=False)
     knees = "".join(f'<motor joint="{leg}_knee" ctrlrange="-30 30"/>' for leg in LEGS)
@@ -431,7 +414,6 @@ def test_a_mimic_with_a_motor_of_its_own_stays_free_and_is_told(tmp_path: Path) 
     assert any(note.code == "mimics-taken-as-free" for note in robot.notes)
 
 
-@pytest.mark.slow
 def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> None:
     """Cranks and rods held at zero would lock the knees; their weight is what the URDF lacks."""
     robot = load(four_bars(tmp_path, in_urdf=False))
@@ -449,7 +431,6 @@ def test_loops_through_joints_that_the_urdf_lacks_are_opened(tmp_path: Path) -> 
     assert max(found.torque_error, found.force_error) < 1e-5
 
 
-@pytest.mark.slow
 def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> None:
     pair = four_bars(tmp_path, in_urdf=False)
     text = pair.urdf.read_text()
@@ -460,7 +441,6 @@ def test_what_a_urdf_has_in_other_links_is_not_weighed_twice(tmp_path: Path) -> 
     assert robot.total_mass == pytest.approx(float(robot.mj_model.body_subtreemass[0]), rel=1e-9)
 
 
-@pytest.mark.slow
 def test_a_rod_called_like_its_ball_joint_keeps_its_connect(tmp_path: Path) -> None:
     """Cassie's achilles rods are: their loops were dropped with the joints."""
     pair = four_bars(tmp_path, in_urdf=False)
@@ -523,7 +503,6 @@ def test_pins_may_turn_round_and_round_or_have_no_limits_stated(tmp_path: Path) 
     holds(load(pair))
 
 
-@pytest.mark.slow
 def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     pair = belts(tmp_path)
     text = pair.mjcf.read_text()
@@ -543,7 +522,6 @@ def test_a_coupling_by_a_tendons_length_is_one(tmp_path: Path) -> None:
     holds(robot)
 
 
-@pytest.mark.slow
 def test_a_robot_that_is_tied_to_the_world_is_not_predicted(tmp_path: Path) -> None:
     pair = belts(tmp_path)
     tie = '<equality><connect body1="trunk" anchor="0 0 0" solref="0.1 1"/>'

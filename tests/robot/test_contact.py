@@ -50,7 +50,6 @@ def ball_on_plane(ball: dict[str, object], plane: dict[str, object]) -> mujoco.M
     )
 
 
-@pytest.mark.slow
 @settings(max_examples=100)
 @given(ball=geoms, plane=geoms)
 def test_combination_is_mujocos(ball: dict[str, object], plane: dict[str, object]) -> None:

@@ -44,7 +44,6 @@ def stands(robot: Robot, **task: Any) -> pa.simulation.StandVerification:
     return found
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("floor", "said"),
     [
@@ -69,7 +68,6 @@ def test_a_floor_anywhere_is_the_ground(tmp_path: Path, floor: str, said: str | 
         assert robot.contacts == plain.contacts
 
 
-@pytest.mark.slow
 def test_what_stands_in_the_world_is_left_out(tmp_path: Path) -> None:
     """A box as ground, stairs under the robot, and a table that no joint moves."""
     stairs = '<geom name="stair" type="box" size="1 1 0.03" pos="0.5 0 0.03"/>'

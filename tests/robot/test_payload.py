@@ -19,7 +19,6 @@ from tests.support.variants import NAMES, load
 POINT = (0.05, -0.02, 0.08)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_both_models_carry_the_same_payload(name: str) -> None:
     loaded = with_payload(load(name), 2.5, POINT)

@@ -63,7 +63,6 @@ def test_the_range_of_each_control_is_compared(tmp_path: Path) -> None:
     assert change.message.startswith("motor #3: ctrlrange (-30, 30) in the old file")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("element", [PID, DC, IN_PARENT])
 def test_robots_stand_on_them(element: str, tmp_path: Path) -> None:
     pair = with_motors(quadruped(tmp_path), element)
@@ -101,7 +100,6 @@ def holds(robot: pa.Robot) -> None:
     assert found.torque_error < 1e-5
 
 
-@pytest.mark.slow
 def test_a_position_and_a_velocity_servo_are_one(tmp_path: Path) -> None:
     """One of them was commanded, and the other pulled every joint to zero."""
     robot = loaded(with_motors(quadruped(tmp_path), BOTH))
@@ -113,7 +111,6 @@ def test_a_position_and_a_velocity_servo_are_one(tmp_path: Path) -> None:
     holds(robot)
 
 
-@pytest.mark.slow
 def test_gains_that_are_added_are_mujocos(tmp_path: Path) -> None:
     """The one servo gives what both give together, at random angles and rates."""
     geared = BOTH.replace('kp="150"', 'kp="150" gear="2"').replace('kv="5"', 'kv="5" gear="-3"')
@@ -133,7 +130,6 @@ def test_gains_that_are_added_are_mujocos(tmp_path: Path) -> None:
         np.testing.assert_allclose(one.qfrc_actuator, data.qfrc_actuator, rtol=1e-12)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("element", [BRAKED, LAGGING, BIASED, SPEED])
 def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None:
     """A brake is not commanded; a filter begins at rest; who has a force of its own is no servo."""
@@ -143,7 +139,6 @@ def test_robots_hold_on_motors_of_any_kind(element: str, tmp_path: Path) -> None
     holds(robot)
 
 
-@pytest.mark.slow
 def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: Path) -> None:
     stiff = '<position joint="{0}" kp="1500" kv="60"/>'
     robot = loaded(with_motors(quadruped(tmp_path), stiff))
@@ -155,7 +150,6 @@ def test_servos_too_stiff_for_the_integrator_are_told_what_would_hold(tmp_path: 
     assert pa.verify_stand(robot, stand, integrator="implicitfast").passed
 
 
-@pytest.mark.slow
 def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
     """Alike on all sides, it stood on servos that shake it to pieces: MuJoCo had it at rest."""
     robot = loaded(quadruped(tmp_path))
@@ -168,7 +162,6 @@ def test_no_robot_stands_in_too_exact_a_balance(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "pulls"), [("motor", False), ("position", True)])
 def test_motors_of_tendons_exert_nothing_and_are_told(
     kind: str, pulls: bool, tmp_path: Path

@@ -231,7 +231,7 @@ def test_servos_that_shake_are_named_with_frequency_and_joints() -> None:
 
 @pytest.mark.parametrize(
     ("examples", "nudges"),
-    [pytest.param(10, 2, marks=pytest.mark.slow), pytest.param(60, 20, marks=pytest.mark.longest)],
+    [(10, 2), pytest.param(60, 20, marks=pytest.mark.longest)],
 )
 def test_what_holds_stays_and_what_is_refused_does_not(examples: int, nudges: int) -> None:
     """Of random stands, payloads and gains; each judgement is taken at its word."""

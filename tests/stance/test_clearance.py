@@ -227,7 +227,6 @@ def test_ground_clearance_is_kept(name: str) -> None:
                 pa.solve_stand(robot, task)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_self_clearance_is_kept(name: str) -> None:
     robot = load(name)
@@ -257,7 +256,6 @@ def test_a_posture_with_its_links_apart_is_found() -> None:
     np.testing.assert_allclose(again.qpos, nearer.qpos, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_links_that_would_touch_are_kept_apart() -> None:
     """Two feet of one side on one spot."""
     robot = load("v3")
@@ -297,7 +295,6 @@ def test_heights_change_by_their_derivatives(name: str, ground: pa.Ground) -> No
             np.testing.assert_allclose(rates[:, column], slopes, atol=2e-3)
 
 
-@pytest.mark.slow
 def test_a_stand_that_leaves_the_base_millimetres_is_found() -> None:
     """On three feet with all else high up: knees are over the hips, and the base has 3 mm."""
     robot = load("v3")

@@ -206,7 +206,6 @@ def test_no_stand_has_a_mesh_in_the_ground(robot: pa.Robot) -> None:
     assert solved
 
 
-@pytest.mark.slow
 def test_the_workspace_ends_where_a_mesh_meets_the_ground(robot: pa.Robot) -> None:
     """Typed back it stands, and a hundredth of a radian on the keel is in MuJoCo's ground."""
     start = pa.StandTask(height=0.22)
@@ -219,7 +218,6 @@ def test_the_workspace_ends_where_a_mesh_meets_the_ground(robot: pa.Robot) -> No
     assert above_ground(robot, qpos) < 0
 
 
-@pytest.mark.slow
 def test_what_touches_nothing_does_not_count(tmp_path: Path) -> None:
     """Nor what the MJCF lets touch other robots alone: MuJoCo lets it sink in."""
     pair = meshed(tmp_path)
@@ -230,7 +228,6 @@ def test_what_touches_nothing_does_not_count(tmp_path: Path) -> None:
         assert any(shape.link == "trunk" for shape in robot.shapes) == seen
 
 
-@pytest.mark.slow
 def test_excluded_links_are_not_kept_apart(tmp_path: Path) -> None:
     pair = meshed(tmp_path)
     robot = pa.load_robot(urdf=pair.urdf, mjcf=pair.mjcf)
@@ -246,7 +243,6 @@ def test_excluded_links_are_not_kept_apart(tmp_path: Path) -> None:
     assert other.distance > near.distance - 1e-9
 
 
-@pytest.mark.slow
 def test_what_cannot_be_judged_is_refused(tmp_path: Path) -> None:
     """Nothing but feet: no clearance can be told, and none is asked for by default."""
     pair = quadruped(tmp_path, floor=True)

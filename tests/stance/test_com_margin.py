@@ -118,7 +118,6 @@ def test_paths_keep_it() -> None:
         pa.stance.stance_path(robot, [stances[1], replace(stances[1], offset=(0.09, 0.0))], 2.0)
 
 
-@pytest.mark.slow
 def test_workspaces_keep_it() -> None:
     robot = load("original")
     task = pa.StandTask(offset=(0.0, 0.0), com_margin=0.065)
@@ -132,7 +131,6 @@ def test_workspaces_keep_it() -> None:
             assert margin_of(robot, solve_stand_at(robot, start, direction, value)) >= 0.065 - 1e-9
 
 
-@pytest.mark.slow
 def test_a_search_sees_stances_without_it() -> None:
     """A search that goes by how much is missing needs the stances that miss it."""
     robot = load("original")

@@ -140,7 +140,6 @@ def test_a_unit_is_doubted_where_fifty_times_too_much_is_asked() -> None:
     )
 
 
-@pytest.mark.slow
 def test_limits_that_go_together_are_true_in_degrees_and_in_radians() -> None:
     """Pitch and slope: 5e-5 rad less of the one, by its digits, is as much more of the other."""
     robot = load("v3-heavy")
@@ -163,7 +162,6 @@ def test_limits_that_go_together_are_true_in_degrees_and_in_radians() -> None:
     assert tried >= 3
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "task",
     [
@@ -196,7 +194,6 @@ def test_limits_of_stretched_legs_are_found_by_who_types_them(task: pa.StandTask
         pa.solve_stand(robot, replace(task, **limits), explain=False)
 
 
-@pytest.mark.slow
 def test_a_limit_with_the_com_in_a_corner_of_its_margin_is_all_that_there_is() -> None:
     """Two sides of the polygon and a joint's limit leave the com some micrometres to be at.
 

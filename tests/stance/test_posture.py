@@ -14,7 +14,6 @@ from tests.support.random_legged import drawn, written
 from tests.support.variants import load
 
 
-@pytest.mark.slow
 def test_a_tail_is_where_it_is_told_to_be(tmp_path: Path) -> None:
     """Three legs and a tail, whose weight changes what the feet carry."""
     pair = written(drawn(57), tmp_path)

@@ -96,7 +96,6 @@ def test_a_stance_is_what_was_asked(name: str, kind: str) -> None:
         assert statics.friction_utilisation[foot] <= 1 + 1e-6
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_three_legs_hold_for_six_seconds(name: str) -> None:
     """Each foot in turn, 20 mm high, with the com 10 mm inside the triangle of the others.
@@ -200,7 +199,6 @@ def test_another_branch_of_a_leg_reaches_it(task: pa.StandTask) -> None:
     assert pa.solve_stand(robot, replace(task, ik_seed=ik_seed)).solved
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "task", "demand", "degrees"),
     [
@@ -328,7 +326,6 @@ def test_a_stance_at_the_end_of_reach_is_found(name: str) -> None:
     assert com_margin(com, stand.contact_points) > task.com_margin - 1e-9
 
 
-@pytest.mark.slow
 def test_the_nearest_stance_keeps_what_is_left_of_the_com_margin() -> None:
     """On three legs with a foot lifted high, reach pulls the com to the edge: the margin binds."""
     robot = load("original")
@@ -365,7 +362,6 @@ def test_feet_on_a_slope_sink_by_what_presses_on_them() -> None:
     assert pressing == pytest.approx(weight * math.cos(slope), rel=1e-6)
 
 
-@pytest.mark.slow
 def test_the_loads_of_a_path_on_a_slope_are_vertical() -> None:
     robot, slope = load("v3"), 0.3
     task = pa.StandTask(ground=pa.Ground(slope, 0.4), pitch=-0.25)

@@ -127,7 +127,6 @@ def nearest(
     return best
 
 
-@pytest.mark.slow
 @settings(max_examples=50)
 @given(name=st.sampled_from(NAMES), task=tasks)
 def test_any_stand_is_solved_or_out_of_reach(name: str, task: pa.StandTask) -> None:
@@ -277,7 +276,6 @@ def test_refusals_carry_their_limits_as_numbers() -> None:
             pa.solve_stand(robot, replace(task, **{demand: beyond}), explain=False)
 
 
-@pytest.mark.slow
 def test_two_demands_that_are_each_too_much() -> None:
     """To give up one of them does not help; the smallest set that does is named."""
     robot = load("v3")

@@ -37,7 +37,6 @@ def test_the_highest_stand_has_straight_legs() -> None:
     assert not reached(robot, pa.StandTask(heights.high + 3e-4))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "long-leg"])
 def test_limits_are_tight_in_every_direction(name: str) -> None:
     robot = load(name)
@@ -54,7 +53,6 @@ def test_limits_are_tight_in_every_direction(name: str) -> None:
         assert interval.low == pytest.approx(-interval.high, abs=2e-3)
 
 
-@pytest.mark.slow
 def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
     robot = load("v3")
     x = base_workspace(robot).intervals["x"]
@@ -67,7 +65,6 @@ def test_shifts_end_where_the_com_leaves_the_polygon_or_the_legs_end() -> None:
                 pa.stance.stand_statics(robot, pa.solve_stand(robot, beyond))
 
 
-@pytest.mark.slow
 def test_the_task_is_where_it_begins() -> None:
     robot = load("v3")
     level = reachable_heights(robot)
@@ -80,7 +77,6 @@ def test_the_task_is_where_it_begins() -> None:
     )
 
 
-@pytest.mark.slow
 def test_com_keeps_its_margin() -> None:
     """A shift ends where the com is as near to the polygon's edge as the task allows."""
     robot = load("original")
@@ -94,7 +90,6 @@ def test_com_keeps_its_margin() -> None:
         assert com_margin(com, stand.contact_points) == pytest.approx(0.07, abs=1e-4)
 
 
-@pytest.mark.slow
 def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
     robot = load("v3")
     task = pa.StandTask(swing={"FL": 0.02}, com="inside", com_margin=0.01)
@@ -108,7 +103,6 @@ def test_com_anywhere_inside_stays_where_the_stand_has_it() -> None:
     assert interval.high > 0.2
 
 
-@pytest.mark.slow
 def test_an_end_that_is_far_enough_need_not_be_found() -> None:
     robot = pa.load_variant("original")
     start = pa.solve_stand(robot)

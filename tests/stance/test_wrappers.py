@@ -40,7 +40,6 @@ def stands(robot: pa.Robot) -> list[list[float]]:
     return [pa.solve_stand(robot, task).qpos.tolist() for task in TASKS]
 
 
-@pytest.mark.slow
 def test_a_lent_robot_answers_as_a_fresh_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """To the last bit, whoever had it before: no mass, length or limit is left behind."""
     monkeypatch.setattr(wrappers, "_spare", {})

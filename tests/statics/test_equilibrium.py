@@ -168,7 +168,6 @@ def joint_torques(
     return torques[6:]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.15, 0.8])
 @settings(max_examples=30)
 @given(config=near_stands, seed=st.integers(0, 1000))
@@ -656,7 +655,6 @@ def forces_exist(
     return bool(found.status == 0)
 
 
-@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     name=st.sampled_from(["original", "v3"]),

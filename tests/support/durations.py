@@ -1,11 +1,13 @@
 """How long each test takes, as it was recorded, and which cases are slow or longest because of it.
 
-`make durations` runs the tests and writes ``tests/durations.json``: seconds of processor of each
-test function, all its cases together, with what they start. A fixture that several share is paid
-by all of them alike; what nobody has recorded is quick. Nobody marks a test as slow by hand.
+`make durations` runs some cases of every test and writes ``tests/durations.json``: seconds of
+processor of each test function, scaled to all its cases, with what they start. A fixture that
+several share is paid by all of them alike; what nobody has recorded is quick. Nobody marks a test
+as slow by hand.
 
-Of a function's cases as many are quick as fit into `SLOW` seconds together, spread over all;
-beyond `LONGEST` they wait for the longest stage. So nearly every function has a case in each stage.
+Of a function's cases as many are quick as fit into `SLOW` seconds together, spread over all; the
+first one is among the longest only if it alone takes more than `ALONE`, a further one if it and
+those before it take more than `LONGEST`. So nearly every function has a case that CI runs.
 """
 
 from __future__ import annotations
@@ -25,8 +27,14 @@ SLOW = 0.12
 """Seconds of processor of a function's quick cases: all take a minute of two cores together."""
 
 LONGEST = 0.4
-"""Seconds of its cases that are not among the longest: CI's clone is done in fifteen minutes on a
-machine that takes twice the record's time; with 3 s it took seventeen there."""
+"""Seconds of its cases that are not among the longest, so that CI's clone is done in fifteen
+minutes."""
+
+ALONE = 6.0
+"""Seconds of its first case that is not among the longest: what CI runs of a long proof."""
+
+SAMPLED = 4
+"""How many cases of a function are recorded: those of one function hardly differ."""
 
 LEAST = 0.05
 """What takes less is not written down: it changes from run to run."""
@@ -37,6 +45,7 @@ is paid by it, and a busy machine doubles them."""
 
 _SPENT = pytest.StashKey[float]()
 _FIXTURES = pytest.StashKey[dict[str, float]]()
+_SCALE = pytest.StashKey[float]()
 
 
 def processor() -> float:
@@ -59,22 +68,41 @@ def _order(count: int) -> list[int]:
     return sorted(range(count), key=lambda place: place * (5**0.5 - 1) / 2 % 1)
 
 
+def _cases(items: list[pytest.Item]) -> dict[tuple[str, str], list[pytest.Item]]:
+    """The cases of each function, in the order in which they are chosen."""
+    functions: dict[tuple[str, str], list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        if not item.get_closest_marker("longest"):
+            functions[function_of(item.nodeid)].append(item)
+    return {
+        function: [cases[place] for place in _order(len(cases))]
+        for function, cases in functions.items()
+    }
+
+
 def mark(items: list[pytest.Item]) -> None:
     """Marks what is slow, or among the longest, by the record; the longest are slow, too."""
     seconds = recorded()
-    functions: dict[tuple[str, str], list[pytest.Item]] = defaultdict(list)
     for item in items:
         if item.get_closest_marker("longest"):
             item.add_marker(pytest.mark.slow)
-        else:
-            functions[function_of(item.nodeid)].append(item)
-    for (file, name), cases in functions.items():
+    for (file, name), cases in _cases(items).items():
         each = seconds.get(file, {}).get(name, 0.0) / len(cases)
-        for rank, place in enumerate(_order(len(cases)), 1):
+        for rank, case in enumerate(cases, 1):
             if rank * each > SLOW:
-                cases[place].add_marker(pytest.mark.slow)
-            if rank * each > LONGEST:
-                cases[place].add_marker(pytest.mark.longest)
+                case.add_marker(pytest.mark.slow)
+            if rank * each > (ALONE if rank == 1 else LONGEST):
+                case.add_marker(pytest.mark.longest)
+
+
+def sample(items: list[pytest.Item]) -> None:
+    """Leaves only the cases that are recorded, which is all that the longest are not marked for."""
+    kept: set[str] = set()
+    for cases in _cases(items).values():
+        for case in cases[:SAMPLED]:
+            case.stash[_SCALE] = len(cases) / len(cases[:SAMPLED])
+            kept.add(case.nodeid)
+    items[:] = [item for item in items if item.nodeid in kept]
 
 
 class Limit:
@@ -131,6 +159,7 @@ class Recorder:
         report.processor = now - item.stash[_SPENT]
         report.fixtures = dict(item.stash[_FIXTURES]) if report.when == "setup" else {}
         report.used = list(getattr(item, "fixturenames", ()))
+        report.scale = item.stash.get(_SCALE, 1.0)
         item.stash[_SPENT] = now
         return report
 
@@ -138,7 +167,7 @@ class Recorder:
         if "browser" in report.used:  # its time is known when it ends: all would be the last test's
             return
         function = function_of(report.nodeid)
-        self.own[function] += report.processor - sum(report.fixtures.values())
+        self.own[function] += (report.processor - sum(report.fixtures.values())) * report.scale
         for name, seconds in report.fixtures.items():
             self.shared[name] += seconds
         for name in report.used:

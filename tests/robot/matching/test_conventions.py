@@ -184,7 +184,6 @@ def test_a_zero_that_is_moved_with_its_limits_is_one_cause(tmp_path: Path, offse
     assert comparison.differences[0].effects["gravity"].relative > 1e-4
 
 
-@pytest.mark.slow
 def test_other_coordinates_may_be_allowed(tmp_path: Path) -> None:
     """Then the files agree, and notes tell what a controller must know; all else still counts."""
     mjcf = zero_elsewhere(quadruped(), "shank1", 0.3)
@@ -243,7 +242,6 @@ POSES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("pose", POSES)
 def test_the_frame_of_a_free_base_elsewhere_is_one_cause(tmp_path: Path, pose: str) -> None:
     mjcf, feet = reframed(quadruped(), FEET, "base", *POSES[pose])

@@ -96,7 +96,6 @@ def test_leg_jacobian_of_a_planar_leg() -> None:
         assert jacobian.condition == pytest.approx(np.linalg.cond(jacobian.matrix))
 
 
-@pytest.mark.slow
 def test_a_failed_verification_and_a_failed_check_are_told() -> None:
     robot = pa.load_variant("original")
     weak = copy.copy(robot.mj_model)

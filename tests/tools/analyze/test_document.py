@@ -17,7 +17,6 @@ def analysis() -> pa.analysis.Analysis:
     return pa.analyze_variant(pa.load_variant("v3"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("width", [80, 120])
 def test_tables_fit_the_terminal(width: int) -> None:
     text = printed(analysis(), width=width)
@@ -26,7 +25,6 @@ def test_tables_fit_the_terminal(width: int) -> None:
     assert max(map(len, rules)) <= width
 
 
-@pytest.mark.slow
 def test_numbers_are_the_analysis_s() -> None:
     one = analysis()
     text = printed(one)
@@ -43,7 +41,6 @@ def test_numbers_are_the_analysis_s() -> None:
     assert "-0.000 " not in text
 
 
-@pytest.mark.slow
 def test_a_failure_is_told_first() -> None:
     failed = replace(analysis(), verified=False, failures=(problem("it fell over"),))
     assert printed(failed).startswith("FAILED v3: it fell over\n")

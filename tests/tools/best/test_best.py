@@ -83,7 +83,6 @@ def check_kept(robot: pa.Robot, found: pa.analysis.BestStance) -> None:
     assert com_margin(robot, found.stand) > 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["original", "v3"])
 def test_best_stance_has_the_least_utilisation(name: str) -> None:
     robot, found = load(name), best_stance(load(name))
@@ -102,7 +101,6 @@ def test_best_stance_has_the_least_utilisation(name: str) -> None:
     assert peak == pytest.approx(found.value, rel=0.1)
 
 
-@pytest.mark.slow
 def test_best_stance_has_the_largest_margin() -> None:
     """As long as it may be, and the com where the nearest edges are equally far."""
     robot, found = load("v3"), best_stance(load("v3"), Objective.MARGIN)
@@ -116,7 +114,6 @@ def test_best_stance_has_the_largest_margin() -> None:
         assert abs(found.coordinates[f"{foot} x"]) > 0.04
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_the_same_every_time() -> None:
     robot = load("original")
@@ -140,7 +137,6 @@ def test_largest_payload_holds_in_mujoco(name: str) -> None:
     assert above.failure is found.payload.failure
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_a_payload_elsewhere_is_carried_better_and_no_neighbour_carries_more() -> None:
     robot, point = load("v3"), (0.05, 0.0, 0.05)
@@ -186,7 +182,6 @@ def test_differential_evolution_finds_no_better_one(objective: Objective) -> Non
     assert ours.best.level < theirs.best.level + 0.005 * abs(theirs.best.level)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     """On three legs the com moves sideways: without that it would be outside the triangle."""
@@ -202,7 +197,6 @@ def test_what_is_not_symmetric_is_sought_with_all_that_is_free() -> None:
     assert com_margin(robot, found.stand) >= 0.01
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("few_samples")
 def test_the_rest_of_the_task_stays() -> None:
     robot = load("v3")
@@ -233,7 +227,6 @@ def test_best_stance_has_the_least_torque() -> None:
     assert found.value < 0.6 * found.nominal_value
 
 
-@pytest.mark.slow
 def test_best_stance_refuses_wrong_requests() -> None:
     robot = load("v3")
     with pytest.raises(pa.ConfigurationError, match="objective"):

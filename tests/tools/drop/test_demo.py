@@ -17,7 +17,6 @@ from tests.support.commands import run_command
 from tests.support.variants import load
 
 
-@pytest.mark.slow
 def test_demos_move_as_they_are_named() -> None:
     robot = load("v3")
     squat, sway, lift = (demo.demo_path(robot, name) for name in demo.DEMOS)
@@ -34,7 +33,6 @@ def test_demos_move_as_they_are_named() -> None:
     assert raised == pytest.approx(robot.contact_radius["FL"] + 0.02)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", demo.DEMOS)
 def test_mujoco_follows_the_demos(
     name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
@@ -51,7 +49,6 @@ def test_mujoco_follows_the_demos(
     assert ["samples", str(len(rows))] in [line.split() for line in out.splitlines()]
 
 
-@pytest.mark.slow
 def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[np.ndarray] = []
 
@@ -71,7 +68,6 @@ def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> No
     assert shown[0][2] == pytest.approx(tracking.height[-1], abs=1e-9)
 
 
-@pytest.mark.slow
 def test_a_path_that_is_not_tracked_is_exit_status_1(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -27,7 +27,6 @@ def test_the_chosen_make_the_determinant_largest() -> None:
     assert len(set(choose_stands(each, before, 4))) == 4
 
 
-@pytest.mark.slow
 def test_servos_that_are_too_soft_hold_no_stand() -> None:
     with pytest.raises(MeasurementError, match="only 0 of 3"):
         plan_stands(load_variant("v3"), 3, kp=0.3)

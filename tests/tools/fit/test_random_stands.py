@@ -56,7 +56,6 @@ def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[
     assert random_stands._com_width(robot, known) == pytest.approx(aside, rel=0.05)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["original", "long-leg"])
 def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
     variant: str,
@@ -74,7 +73,6 @@ def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
         assert set(sagged.stance_feet) == set(stand.stance_feet)
 
 
-@pytest.mark.slow
 def test_what_leaves_no_stand_is_named() -> None:
     robot, rng = load_variant("original"), np.random.default_rng(0)
     unsure = RandomStands(robot, rng, None, [parse_prior("offset=20deg")])

@@ -103,7 +103,6 @@ def equations(robot: Robot, stands: MeasuredStands) -> tuple[StandEquations, Par
     return StandEquations(robot, stands, table, kp, np.zeros(robot.nu), noise), table
 
 
-@pytest.mark.slow
 def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
     robot: Robot, planted: Robot, stands: MeasuredStands
 ) -> None:
@@ -143,7 +142,6 @@ def test_equations_are_zero_at_the_truth_and_their_derivatives_are_differences(
         np.testing.assert_allclose(by_own[:, place], found, atol=1e-3 * np.abs(found).max() + 1e-6)
 
 
-@pytest.mark.slow
 def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     robot: Robot, stands: MeasuredStands
 ) -> None:
@@ -167,7 +165,6 @@ def test_masses_and_kp_that_are_all_too_small_explain_no_more(
     assert np.abs(told).max() < 0.02 * found[0]
 
 
-@pytest.mark.slow
 def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: MeasuredStands) -> None:
     fit = fit_stands(robot, stands, priors=["kp=0"])
     assert fit.explained
@@ -184,7 +181,6 @@ def test_planted_errors_are_found(robot: Robot, planted: Robot, stands: Measured
     assert com.low < robot.structure.model.inertias[2].lever[0] + 0.012 < com.high
 
 
-@pytest.mark.slow
 def test_the_joint_that_was_read_wrongly_is_named(robot: Robot, stands: MeasuredStands) -> None:
     position = stands.position.copy()
     position[3, 7] += 0.02
@@ -234,7 +230,6 @@ def test_numbers_that_cannot_be_are_refused(robot: Robot, stands: MeasuredStands
             fit_stands(robot, stands, **option)
 
 
-@pytest.mark.slow
 def test_a_foot_that_is_said_to_be_in_the_air_and_carries_is_seen(
     robot: Robot, stands: MeasuredStands
 ) -> None:
@@ -254,7 +249,6 @@ def test_links_that_no_shape_bounds_are_named_once(robot: Robot) -> None:
     assert tuple(told.values["links"]) == tuple(link for link, _ in bodies_of(robot))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("side", ["above", "below"])
 def test_joints_that_come_slowly_are_held_on_the_side_they_came_from(
     robot: Robot, side: str

@@ -9,8 +9,6 @@ from pupper_analysis.present.document import Table
 from pupper_analysis.tools.hold.document import hold_document
 from tests.support.arm import arm
 
-pytestmark = pytest.mark.slow
-
 
 def test_torques_positions_and_sags_are_each_in_their_column() -> None:
     held = pa.hold_posture(arm(), {"shoulder": -0.4, "elbow": 0.9})

@@ -161,7 +161,6 @@ def differs(one: np.ndarray, other: np.ndarray) -> float:  # type: ignore[type-a
     return float((np.abs(one - other).max(axis=-1) > 25).mean())
 
 
-@pytest.mark.slow
 def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     before = opened.pixels()
     yellow = (before[..., 0] > 150) & (before[..., 2] < 110)  # the torso
@@ -183,7 +182,6 @@ def test_a_slider_moves_the_robot_and_the_torques(opened: Opened) -> None:
     opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3")))
 
 
-@pytest.mark.slow
 def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     track = opened.row("pitch (°)").locator(".mantine-Slider-track").first
     box = track.bounding_box()
@@ -207,7 +205,6 @@ def test_a_slider_can_be_dragged(opened: Opened, served: Page) -> None:
     opened.takes(pa.stance.solve_stand_on_soft_ground(load("v3"), state.task()))
 
 
-@pytest.mark.slow
 def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     solid = opened.pixels()
     opened.set("roll (°)", 35)
@@ -232,7 +229,6 @@ def test_an_unreachable_slider_shows_its_refusal(opened: Opened) -> None:
     opened.takes(pa.stance.solve_stand_as_simulated(load("v3"), refused.value.nearest.task))
 
 
-@pytest.mark.slow
 def test_what_cannot_be_held_is_told(opened: Opened) -> None:
     opened.press(opened.row("what counts").locator("input").first)
     opened.press(opened.page.get_by_role("option", name="base at an offset"))
@@ -242,7 +238,6 @@ def test_what_cannot_be_held_is_told(opened: Opened) -> None:
     assert "friction too low" in opened.words() or "Out of reach" in opened.words()
 
 
-@pytest.mark.slow
 def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     def twin() -> bool:
         """Whether something is orange, which the torso's yellow is not, shadowed or not."""
@@ -269,7 +264,6 @@ def test_mujoco_plays_beside_the_prediction(opened: Opened) -> None:
     wait_for(lambda: not twin(), "the robot of another stance is left")
 
 
-@pytest.mark.slow
 def test_two_browsers_play_on_their_own(
     opened: Opened,
     browser: Any,  # noqa: F811
@@ -309,7 +303,6 @@ def test_two_browsers_play_on_their_own(
     assert other.complaints == []
 
 
-@pytest.mark.slow
 def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) -> None:  # noqa: F811
     state = State(height=122.0, swing={"FL": 20.0}, place="inside", com_margin=5.0, payload=0.4)
     address = served.address.removeprefix("http://").removesuffix("/")
@@ -333,7 +326,6 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     assert one.complaints == []
 
 
-@pytest.mark.slow
 def test_a_page_that_is_loaded_again_goes_on_where_it_was(
     browser: Any,  # noqa: F811
     served: Page,
@@ -358,7 +350,6 @@ def test_a_page_that_is_loaded_again_goes_on_where_it_was(
     one.close()
 
 
-@pytest.mark.slow
 def test_the_page_changes_to_chinese_and_back(browser: Any, served: Page) -> None:  # noqa: F811
     address = served.address.removeprefix("http://").removesuffix("/")
     one = Opened(browser, write_link(address, State(roll=4.0), "zh"))
@@ -382,7 +373,6 @@ def test_the_page_changes_to_chinese_and_back(browser: Any, served: Page) -> Non
     assert one.complaints == []
 
 
-@pytest.mark.slow
 def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -> None:  # noqa: F811
     one = Opened(browser, served.address, (390, 844))
     one.page.get_by_text("not simulated yet; leg_").wait_for()
@@ -408,7 +398,6 @@ def test_on_a_phone_the_robot_is_above_the_sliders(browser: Any, served: Page) -
     assert one.complaints == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("state", ["nonsense", "lift:tail,20"])
 def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> None:  # noqa: F811
     address = served.address.removeprefix("http://")
@@ -422,7 +411,6 @@ def test_a_link_to_nowhere_says_so(browser: Any, served: Page, state: str) -> No
 README_PAGES = [command for command in commands(README) if command.split()[1] == "live"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("command", README_PAGES)
 def test_a_command_serves_until_it_is_interrupted(command: str, tmp_path: Path) -> None:
     arguments = [sys.executable, "-m", "pupper_analysis", *command.split()[1:], "--no-browser"]

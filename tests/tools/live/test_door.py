@@ -209,7 +209,6 @@ CAMERA = {
 }
 
 
-@pytest.mark.slow
 def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
     """Nor is it a traceback in the terminal of who serves the page; files are not taken at all."""
     pack = pytest.importorskip("msgspec").msgpack.encode
@@ -282,7 +281,6 @@ print(left, used() - before)
 """
 
 
-@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="glibc's")
 def test_what_threads_leave_is_given_back() -> None:
     """A small block that stays holds all that lies below it: 24 MB a thread."""

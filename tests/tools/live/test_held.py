@@ -79,7 +79,6 @@ def test_a_slide_is_told_in_millimetres(session: HeldSession) -> None:
     assert session.joints.changed() == {"grip": pytest.approx(0.03)}
 
 
-@pytest.mark.slow
 def test_what_is_simulated_is_what_the_sliders_say(session: HeldSession) -> None:
     session.joints.sliders["shoulder"].value = 60.0
     session.simulate()

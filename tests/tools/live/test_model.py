@@ -100,7 +100,6 @@ def test_a_state_is_what_it_says() -> None:
 numbers = st.floats(-1e4, 1e4)
 
 
-@pytest.mark.slow
 @given(
     st.builds(
         State,
@@ -207,7 +206,6 @@ def test_simulations_are_the_python_interfaces() -> None:
     assert trial.motion == pytest.approx(same.motion, abs=1e-6)
 
 
-@pytest.mark.slow
 def test_out_of_reach_is_explained_and_the_nearest_is_in_reach() -> None:
     model = model_of()
     found = model.answer(State(height=200.0, roll=30.0))
@@ -289,7 +287,6 @@ SOURCES: dict[str, Callable[[Path], LiveVariants | FileSource]] = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", SOURCES)
 def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     source = SOURCES[kind](tmp_path)

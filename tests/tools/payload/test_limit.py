@@ -63,7 +63,6 @@ def check_typed_back(robot: pa.Robot, point: Place, **gains: float) -> pa.analys
     return limit
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v3", "original"])
 def test_a_payload_typed_into_stand_holds_and_more_does_not(name: str) -> None:
     check_typed_back(load(name), ON_TOP)
@@ -133,7 +132,6 @@ def test_where_the_base_stays_it_tips_by_the_balance_about_the_edge() -> None:
     assert limit.stance.mass == pytest.approx(robot.total_mass * edge / (arm - edge), rel=5e-3)
 
 
-@pytest.mark.slow
 def test_at_the_motors_limit_one_is_at_its_end_on_the_ground_that_is_simulated() -> None:
     robot = load("v3")
     limit = payload_limit(robot, None, ON_TOP, **STIFF)
@@ -261,7 +259,6 @@ def test_beyond_it_fails_in_the_simulation_as_is_said() -> None:
     assert limit.passed
 
 
-@pytest.mark.slow
 def test_a_stand_is_taken_by_its_task() -> None:
     robot = load("v3")
     task = pa.StandTask(height=0.12, pitch=0.05)
@@ -279,7 +276,6 @@ def test_payload_limit_refuses_bad_points(point: object) -> None:
         payload_limit(load("v3"), stand_of("v3"), point)  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
 def test_what_does_not_hold_without_payload_carries_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

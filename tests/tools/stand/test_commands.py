@@ -57,7 +57,6 @@ def test_workspace_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path
     np.testing.assert_array_equal(imread(figure), imread(tmp_path / "alike.png"))
 
 
-@pytest.mark.slow
 def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     arguments = ("original", "--at", "1cm,0,0.08", "--kp", "30", "--kd", "1", "--yaw", "0.1")

@@ -306,7 +306,6 @@ def test_a_study_without_spread_or_failures_has_a_page(tmp_path: Path) -> None:
     assert "No design failed." in text
 
 
-@pytest.mark.slow
 def test_the_command_writes_it(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         'robot = "v3"\nmeasure = ["servo_sag", "peak_utilisation"]\n'

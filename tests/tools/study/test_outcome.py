@@ -242,7 +242,6 @@ def test_derivatives_that_are_not_there_are_refused() -> None:
         linear_shares(sloped, ["torque.leg_front_l_3"])
 
 
-@pytest.mark.slow
 def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> None:
     study = pa.Study(
         {"base": str(model_folder("mjcf") / "pupper_v3.xml"), "keyframe": "home"},

@@ -77,7 +77,6 @@ def plain(tmp_path: Path) -> Files:
     return write(tmp_path, urdf_text(quadruped()), text)
 
 
-@pytest.mark.slow
 def test_numbers_go_into_both_files_in_their_own_frames(turned: Files, tmp_path: Path) -> None:
     tensor = np.array([[1.6e-3, 2e-5, -1e-5], [2e-5, 1.5e-3, 3e-6], [-1e-5, 3e-6, 4e-4]])
     numbers = {
@@ -161,7 +160,6 @@ def test_what_cannot_be_written_is_named_and_nothing_is(plain: Files, tmp_path: 
     assert refused.value.cause.code == "robot-is-not-its-files"
 
 
-@pytest.mark.slow
 def test_files_of_a_variant_are_found_from_their_copies(tmp_path: Path) -> None:
     """Of includes, default classes, meshes of another folder."""
     robot = pa.load_variant("v3")

@@ -14,7 +14,6 @@ from pupper_analysis.tools.workspace import figures as workspace_figure
 from tests.support.variants import load
 
 
-@pytest.mark.slow
 def test_every_direction_has_its_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
     save = style.save_figure
