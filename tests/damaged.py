@@ -39,8 +39,8 @@ from pupper_analysis.prepare.convert.mesh_files import (
     read_mesh,
 )
 from pupper_analysis.robot.matching.match import read_mapping
-from pupper_analysis.tools.check.baseline import read_baseline
 from pupper_analysis.tools.check.config import read_config
+from pupper_analysis.tools.check.remarks import read_baseline
 from pupper_analysis.tools.fit.measurements.log_files import read_log
 from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.study.of_variants import Study
@@ -161,7 +161,7 @@ def _read_store(path: Path) -> Any:
     return Store(path.parent).asked()
 
 
-_CONFIG = b"""baseline = "known.toml"
+_CONFIG = b"""baseline = "known.txt"
 [[pair]]
 name = "machine"
 urdf = "robot.urdf"
@@ -178,10 +178,8 @@ height = { linspace = [0.14, 0.17, 3] }
 kp = { uniform = [20.0, 40.0] }
 """
 _STANDS = b"stand,command.hip,position.hip [deg],force.FL [g],swing,from\na,0.1,5.2,300,FR,above\n"
-_BASELINE = b"""version = 2
-[[known]]
-pair = "machine"
-code = "mass"
+_BASELINE = b"""# known
+["crosscheck", "machine", "robot.urdf", "mass", "hip", {"urdf": 0.2, "mjcf": 0.22}]
 """
 
 
@@ -203,7 +201,7 @@ def kinds() -> tuple[Kind, ...]:
         Kind("study.json", b'{"format": 1, "study": {"robot": "v3", "seed": 1}}\n', _read_store),
         Kind("map.toml", b'"hip" = "hip_joint"\n"knee" = "knee_joint"\n', read_mapping),
         Kind("pupper-analysis.toml", _CONFIG, read_config),
-        Kind("baseline.toml", _BASELINE, read_baseline),
+        Kind("baseline.txt", _BASELINE, read_baseline),
         Kind("robot.urdf", urdf_text(quadruped()).encode(), read_urdf),
         Kind("robot.xml", mjcf_text(quadruped()).encode(), read_mjcf),
         Kind("mesh.stl", _stl(), _read_mesh),

@@ -651,7 +651,7 @@ OF_FILES = {
 
 _TOML = {
     "pupper-analysis.toml": """
-baseline = "known.toml"
+baseline = "known.txt"
 [[pair]]
 name = "machine"
 urdf = "robot.urdf"

@@ -64,7 +64,7 @@ INSIDE = {
     "robot.xml": ("parts.xml", "feet/foot.stl", "skin.png"),
     "robot.urdf": ("feet/foot.stl",),
     "study.toml": ("robot.urdf", "robot.xml"),
-    "pupper-analysis.toml": ("robot.urdf", "robot.xml", "known.toml"),
+    "pupper-analysis.toml": ("robot.urdf", "robot.xml", "known.txt"),
 }
 """{file: what is read because of it}."""
 
@@ -119,9 +119,9 @@ def fill(folder: Path) -> Path:
         f'measure = ["servo_sag"]\n[robot]\n{robot}[vary]\nkp = {{ values = [150] }}\n'
     )
     (folder / "pupper-analysis.toml").write_text(
-        f'baseline = "known.toml"\n[[pair]]\nname = "robot"\n{robot}'
+        f'baseline = "known.txt"\n[[pair]]\nname = "robot"\n{robot}'
     )
-    (folder / "known.toml").write_text("version = 2\n")
+    (folder / "known.txt").write_text("")
     return folder
 
 

@@ -14,13 +14,6 @@ from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.compare.compare import compare_models
 from pupper_analysis.tools.audit.audit import audit_model
-from pupper_analysis.tools.check.baseline import (
-    BaselineEntry,
-    entry_of,
-    judge_remarks,
-    read_baseline,
-    write_baseline,
-)
 from pupper_analysis.tools.check.config import (
     GuardConfig,
     GuardedPair,
@@ -29,12 +22,16 @@ from pupper_analysis.tools.check.config import (
 )
 from pupper_analysis.tools.check.remarks import (
     REFUSED,
+    BaselineEntry,
     Remark,
     RemarkState,
+    judge_remarks,
     of_audit,
     of_comparison,
     of_error,
+    read_baseline,
     relative_path,
+    write_baseline,
 )
 
 
@@ -119,7 +116,11 @@ def check_repository(
     known, left = judge_remarks(_distinct(found), before)
     unseen = _unseen(settings, known, left)
     if update_baseline:
-        taken = [entry_of(remark) for remark in known if remark.kind != REFUSED]
+        taken = [
+            BaselineEntry(remark.identity, remark.values)
+            for remark in known
+            if remark.kind != REFUSED
+        ]
         write_baseline(settings.baseline, [*taken, *unseen])
         known = tuple(
             remark if remark.kind == REFUSED else replace(remark, state=RemarkState.KNOWN)

@@ -69,7 +69,7 @@ def command(
     Exit status: 0 nothing is new, 1 a finding is new or a model cannot be read, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
-    from pupper_analysis.tools.check import lines as report
+    from pupper_analysis.tools.check import document as report
     from pupper_analysis.tools.check.check import check_repository
 
     if first:
@@ -97,7 +97,7 @@ def _begin(config: Path | None) -> None:
     """Writes the first configuration, and says what comes next."""
     from pupper_analysis.base.diagnostics import diagnose
     from pupper_analysis.base.errors import ConfigurationError
-    from pupper_analysis.tools.check.init import write_config
+    from pupper_analysis.tools.check.config import write_config
 
     if config is not None:
         raise ConfigurationError("--config", diagnose("init-writes-here"))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import os
+import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -9,6 +12,7 @@ from typing import Any, Final
 
 from lxml import etree
 
+from pupper_analysis.base import inputs
 from pupper_analysis.base.diagnostics import (
     Diagnostic,
     Severity,
@@ -16,16 +20,87 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ConfigurationError, InputError, ModelError
+from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.inputs import MOST_TEXT, is_input, read_input
+from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.models.loading import kind_of
+from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import RULES
-from pupper_analysis.tools.check.toml import Key, TomlFile, read_toml
+
+# Where in a TOML file a key is: what Python's reader leaves out.
+
+Key = tuple[str | int, ...]
+"""The way to a value: names of keys, and numbers (from 0) in arrays."""
+
+
+@dataclass(frozen=True, eq=False)
+class TomlFile:
+    """A TOML file that was read.
+
+    Attributes:
+        path: The file.
+        text: Its text.
+        values: Its values.
+    """
+
+    path: Path
+    text: str = field(repr=False)
+    values: dict[str, Any]
+
+    def line_of(self, key: Key) -> int | None:
+        """Returns the line, from 1, of the statement that brings in a key; None if none does.
+
+        The text is read from its beginning to the end of each line, as far as that is TOML: the
+        statement after which the key is there, is its own.
+        """
+        start = None
+        lines = self.text.split("\n")
+        for number, line in enumerate(lines, start=1):
+            if start is None and line.strip() and not line.lstrip().startswith("#"):
+                start = number
+            try:
+                values = tomllib.loads("\n".join(lines[:number]))
+            except tomllib.TOMLDecodeError:
+                continue  # in the middle of a statement
+            if _has(values, key):
+                return start
+            start = None
+        return None
+
+    def error(self, key: Key, problem: Diagnostic) -> ModelError:
+        """Returns the error that tells the line of a key, and what is wrong with it."""
+        return ModelError(source_name(self.path, self.line_of(key)), problem)
+
+
+def _has(values: Any, key: Key) -> bool:
+    for part in key:
+        if isinstance(part, int):
+            if not isinstance(values, list) or len(values) <= part:
+                return False
+        elif not isinstance(values, dict) or part not in values:
+            return False
+        values = values[part]
+    return True
+
+
+def read_toml(path: Path) -> TomlFile:
+    """Reads a TOML file.
+
+    Raises:
+        ModelError: If it cannot be read; the message tells the line.
+    """
+    try:
+        return TomlFile(path, *inputs.read_toml(path))
+    except InputError as error:
+        raise ModelError(source_name(path, error.line), error.cause) from error
+
 
 CONFIG: Final = "pupper-analysis.toml"
 """The name under which it is looked for."""
 
-BASELINE: Final = "pupper-analysis-baseline.toml"
+BASELINE: Final = "pupper-analysis-baseline.txt"
 """Where the baseline is, beside it, unless it says otherwise."""
 
 
@@ -305,3 +380,80 @@ class _Reader:
     def invalid(self, key: Key, value: object, valid: Term | Diagnostic) -> ModelError:
         told = diagnose("setting-not-valid", key=str(key[-1]), value=repr(value), valid=valid)
         return self.file.error(key, told)
+
+
+# The first `pupper-analysis.toml` of a repository: the models that its folders have.
+
+_PASSED_OVER: Final = ("node_modules", "site-packages", "build", "install", "log")
+"""Folders of what was made or installed; those that begin with a dot are passed over too."""
+
+_HEAD: Final = """\
+# What pupper-analysis check checks. Models of one robot stand together, and are compared: those
+# that share a file's name were put together here. docs/data/config-keys.csv has all keys.
+"""
+
+
+def write_config(folder: Path) -> tuple[Path, tuple[str, ...]]:
+    """Writes a configuration that names all models in a folder and those below it.
+
+    Args:
+        folder: The repository's top folder.
+
+    Returns:
+        The file, and the names of the models in it.
+
+    Raises:
+        ConfigurationError: If there is a configuration already, or no model.
+        OutputError: If it cannot be written.
+    """
+    path = folder / CONFIG
+    if path.exists():
+        raise ConfigurationError("--init", diagnose("config-there-already", file=path))
+    entries = entries_of(folder)
+    if not entries:
+        raise ConfigurationError("--init", diagnose("no-models", folder=folder.absolute()))
+    with whole_file(path, MODEL) as file:
+        file.write("\n".join([_HEAD, *map(_table, entries)]).encode(errors="replace"))
+    return path, tuple(entry["name"] for entry in entries)
+
+
+def _table(entry: dict[str, str]) -> str:
+    # JSON's text is TOML's, but for this one.
+    texts = {k: json.dumps(v, ensure_ascii=False) for k, v in entry.items()}
+    keys = [f"{key} = {text}\n".replace("\x7f", "\\u007f") for key, text in texts.items()]
+    return "".join(["[[pair]]\n", *keys])
+
+
+def entries_of(folder: Path) -> list[dict[str, str]]:
+    """Returns the models of a folder and those below it: a URDF, an MJCF, or both of one stem."""
+    found: dict[str, list[Path]] = {"urdf": [], "mjcf": []}
+    for path in _files(folder):
+        kind = kind_of(path)
+        if kind:
+            found[kind].append(path.relative_to(folder))
+    stems = [path.stem.lower() for paths in found.values() for path in paths]
+    entries = []
+    partners = {path.stem.lower(): path for path in found["mjcf"]}
+    for urdf in found["urdf"]:
+        stem = urdf.stem.lower()
+        pair = stem in partners and stems.count(stem) == 2
+        name = urdf.stem if pair or stems.count(stem) == 1 else urdf.as_posix()
+        mjcf = {"mjcf": partners.pop(stem).as_posix()} if pair else {}
+        entries.append({"name": name, "urdf": urdf.as_posix(), **mjcf})
+    compared = {entry["mjcf"] for entry in entries if "mjcf" in entry}
+    for mjcf_path in found["mjcf"]:
+        if mjcf_path.as_posix() not in compared:
+            alone = stems.count(mjcf_path.stem.lower()) == 1
+            name = mjcf_path.stem if alone else mjcf_path.as_posix()
+            entries.append({"name": name, "mjcf": mjcf_path.as_posix()})
+    return entries
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    """Yields the files that may be models, in the order of their names."""
+    for top, folders, files in os.walk(folder):
+        kept = (name for name in folders if name[0] != "." and name not in _PASSED_OVER)
+        folders[:] = sorted(kept)
+        for name in sorted(files):
+            if Path(name).suffix.lower() in (".urdf", ".xml", ".mjcf"):
+                yield Path(top) / name

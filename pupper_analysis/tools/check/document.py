@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.present import document as doc
+from pupper_analysis.present.document import Name, Text
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import quote_line
+from pupper_analysis.present.formats import Annotation, CheckedItem
+from pupper_analysis.present.sarif import from_root
 from pupper_analysis.present.words import join_words, text, word
+from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import MARKS, element_text, rule_words
+from pupper_analysis.tools.audit.lines import LEVELS
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
-from pupper_analysis.tools.check.lines import (
-    before_in_words,
-    from_the_root,
-    stale_entries,
-    summarise_check,
-)
-from pupper_analysis.tools.check.remarks import Remark
+from pupper_analysis.tools.check.remarks import Remark, RemarkState
 
 
 @build_document.register(RepositoryCheck)
@@ -127,3 +127,133 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
         tuple(rows),
         off,
     )
+
+
+# The check of a repository's models, in a line and for machines.
+
+
+def summarise_check(check: RepositoryCheck) -> Text:
+    """Returns how much was found, in a line."""
+    counts = {state: sum(r.state is state for r in check.remarks) for state in RemarkState}
+    minor = sum(r.state is not RemarkState.KNOWN and not r.fails for r in check.remarks)
+    parts = [text("count-to-mend", count=check.failures)]
+    if minor:
+        parts.append(text("count-of-less-severity-than", count=minor))
+    if counts[RemarkState.KNOWN]:
+        parts.append(text("count-known", count=counts[RemarkState.KNOWN]))
+    if check.stale:
+        parts.append(text("count-stale", count=len(check.stale)))
+    found = join_words(parts)
+    if check.updated:
+        baseline = Name(str(check.baseline))
+        return text("found-the-baseline-is-written", found=found, file=baseline)
+    return found
+
+
+def before_in_words(remark: Remark) -> Text:
+    """Returns what the baseline has of a remark."""
+    before = remark.before or {}
+    known = before.get("values", before)
+    if "code" in before:
+        now = remark.values.get("values", {})
+        known = {name: value for name, value in known.items() if now.get(name) != value}
+    values = ", ".join(f"{name} {value}" for name, value in known.items())
+    return text("the-baseline-has-values", values=values or before.get("code", ""))
+
+
+def from_the_root(place: str | None) -> str:
+    """Returns ``file:line`` with the file as CI services find it."""
+    file, line = Annotation("", "", "", place).file_and_line
+    if not file:
+        return ""
+    return from_root(file) if line is None else f"{from_root(file)}:{line}"
+
+
+def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[Annotation]:
+    """Returns the remarks as annotations; what fails is an error, whatever its severity.
+
+    Args:
+        check: The check.
+        in_a_change: For the page of a change, where what is told of the lines that it touches alone
+            is seen: a difference is told where its value is another one than the baseline's, or in
+            both files.
+    """
+    found = [
+        _annotation(remark, place)
+        for remark in check.remarks
+        for place in (_places(remark) if in_a_change else [remark.place])
+    ]
+    found += [_of_baseline("stale", told, check) for told in stale_entries(check)]
+    return found
+
+
+def _of_baseline(kind: str, told: Diagnostic, check: RepositoryCheck) -> Annotation:
+    return Annotation(
+        "notice",
+        f"{kind} baseline",
+        str(told),
+        check.baseline,
+        rule=f"check/{kind}",
+        about=about_kind(kind),
+        known=False,
+        diagnostic=told,
+    )
+
+
+def stale_entries(check: RepositoryCheck) -> list[Diagnostic]:
+    """Returns the entries of the baseline that do not occur any more."""
+    return [
+        diagnose("baseline-entry-stale", entry=str(entry), out=check.updated)
+        for entry in check.stale
+    ]
+
+
+def _places(remark: Remark) -> list[str | None]:
+    """Returns where a change may have brought a remark in."""
+    places = [place for place in (remark.place, remark.other_place) if place]
+    before, now = remark.before or {}, remark.values
+    moved = [side for side in ("urdf", "mjcf") if before and before.get(side) != now.get(side)]
+    if len(places) == 2 and len(moved) == 1:
+        return [places[0] if moved == ["urdf"] else places[1]]
+    return [*places] or [None]
+
+
+def _annotation(remark: Remark, place: str | None) -> Annotation:
+    both = (remark.place, remark.other_place)
+    others = [from_the_root(one) for one in both if one and one != place]
+    other = f" [{others[0]}]" if others else ""
+    before = f"; {before_in_words(remark).en}" if remark.before is not None else ""
+    return Annotation(
+        "error" if remark.fails else LEVELS[remark.severity],
+        remark.subject,
+        f"{remark.message}{other}{before}",
+        place,
+        rule=f"{remark.check}/{remark.kind}",
+        about=remark.about,
+        known=remark.state is RemarkState.KNOWN,
+        diagnostic=remark.diagnostic,
+    )
+
+
+def new_remarks(annotations: list[Annotation]) -> list[Annotation]:
+    """Leaves out what the baseline has: nobody is reminded of it at every change."""
+    return [annotation for annotation in annotations if not annotation.known]
+
+
+def check_cases(check: RepositoryCheck) -> Iterator[CheckedItem]:
+    """Yields a case per pair that was compared, and per file that was audited."""
+    for pair in check.pairs:
+        if len(pair.files) > 1:
+            own = [r for r in check.remarks if r.check == "crosscheck" and r.pair == pair.name]
+            yield _case(f"{pair.name}: crosscheck", own)
+    files = [file for pair in check.pairs for file in pair.files]
+    files += [remark.file for remark in check.remarks if remark.check == "audit"]
+    for file in dict.fromkeys(files):
+        own = [r for r in check.remarks if r.check == "audit" and r.file == file]
+        yield _case(f"{file}: audit", own)
+
+
+def _case(name: str, remarks: list[Remark]) -> CheckedItem:
+    failing = [remark for remark in remarks if remark.fails]
+    lines = [f"{from_the_root(one.place)}: {one.message}" for one in failing]
+    return CheckedItem(name, "\n".join(lines) or None, tuple(one.diagnostic for one in failing))

@@ -1,13 +1,18 @@
-"""Remarks: what a check says of a repository's models, by names that last."""
+"""Remarks: what a check says of a repository's models, by names that last; and the baseline.
+
+The baseline is a plain file of the remarks that are known, so that only what is new fails.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,8 +24,12 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
-from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.errors import InputError, ModelError, PupperAnalysisError
+from pupper_analysis.base.files import whole_file
+from pupper_analysis.base.inputs import read_text
+from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
+from pupper_analysis.models.places import source_name
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.tools.audit.audit import RULES, Audit
@@ -237,3 +246,134 @@ def to_plain(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") + 0.0
     return value if isinstance(value, bool | int | str) else str(value)
+
+
+_HEAD: Final = """\
+# What `pupper-analysis check` knows of the models: only what is not here, or has changed, fails.
+# Written by `pupper-analysis check --update-baseline`; its diff is what is let pass. A line each:
+# ["check", "pair", "file", "kind", "element", {its values}]
+"""
+
+_VALUE_TOLERANCE: Final = 1e-6
+"""How far numbers may be apart, relative to the largest beside them, and count as the same.
+
+What is kept has 9 digits; angles and inertias that went through rotations have some 12 in common on
+different machines.
+"""
+
+
+@dataclass(frozen=True)
+class BaselineEntry(Result):
+    """One remark that is known.
+
+    Attributes:
+        identity: The remark's.
+        values: The remark's.
+    """
+
+    identity: tuple[str, ...]
+    values: Mapping[str, Any]
+
+    def __str__(self) -> str:
+        check, pair, file, kind, element = self.identity
+        return f"{check} of {pair or file}: {kind}{f' of {element}' if element else ''}"
+
+
+def read_baseline(path: Path) -> tuple[BaselineEntry, ...]:
+    """Reads a baseline; one that does not exist is empty.
+
+    Raises:
+        ModelError: If it cannot be read, or holds what is not valid; it tells the line.
+    """
+    try:
+        lines = read_text(path).split("\n")
+    except InputError as error:
+        if error.cause.code == "no-such-file":
+            return ()
+        raise ModelError(source_name(path, error.line), error.cause) from error
+    entries = []
+    for number, line in enumerate(lines, start=1):
+        if line.strip() and not line.startswith("#"):
+            match _entry(line):
+                case [str(), str(), str(), str(), str(), dict() as values] as entry:
+                    entries.append(BaselineEntry(tuple(entry[:5]), values))
+                case _:
+                    raise ModelError(source_name(path, number), diagnose("baseline-line-unknown"))
+    return tuple(entries)
+
+
+def _entry(line: str) -> Any:
+    try:
+        return json.loads(line, parse_int=float)  # of any length
+    except (ValueError, RecursionError):
+        return None
+
+
+def write_baseline(path: Path, entries: Iterable[BaselineEntry]) -> None:
+    """Writes a baseline in place of the one that was read: sorted, whole or not at all.
+
+    Raises:
+        OutputError: If it cannot be written.
+    """
+    lines = (json.dumps([*one.identity, one.values], default=dict, ensure_ascii=False)
+             for one in entries)  # fmt: skip
+    with whole_file(path, EDITED) as file:
+        file.write("\n".join([_HEAD, *sorted(lines), ""]).encode(errors="replace"))
+
+
+def judge_remarks(
+    remarks: Iterable[Remark], entries: Iterable[BaselineEntry]
+) -> tuple[tuple[Remark, ...], tuple[BaselineEntry, ...]]:
+    """Tells which remarks are known, which have changed, and which are new.
+
+    Returns:
+        The remarks with their states; and the stale entries, to which there is no remark any more.
+    """
+    waiting: dict[tuple[str, ...], list[BaselineEntry]] = {}
+    for entry in entries:
+        if entry.identity[3] == REFUSED:
+            continue  # nobody can know what is in a file that cannot be read
+        waiting.setdefault(entry.identity, []).append(entry)
+    result = list(remarks)
+    for number, remark in enumerate(result):
+        here = waiting.get(remark.identity, [])
+        found = next((entry for entry in here if is_same(entry.values, remark.values)), None)
+        if found is not None:
+            here.remove(found)
+            result[number] = replace(remark, state=RemarkState.KNOWN)
+    # Only what is the same nowhere has changed: there may be several of one identity.
+    for number, remark in enumerate(result):
+        here = waiting.get(remark.identity, [])
+        if remark.state is RemarkState.NEW and here:
+            before = here.pop(0).values
+            result[number] = replace(remark, state=RemarkState.CHANGED, before=before)
+    return tuple(result), tuple(entry for here in waiting.values() for entry in here)
+
+
+def is_same(one: Any, two: Any) -> bool:
+    """Whether two values are the same but for rounding."""
+    if isinstance(one, Mapping) and isinstance(two, Mapping):
+        return one.keys() == two.keys() and all(is_same(one[key], two[key]) for key in one)
+    here, there = _leaves(one), _leaves(two)
+    sizes = [abs(each) for each in (*here, *there) if _is_finite(each)]
+    if any(isinstance(each, str) for each in here):
+        sizes = []  # no list of numbers of one kind: each is held against its like
+    return len(here) == len(there) and all(
+        abs(a - b) <= _VALUE_TOLERANCE * max([*sizes, abs(a), abs(b)])
+        if _is_finite(a) and _is_finite(b)
+        else repr(a) == repr(b)
+        for a, b in zip(here, there, strict=True)
+    )
+
+
+def _leaves(value: Any) -> list[Any]:
+    """Returns what nested lists and tables hold, with their ends."""
+    if isinstance(value, list | tuple):
+        return [(), *(leaf for each in value for leaf in _leaves(each)), ()]
+    if isinstance(value, Mapping):
+        return [{}, *(leaf for key in sorted(value) for leaf in (key, *_leaves(value[key]))), {}]
+    return [value]
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

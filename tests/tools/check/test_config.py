@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import csv
-import math
 import os
 import pickle
 import re
-import tomllib
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.audit.audit import Severity
 from pupper_analysis.tools.check import config
-from pupper_analysis.tools.check.config import find_config, read_config
-from pupper_analysis.tools.check.toml import read_toml, toml_table, toml_value
+from pupper_analysis.tools.check.config import (
+    find_config,
+    read_config,
+    read_toml,
+)
 from tests.support.repository import ROOT
 
 LEAST = '[[pair]]\nname = "a"\nurdf = "a.urdf"\n'
@@ -42,7 +41,7 @@ def written(folder: Path, text: str) -> Path:
 
 def test_everything_that_can_be_said(folder: Path) -> None:
     text = """
-baseline = "known.toml"
+baseline = "known.txt"
 fail-on = "warning"
 strict = true
 packages = { robot = "meshes" }
@@ -69,7 +68,7 @@ urdf = "b.urdf"
 strict = false
 """
     read = read_config(written(folder, text))
-    assert read.baseline == folder / "known.toml"
+    assert read.baseline == folder / "known.txt"
     assert read.fail_on is Severity.WARNING
     a, b = read.pairs
     assert (a.name, a.urdf, a.mjcf) == ("a", folder / "a.urdf", folder / "a.xml")
@@ -85,7 +84,7 @@ strict = false
 
 def test_what_is_not_said(folder: Path) -> None:
     read = read_config(written(folder, LEAST))
-    assert read.baseline == folder / "pupper-analysis-baseline.toml"
+    assert read.baseline == folder / "pupper-analysis-baseline.txt"
     assert read.fail_on is Severity.ERROR
     (pair,) = read.pairs
     assert (pair.names, pair.feet, pair.packages, pair.disabled) == ({}, (), {}, {})
@@ -205,26 +204,3 @@ def test_lines_of_all_keys_of_the_project_file() -> None:
     assert file.line_of(("tool", "nothing")) is None
     assert file.line_of(("project", "dependencies", 99)) is None
     assert file.line_of(("project", 0)) is None
-
-
-VALUES = st.recursive(
-    st.booleans()
-    | st.integers(-(2**60), 2**60)
-    | st.floats(allow_nan=False)
-    | st.text(st.characters(codec="utf-8"), max_size=20),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner),
-    max_leaves=8,
-)
-
-
-@given(value=VALUES, comment=st.text(max_size=40))
-def test_what_is_written_is_read_back(value: object, comment: str) -> None:
-    text = toml_table("known", {"value": value}, [comment])
-    assert tomllib.loads(text) == {"known": [{"value": value}]}
-
-
-def test_numbers_that_are_none() -> None:
-    assert math.isnan(tomllib.loads(f"x = {toml_value(math.nan)}")["x"])
-    assert toml_value(-math.inf) == "-inf"
-    with pytest.raises(TypeError, match="object is not written to TOML"):
-        toml_value(object())
