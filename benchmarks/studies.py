@@ -302,7 +302,8 @@ def overhead() -> None:
 
 def finding() -> None:
     """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
-    from pupper_analysis.tools.study.figures import pareto_figure
+    from pupper_analysis.present.figures import style
+    from pupper_analysis.tools.study.pareto import pareto_front
 
     vary = {
         "leg_scale": pa.study.linspace(0.8, 1.6, 9),
@@ -317,18 +318,20 @@ def finding() -> None:
     print(stands.groupby("kp")[["peak_utilisation", "rest_utilisation", "sag"]].max().to_string())
     heaviest = stands.groupby(["kp", "leg_scale"])["torso_mass_scale"].max()
     print(heaviest.unstack(0).to_string())
-    pareto_figure(
-        stands,
-        {"leg_scale": "max", "total_mass": "max"},
-        Path(__file__).parents[1] / "docs" / "images" / "study_front.png",
-        by="kp",
-        title="The longest legs and the heaviest v3 that stay up on their servos",
-        labels={
-            "leg_scale": "length of the legs / v3's",
-            "total_mass": "mass of the robot (kg)",
-            "kp": "kp (N m/rad)",
-        },
-    )
+    said = "The longest legs and the heaviest v3 that stay up on their servos"
+    figure = style.page_figure(said, 3.4, layout="constrained")
+    axes = figure.add_subplot()
+    axes.set(xlabel="length of the legs / v3's", ylabel="mass of the robot (kg)")
+    for kp, part in stands.groupby("kp"):
+        front = pareto_front(part, {"leg_scale": "max", "total_mass": "max"})
+        dots = axes.scatter(part["leg_scale"], part["total_mass"], s=4, alpha=0.35)
+        look = {"color": dots.get_facecolor()[0, :3], "marker": "o", "ms": 3.5}
+        label = f"kp {kp:g} N m/rad: no other design beats these"
+        axes.plot(front["leg_scale"], front["total_mass"], label=label, **look)
+    style.title_panel(axes, "")
+    axes.legend(fontsize=style.FONT, frameon=False)
+    docs = Path(__file__).parents[1] / "docs" / "images"
+    style.save_figure(figure, docs / "study_front.png")
 
 
 VICTIM = """

@@ -14,11 +14,10 @@ from pupper_analysis.present.documents.sources import page_of
 from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
-from pupper_analysis.tools.study.document_plots import LINES, front_plot, study_plots
 from pupper_analysis.tools.study.estimate import Estimate
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome
-from pupper_analysis.tools.study.plots import MeansPlot
+from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
 from pupper_analysis.tools.study.tolerance import Chance
 
 if TYPE_CHECKING:

@@ -1,147 +1,31 @@
-"""The figures of a study: heat maps, parallel coordinates, Pareto fronts, regions of failure."""
+"""The figures of a study: what its page draws, as PNGs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from matplotlib.artist import Artist
+import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Patch, Rectangle
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
-from pupper_analysis.present.document import Name
 from pupper_analysis.present.figures import style
-from pupper_analysis.present.figures.drawing import draw_plot, plot_figure
+from pupper_analysis.present.html.plots import STYLES, Drawing, Mark, draw_svg
 from pupper_analysis.present.plots import Plot
 from pupper_analysis.present.words import in_english
-from pupper_analysis.tools.study import document_plots as study_plots
-from pupper_analysis.tools.study.cells import check_columns, spread_in, standing_designs
-from pupper_analysis.tools.study.figures_maps import ALL_MEASURED, put_scale
+from pupper_analysis.tools.study import html_maps  # noqa: F401 - says how its plots are drawn
+from pupper_analysis.tools.study.cells import spread_in, standing_designs
 from pupper_analysis.tools.study.pareto import pareto_front
-from pupper_analysis.tools.study.plots import EndsPlot, MeansPlot
+from pupper_analysis.tools.study.plots import MeansPlot, front_plot, study_plots
 
 if TYPE_CHECKING:
     import pandas as pd
 
+_EMPTY = "0.93"
+"""Grey of cells of which nothing is known."""
 
-def heat_map(
-    table: pd.DataFrame,
-    x: str,
-    y: str,
-    metric: str,
-    path: str | Path,
-    *,
-    others: Sequence[str] = (),
-) -> None:
-    """Draws a metric over two variables.
-
-    Each combination of the other variables' values has a panel, where these are few; else a cell is
-    a mean over them. Cells without any value are grey. Hatched are those in whose mean designs are
-    missing, as they do not stand.
-
-    Args:
-        table: Of a study.
-        x: The variable along the figure.
-        y: The variable upwards.
-        metric: The column that is drawn.
-        path: The PNG to write.
-        others: The other variables.
-
-    Raises:
-        ConfigurationError: If a column is not there.
-        OutputError: If the file cannot be written.
-    """
-    _write(study_plots.mean_plots(table, x, y, metric, others), path)
-
-
-def failure_map(
-    table: pd.DataFrame, x: str, y: str, path: str | Path, *, others: Sequence[str] = ()
-) -> None:
-    """Draws what most designs of a cell come to, over two variables: their reason, or none.
-
-    Args:
-        table: Of a study.
-        x: The variable along the figure.
-        y: The variable upwards.
-        path: The PNG to write.
-        others: The other variables: each combination of their values has a panel, where these are
-            few.
-
-    Raises:
-        ConfigurationError: If a column is not there.
-        OutputError: If the file cannot be written.
-    """
-    _write(study_plots.end_plots(table, x, y, others), path)
-
-
-def parallel_coordinates(
-    table: pd.DataFrame, columns: Sequence[str], colour: str, path: str | Path
-) -> None:
-    """Draws each design as a line over several columns; failed ones end in grey.
-
-    Args:
-        table: Of a study.
-        columns: From left to right.
-        colour: The column that colours the lines.
-        path: The PNG to write.
-
-    Raises:
-        ConfigurationError: If a column is not there.
-        OutputError: If the file cannot be written.
-    """
-    plot_figure(study_plots.parallel_plot(table, columns, colour), path)
-
-
-def pareto_figure(
-    table: pd.DataFrame,
-    objectives: Mapping[str, str],
-    path: str | Path,
-    *,
-    by: str | None = None,
-    title: str | None = None,
-    labels: Mapping[str, str] | None = None,
-) -> None:
-    """Draws all designs over two objectives, and the front of those that no other beats.
-
-    Args:
-        table: Of a study.
-        objectives: {column: ``"min"`` or ``"max"``}, two of them.
-        path: The PNG to write.
-        by: A column; each of its values has a front of its own.
-        title: Over the figure.
-        labels: {column: what the axis says}.
-
-    Raises:
-        ConfigurationError: If there are not two objectives, or a column is not there.
-        OutputError: If the file cannot be written.
-    """
-    if len(objectives) != 2:
-        raise ConfigurationError(
-            "objectives", diagnose("objectives-not-two", count=len(objectives))
-        )
-    check_columns(table, *((by,) if by else ()))
-    groups: list[tuple[Name | None, pd.DataFrame]] = [(None, table)]
-    if by is not None:
-        said = (labels or {}).get(by, by)
-        values = sorted(table[by].dropna().unique())
-        groups = [(Name(f"{said} {value:g}"), table[table[by] == value]) for value in values]
-    x, y = objectives
-    shown = Name(title or f"Pareto front: {x} against {y}")
-    plots = [
-        study_plots.front_plot(
-            part, pareto_front(part, objectives), objectives, title=shown, labels=labels, name=name
-        )
-        for name, part in groups
-    ]
-    figure = style.page_figure(in_english(shown), 3.4, layout="constrained")
-    axes = figure.add_subplot()
-    handles = [handle for plot in plots for handle in draw_plot(plot, axes)]
-    style.title_panel(axes, "")
-    style.put_legend(figure, handles)
-    style.save_figure(figure, path)
+_SIDES = {"start": "left", "middle": "center", "end": "right"}
 
 
 def draw_study(
@@ -159,58 +43,79 @@ def draw_study(
         OutputError: If a file cannot be written.
     """
     spread = spread_in(table, variables)
-    axes = spread[:2] if len(spread) > 1 else ()
-    paths = []
-    for name, plots in study_plots.study_plots(table, variables, axes).items():
-        paths.append(folder / f"{name}.png")
-        _write(plots, paths[-1])
+    shown = study_plots(table, variables, spread[:2] if len(spread) > 1 else ())
     if objectives is not None and len(objectives) == 2:
         up = standing_designs(table)
         if not up.dropna(subset=list(objectives)).empty:
-            paths.append(folder / "front.png")
-            pareto_figure(up, objectives, paths[-1])
+            shown["front"] = [front_plot(up, pareto_front(up, objectives), objectives)]
+    paths = []
+    for name, plots in shown.items():
+        paths.append(folder / f"{name}.png")
+        write_plots(plots, paths[-1])
     return paths
 
 
-def _write(plots: Sequence[Plot], path: str | Path) -> None:
-    """Writes the maps of one metric as panels of one figure, or any other plot alone."""
-    first = plots[0]
-    if not isinstance(first, MeansPlot | EndsPlot):
-        plot_figure(first, path)
-        return
-    figure, panels = _panels(in_english(first.title), len(plots))
-    named = {
-        handle.get_label(): handle
-        for axes, plot in zip(panels, plots, strict=True)
-        for handle in draw_plot(plot, axes)
-    }
-    if isinstance(first, MeansPlot):
-        put_scale(panels, first.ends, first.metric)
-    else:
-        named = _counted(named, [plot for plot in plots if isinstance(plot, EndsPlot)])
+def write_plots(plots: Sequence[Plot], path: Path) -> None:
+    """Writes plots as panels of one figure, three in a row.
+
+    Raises:
+        OutputError: If the file cannot be written.
+    """
+    drawings = [draw_svg(plot) for plot in plots]
+    columns = min(len(plots), 3)
+    rows = -(-len(plots) // columns)
+    width = style.WIDTH if len(plots) == 1 else max(style.WIDTH, 3.0 * columns)
+    height = rows * width / columns * drawings[0].height / drawings[0].width + 0.6
+    figure = style.page_figure(in_english(plots[0].title), height, width=width,
+                               layout="constrained")  # fmt: skip
+    named: dict[str, Patch] = {}
+    for index, drawing in enumerate(drawings):
+        axes = figure.add_subplot(rows, columns, 1 + index)
+        _draw(drawing, axes, style.FONT if columns == 1 else style.FONT / 2)
+        if len(plots) > 1:
+            axes.set_title(in_english(drawing.title), size=style.FONT / 2, parse_math=False)
+        for words, kind in drawing.legend:
+            named[in_english(words)] = Patch(color=_colour(kind), label=in_english(words))
+    if any(isinstance(one, MeansPlot) and one.found.partial.any() for one in plots):
+        crossed = "crossed: some do not stand; the mean is of the others"
+        named[crossed] = Patch(facecolor="none", edgecolor="black", hatch="///", label=crossed)
     if named:
         style.put_legend(figure, list(named.values()))
     style.save_figure(figure, path)
 
 
-def _counted(named: Mapping[object, Artist], plots: Sequence[EndsPlot]) -> dict[object, Artist]:
-    """Returns what kinds of ends look like, with how many there are on all panels."""
-    found: dict[object, Artist] = {}
-    for kind in plots[0].kinds:
-        counts = (one.found.counts[one.found.kinds.index(kind)].sum()
-                  for one in plots if kind in one.found.kinds)  # fmt: skip
-        if total := int(sum(counts)):
-            name = kind or ALL_MEASURED
-            found[name] = named[name]
-            found[name].set_label(f"{name} ({total})")
-    return found
+def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
+    """Draws a page's drawing into axes, whose unit is the page's."""
+    axes.set(xlim=(0, drawing.width), ylim=(drawing.height, 0), aspect="equal")
+    axes.axis("off")
+    for mark in drawing.marks:
+        kind = mark["class"].split()[-1]
+        match mark["tag"]:
+            case "rect":
+                look: dict[str, Any] = {"color": mark.get("fill", _EMPTY), "linewidth": 0}
+                corner, opacity = (mark["x"], mark["y"]), mark.get("opacity", 1.0)
+                sides = mark["width"], mark["height"]
+                axes.add_patch(Rectangle(corner, *sides, alpha=opacity, **look))
+            case "line":
+                ends = [mark["x1"], mark["x2"]], [mark["y1"], mark["y2"]]
+                axes.plot(*ends, color=style.GRID if kind == "grid" else style.BLACK, lw=0.7)
+            case "polyline" if kind != "unseen":
+                colour = mark.get("stroke") or _colour(kind)
+                axes.plot(*np.array(mark["points"]).T, color=colour, lw=0.9, alpha=0.8)
+            case "circle":
+                place = mark["cx"], mark["cy"]
+                axes.add_patch(Circle(place, mark["r"], color=_colour(kind), linewidth=0))
+            case "text":
+                _write(mark, axes, size)
 
 
-def _panels(title: str, count: int) -> tuple[Figure, list[Axes]]:
-    """Returns a figure with panels beside each other, three in a row."""
-    columns = min(count, 3)
-    rows = -(-count // columns)
-    width = style.WIDTH if count == 1 else max(style.WIDTH, 3.0 * columns + 1.2)
-    figure = style.page_figure(title, 3.4 if rows == 1 else 2.9 * rows, width=width,
-                               layout="constrained")  # fmt: skip
-    return figure, [figure.add_subplot(rows, columns, 1 + index) for index in range(count)]
+def _write(mark: Mark, axes: Axes, size: float) -> None:
+    said = in_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
+    turned = 90.0 if "transform" in mark else 0.0
+    axes.text(mark["x"], mark["y"], said, ha=_SIDES[mark["anchor"]], rotation=turned,
+              size=size, parse_math=False)  # fmt: skip
+
+
+def _colour(kind: str) -> str:
+    """Returns the colour of a class of the page's style sheet, or of a legend's colour."""
+    return kind if kind.startswith("#") else style.COLOURS[int(kind[1:]) % STYLES]

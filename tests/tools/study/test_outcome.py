@@ -29,6 +29,7 @@ from pupper_analysis.tools.study.linear import sag_derivatives, torque_derivativ
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.outcome import main_effects, study_outcome
 from pupper_analysis.tools.study.pareto import pareto_front
+from pupper_analysis.tools.study.plots import end_plots, mean_plots
 from pupper_analysis.tools.study.randomisation import write_randomisation
 from pupper_analysis.tools.study.search import optimise_study
 from pupper_analysis.tools.study.sensitivity import linear_shares, sobol_indices
@@ -125,20 +126,27 @@ def test_cells_lie_about_their_middles() -> None:
     np.testing.assert_allclose(few.edges, [0.5, 1.5, 3.0, 5.0])
 
 
-def test_a_heat_map_has_the_measure_where_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
-    """Viridis: dark blue is little, yellow is much; grey is not known."""
-    figures.heat_map(table, "x", "y", "m", tmp_path / "map.png")
-    little, much = (colours(tmp_path / "map.png", (at, 0.3)) for at in (0.15, 0.75))
+def test_maps_have_their_cells_where_they_are(table: pd.DataFrame, tmp_path: Path) -> None:
+    """Viridis: dark blue is little, yellow is much; grey is not known; ends are green and red."""
+    drawn = figures.draw_study(table, ("x", "y"), tmp_path, {"x": "max", "m": "min"})
+    names = ["failures.png", "map_m.png", "parallel.png", "front.png"]
+    assert [path.name for path in drawn] == names
+    for path in drawn:
+        assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
+    little, much = (colours(tmp_path / "map_m.png", (at, 0.35)) for at in (0.2, 0.75))
     assert little[2] > little[0] + 0.05
     assert much[0] > much[2] + 0.3
-    unknown = colours(tmp_path / "map.png", (0.3, 0.8))
+    unknown = colours(tmp_path / "map_m.png", (0.3, 0.8))
     assert unknown == pytest.approx((0.93, 0.93, 0.93), abs=0.01)
+    good, bad = (colours(tmp_path / "failures.png", (0.3, at)) for at in (0.45, 0.8))
+    assert good[1] > good[0] + 0.3  # green
+    assert bad[0] > bad[1] + 0.3  # red
 
 
-def test_a_panel_for_each_value_of_another_variable_and_hatched_means_of_more(
+def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
     table: pd.DataFrame, tmp_path: Path
 ) -> None:
-    """Where z = 2 all of y > 1 fail: beside the panel of z = 1; or in a mean, which is hatched."""
+    """Where z = 2 all of y > 1 fail: beside the panel of z = 1; or in a mean, which is crossed."""
     other = table.assign(z=2.0, m=np.where(table["y"] > 1, np.nan, table["m"]))
     both = pd.concat([table.assign(z=1.0), other], ignore_index=True)
     shown = split_panels(both[::-1], ["x", "y", "z"], "x", "y")  # in whichever order they are done
@@ -150,35 +158,17 @@ def test_a_panel_for_each_value_of_another_variable_and_hatched_means_of_more(
     found = mean_map(whole.table, "x", "y", "m")
     assert found.partial.tolist() == [[False] * 4, [True] * 4, [False] * 4]
     assert (found.counts[1] / found.designs[1]).tolist() == [0.5] * 4
-    for name, given in (("panels", both), ("mean", many)):
-        path = tmp_path / f"{name}.png"
-        figures.heat_map(given, "x", "y", "m", path, others=["x", "y", "z"])
-    plain = tmp_path / "plain.png"
-    figures.heat_map(table, "x", "y", "m", plain)
-    assert imread(tmp_path / "panels.png").shape[1] > imread(plain).shape[1]
-    rows = [imread(path)[150:250, 80:480, :3] for path in (tmp_path / "mean.png", plain)]
-    white = [int((row.min(axis=2) > 0.99).sum()) for row in rows]
-    assert white[0] > white[1] + 100  # hatches
-
-
-def test_a_failure_map_has_the_reason_where_it_is(table: pd.DataFrame, tmp_path: Path) -> None:
-    figures.failure_map(table, "x", "y", tmp_path / "map.png")
-    good, bad = (colours(tmp_path / "map.png", (0.4, at)) for at in (0.35, 0.8))
-    assert good[1] > good[0] + 0.3  # green
-    assert bad[0] > bad[1] + 0.3  # red
-
-
-def test_the_other_figures_are_drawn(table: pd.DataFrame, tmp_path: Path) -> None:
-    figures.parallel_coordinates(table, ["x", "y", "m"], "m", tmp_path / "parallel.png")
-    figures.pareto_figure(table, {"x": "max", "m": "min"}, tmp_path / "front.png")
-    drawn = figures.draw_study(table, ("x", "y"), tmp_path)
-    assert [path.name for path in drawn] == ["failures.png", "map_m.png", "parallel.png"]
-    for path in (tmp_path / "parallel.png", tmp_path / "front.png", *drawn):
-        assert np.ptp(imread(path)[..., :3], axis=(0, 1)).min() > 0.5
+    for name, given in (("panels", both), ("mean", many), ("plain", table)):
+        plots = mean_plots(given, "x", "y", "m", ["x", "y", "z"])
+        figures.write_plots(plots, tmp_path / f"{name}.png")
+    panels, mean, plain = (imread(tmp_path / f"{n}.png") for n in ("panels", "mean", "plain"))
+    assert panels.shape[1] >= plain.shape[1]
+    black = [int((one[..., :3].max(axis=2) < 0.1).sum()) for one in (mean, plain)]
+    assert black[0] > black[1] + 100  # lines across
     with pytest.raises(pa.ConfigurationError, match="no 'z'; there are x, y, m"):
-        figures.heat_map(table, "x", "z", "m", tmp_path / "no.png")
+        mean_plots(table, "x", "z", "m")
     with pytest.raises(pa.ConfigurationError, match="it is empty"):
-        figures.failure_map(table.iloc[:0], "x", "y", tmp_path / "no.png")
+        end_plots(table.iloc[:0], "x", "y")
 
 
 # ----------------------------------------------------------------------------- derivatives
