@@ -67,7 +67,7 @@ def command(
     Exit status: 0 no finding as severe as --fail-on, 1 there is one, 2 bad input.
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.present import formats
-    from pupper_analysis.tools.audit import lines as audit_report
+    from pupper_analysis.tools.audit import document as audit_report
     from pupper_analysis.tools.audit.audit import audit_model
 
     if list_rules:

@@ -17,8 +17,7 @@ from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.compare.differences import about_kind
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
-from pupper_analysis.tools.audit.document import MARKS, element_text, rule_words
-from pupper_analysis.tools.audit.lines import LEVELS
+from pupper_analysis.tools.audit.document import LEVELS, MARKS, element_text, rule_words
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
 from pupper_analysis.tools.check.remarks import Remark, RemarkState
 

@@ -67,7 +67,7 @@ def command(
         if csv is not None:
             raise ConfigurationError("--csv", diagnose("csv-without-demo"))
         from pupper_analysis.tools.view import viewer
-        from pupper_analysis.tools.view.drop import DEFAULT_SECONDS
+        from pupper_analysis.tools.view.viewer import DEFAULT_SECONDS
 
         seconds = DEFAULT_SECONDS if seconds is None else seconds
         good = viewer.drop_and_report(robot, headless=headless, seconds=seconds)

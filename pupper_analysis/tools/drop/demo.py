@@ -18,7 +18,7 @@ from pupper_analysis.tools.path.document import tracking_document
 from pupper_analysis.tools.path.path_commands import path_commands
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
-from pupper_analysis.tools.view.window import check_display, show_window
+from pupper_analysis.tools.view.viewer import check_display, show_window
 
 DEMOS = {
     "squat": "down by a fifth, and up again",

@@ -22,8 +22,13 @@ from pupper_analysis.tools.fit.estimate import Posterior
 from pupper_analysis.tools.fit.links import AXES
 from pupper_analysis.tools.fit.parameters import Parameter
 from pupper_analysis.tools.sync.frames import Key
-from pupper_analysis.tools.sync.numbers import WrittenNumbers, write_numbers
-from pupper_analysis.tools.sync.wanted import OF_BODIES, OF_JOINTS, OF_SERVOS
+from pupper_analysis.tools.sync.numbers import (
+    OF_BODIES,
+    OF_JOINTS,
+    OF_SERVOS,
+    WrittenNumbers,
+    write_numbers,
+)
 
 Array = NDArray[np.float64]
 

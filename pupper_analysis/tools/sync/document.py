@@ -8,8 +8,7 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.sync.choices import difference_label, line_at
-from pupper_analysis.tools.sync.models import Sync
+from pupper_analysis.tools.sync.models import Sync, difference_label, line_at
 from pupper_analysis.tools.sync.plan import UnwrittenCause
 
 

@@ -14,15 +14,21 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arrays import placement_of
 from pupper_analysis.base.diagnostics import Source, diagnose
 from pupper_analysis.models.conversion import joint_armature, joint_damping
+from pupper_analysis.models.efforts import (
+    EffortStatement,
+    effort_limit,
+    stated_by_actuator,
+    stated_by_joint,
+)
 from pupper_analysis.models.joint_kinds import free_joints
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
+from pupper_analysis.models.transmission import actuator_gear, drives_of
 from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME
+from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.sync.frames import Key, Side
-from pupper_analysis.tools.sync.mjcf_effort import write_effort
 from pupper_analysis.tools.sync.mjcf_inertials import write_inertial
-from pupper_analysis.tools.sync.mjcf_servos import write_gains
 
 Array = NDArray[np.float64]
 
@@ -338,3 +344,141 @@ def _write(side: MjcfSide, name: str, step: Array) -> bool:
     around = side.elements.frame_of(element).inverse()
     now = np.array(side.model.jnt_pos[index])
     return side.set_position(("position", name), element, around * now, around * (now + step))
+
+
+# Writes the gains of position servos into an MJCF, in the words in which it states them.
+
+
+def write_gains(side: MjcfSide, name: str, wanted: dict[Key, float]) -> None:
+    """Notes the changes that give the servo of a joint other gains.
+
+    Args:
+        side: The MJCF.
+        name: The joint.
+        wanted: {("kp", joint): stiffness at the joint (N m/rad), ("kd", joint): damping there}.
+    """
+    model = side.model
+    drives = drives_of(model, model.joint(name).id)
+    elements = side.elements.drives(name)
+    now = own_servos(side.robot).get(name)
+    if now is None or len(drives) != 1:
+        side.left.update(dict.fromkeys(wanted, diagnose("joint-without-one-servo")))
+        return
+    if len(elements) != 1:
+        side.left.update(dict.fromkeys(wanted, diagnose("actuators-are-copies")))
+        return
+    squared = float(actuator_gear(model, drives[0])[0]) ** 2
+    stiffness = wanted.get(("kp", name), now[0]) / squared
+    damping = wanted.get(("kd", name), now[1]) / squared
+    (element,) = elements
+    if element.tag == "position":
+        _position(side, element, name, wanted, stiffness, damping)
+    elif element.tag == "general":
+        key = next(iter(wanted))
+        gain = _padded(element, "gainprm", [stiffness])
+        side.write(key, element, "gainprm", gain)
+        side.write(key, element, "biasprm", _padded(element, "biasprm", [0, -stiffness, -damping]))
+    else:
+        told = diagnose("servo-without-words", tag=element.tag)
+        side.left.update(dict.fromkeys(wanted, told))
+
+
+def _position(
+    side: MjcfSide,
+    element: Element,
+    name: str,
+    wanted: dict[Key, float],
+    stiffness: float,
+    damping: float,
+) -> None:
+    if ("kp", name) in wanted:
+        side.write(("kp", name), element, "kp", stiffness)
+    if ("kd", name) in wanted:
+        text = side.digits.words((element.get("kv") or "").split(), np.array([damping]))
+        if text is not None:  # a ratio of damping gives way to a damping
+            element.rename_or_set("dampratio", "kv", text)
+
+
+def _padded(element: Element, attribute: str, values: list[float]) -> list[float]:
+    """Returns the parameters of an actuator with those behind them that the file states."""
+    stated = [float(word) for word in (element.get(attribute) or "").split()]
+    return [*values, *stated[len(values) :]]
+
+
+# Writes the greatest torque of a joint into an MJCF: where it is stated, in whichever words.
+
+_LIMITED = {
+    "actuatorfrcrange": "actuatorfrclimited",
+    "forcerange": "forcelimited",
+    "ctrlrange": "ctrllimited",
+}
+"""{range: what says whether it is one}."""
+
+
+def write_effort(side: MjcfSide, key: Key) -> None:
+    """Notes the changes that give a joint another greatest torque.
+
+    It is the least of what the joint's ``actuatorfrcrange``, the actuators' ``forcerange`` and the
+    ``ctrlrange`` of plain motors allow: whichever is stated and is not right, is changed.
+    """
+    name, model, spec = key[1], side.model, side.robot.description.mjcf
+    wanted = side.wanted.joints[name].effort
+    joint = model.joint(name).id
+    element = side.joint_in_file(name)
+    drives, motors = drives_of(model, joint), side.elements.drives(name)
+    if element is None or len(motors) != len(drives):
+        side.left[key] = diagnose("actuators-are-copies")
+        return
+    of_joint = [(element, one) for one in stated_by_joint(model, joint)]
+    of_motors = [
+        (motor, one)
+        for motor, drive in zip(motors, drives, strict=True)
+        for one in stated_by_actuator(model, drive)
+        if one.factor
+    ]
+    if not 0 < wanted < math.inf:  # a URDF's effort of 0 is none
+        for owner, one in (*of_joint, *of_motors):
+            side.elements.write(owner, _LIMITED[one.attribute], "false")
+        side.notes[key] = diagnose("limit-switched-off")
+        return
+    now = effort_limit(model, joint)
+    for owner, one in (*of_joint, *(of_motors if len(drives) == 1 else ())):
+        # What is looser than the least bound does no harm, unless it is below what is wanted.
+        off = abs(one.greatest - wanted) > SAME * max(wanted, one.greatest)
+        if off and (one.greatest < wanted or one.greatest <= now * (1 + SAME)):
+            _write_effort_element(side, key, owner, one.attribute, wanted / abs(one.factor), one)
+    if len(drives) == 1:
+        gear = abs(float(actuator_gear(model, drives[0])[0]))
+        if gear == 0:
+            side.left[key] = diagnose("gear-is-zero")
+        elif not (of_motors or of_joint):
+            motor = next(actuator for actuator in spec.actuators if actuator.target == name)
+            _write_effort_element(side, key, motors[0], "forcerange", wanted / gear)
+            _limit(side, motors[0], "forcelimited", motor.forcelimited)
+    elif drives and now < wanted and not any(one.greatest == now for _, one in of_joint):
+        side.left[key] = diagnose("actuators-share-it")
+    elif not of_joint:
+        _write_effort_element(side, key, element, "actuatorfrcrange", wanted)
+        _limit(side, element, "actuatorfrclimited", spec.joint(name).actfrclimited)
+
+
+def _write_effort_element(
+    side: MjcfSide,
+    key: Key,
+    element: Element,
+    attribute: str,
+    value: float,
+    stated: EffortStatement | None = None,
+) -> None:
+    """Writes a range whose greater end is a value; one that is not symmetric keeps its shape."""
+    pair, old = np.array([-value, value]), np.array((0.0, 0.0) if stated is None else stated.stated)
+    if abs(old.sum()) > SAME:
+        pair = old * (value / float(np.abs(old).max()))
+    side.write(key, element, attribute, pair)
+
+
+def _limit(side: MjcfSide, element: Element, attribute: str, limited: int) -> None:
+    """Says that a new range is one, where that does not follow from its being there."""
+    automatic = limited == mujoco.mjtLimited.mjLIMITED_AUTO.value and side.elements.autolimits
+    if limited != mujoco.mjtLimited.mjLIMITED_TRUE.value and not automatic:
+        side.elements.write(element, attribute, "true")

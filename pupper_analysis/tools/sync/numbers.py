@@ -2,29 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ModelError, UnknownNameError
 from pupper_analysis.base.files import Writing, write_together
 from pupper_analysis.base.inputs import MOST_FILE, read_input
 from pupper_analysis.base.kinds import hash_of, made_model
 from pupper_analysis.base.runs import note_input, running
+from pupper_analysis.models.attributes import BY_KIND
+from pupper_analysis.models.capsules import for_engines
+from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text, read_mjcf
 from pupper_analysis.models.mjcf_in_place import MjcfInPlace
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody
+from pupper_analysis.models.transmission import drives_of, law_of
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
 from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.robot.compare.attribution import align_robot
-from pupper_analysis.robot.matching.match import match_models
+from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import kinematic_trees
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.sync.copies import (
     Copies,
@@ -32,19 +43,10 @@ from pupper_analysis.tools.sync.copies import (
     copies_of_urdf,
     laid_out,
 )
-from pupper_analysis.tools.sync.frames import Key, Side, pair_robots
+from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, pair_robots
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import Edit, edits_of
-from pupper_analysis.tools.sync.trial import try_files
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
-from pupper_analysis.tools.sync.wanted import (
-    OF_BODIES,
-    OF_SERVOS,
-    NumberChanges,
-    check_own,
-    refuse_numbers,
-    resolve_numbers,
-)
 
 Array = NDArray[np.float64]
 
@@ -281,3 +283,283 @@ def _names(robot: Robot, urdf: UrdfFile) -> dict[str, str]:
         for name, joint in urdf.tree.joints.items()
         if named.get(joint.child, name) != name and named[joint.child] in known
     }
+
+
+# Files with given numbers are read by both engines, before they are written.
+
+
+_WRITTEN = 1e-9
+"""Relative: what is read of a written file is what was wanted, after rotations and rounding."""
+
+
+def try_files(
+    contents: Mapping[Path, bytes],
+    changes: NumberChanges,
+    urdf: tuple[UrdfFile, Path | None],
+    mjcf: tuple[MjcfFile, Path | None],
+) -> None:
+    """Writes the files elsewhere, reads them by both engines, and checks what has changed.
+
+    Args:
+        contents: {place in a folder: content}.
+        changes: What shall have changed.
+        urdf: The URDF as it was, and its place; None if it has no file.
+        mjcf: Likewise of the MJCF.
+
+    Raises:
+        ModelError: If an engine refuses a file, or reads another number than was wanted.
+    """
+    matched = changes.both.matched
+    wrong: dict[Key, Diagnostic] = {}
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for name, content in contents.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(content)
+        try:
+            if urdf[1] is not None:
+                again = read_urdf(folder / urdf[1], urdf[0].packages)
+                wrong |= _odd_in_urdf(changes, urdf[0], again)
+            if mjcf[1] is not None:
+                wrong |= _odd_in_mjcf(changes, mjcf[0].model, read_mjcf(folder / mjcf[1]).model)
+        except ModelError as error:
+            told = error.cause.with_names(lambda text: text.replace(f"{folder}/", ""))
+            raise ModelError(
+                matched.robot.name, diagnose("written-not-read", problem=told)
+            ) from error
+    if wrong:
+        raise refuse_numbers(matched.robot, wrong)
+
+
+def _odd_in_urdf(
+    changes: NumberChanges, before: UrdfFile, after: UrdfFile
+) -> dict[Key, Diagnostic]:
+    """Returns what Pinocchio reads of a written URDF that is not as wanted."""
+    models = [
+        pin.buildModelFromXML(for_engines(file.root), pin.JointModelFreeFlyer())
+        for file in (before, after)
+    ]
+    wrong: dict[Key, Diagnostic] = {}
+    matched = changes.both.matched
+    for mover, link in matched.urdf_link.items():
+        one, two = (_of_link(model, link) for model in models)
+        wrong |= _odd_body(changes, "urdf", mover, one, two)
+    for name, other in matched.urdf_joint.items():
+        for kind in ("damping", "friction"):
+            values = [
+                float(getattr(model, kind)[model.joints[model.getJointId(other)].idx_v])
+                for model in models
+            ]
+            wrong |= _odd_number(changes, (kind, name), *values, motors=True)
+    return wrong
+
+
+def _of_link(model: pin.Model, link: str) -> Array:
+    """Returns the ten dynamic parameters of all that moves with a link, in its frame."""
+    frame = model.frames[model.getFrameId(link, pin.FrameType.BODY)]
+    whole = frame.placement.actInv(model.inertias[frame.parentJoint])
+    return np.array(whole.toDynamicParameters())
+
+
+def _odd_in_mjcf(
+    changes: NumberChanges, before: mujoco.MjModel, after: mujoco.MjModel
+) -> dict[Key, Diagnostic]:
+    """Returns what MuJoCo reads of a written MJCF that is not as wanted."""
+    matched, wrong = changes.both.matched, dict[Key, Diagnostic]()
+    bodies = {before.body(i).name or f"body_{i}": i for i in range(1, before.nbody)}
+
+    for mover, body in matched.mjcf_body.items():
+        if body in bodies:
+            one, two = (_of_body(model, bodies[body]) for model in (before, after))
+            wrong |= _odd_body(changes, "mjcf", mover, one, two)
+
+    own = matched.robot.mj_model
+    for name in matched.robot.joint_names:
+        body = str(own.body(int(own.jnt_bodyid[own.joint(name).id])).name)
+        joint = mujoco.mj_name2id(before, mujoco.mjtObj.mjOBJ_JOINT, name)
+        joint = int(before.body_jntadr[bodies[body]]) if joint < 0 else joint
+        dof = int(before.jnt_dofadr[joint])
+        for kind in OF_JOINTS:
+            array = BY_KIND[kind].mujoco
+            values = [float(getattr(model, array)[dof]) for model in (before, after)]
+            wrong |= _odd_number(changes, (kind, name), *values)
+        drives = drives_of(before, joint)
+        if len(drives) == 1:
+            for at, kind in enumerate(OF_SERVOS):
+                values = [law_of(model, drives[0]).at_joint[at] for model in (before, after)]
+                if (kind, name) in changes.wanted or ("kp", name) in changes.wanted:
+                    wrong |= _odd_number(changes, (kind, name), *values)
+    return wrong
+
+
+def _of_body(model: mujoco.MjModel, body: int) -> Array:
+    """Returns the ten dynamic parameters of all that moves with a body, in its frame."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    here = _pose(data, body)
+    whole = np.zeros(10)
+    for other in np.flatnonzero(model.body_weldid == model.body_weldid[body]).tolist():
+        if other:
+            own = (here.inverse() * _pose(data, other)).act(inertia_of_body(model, other))
+            whole += own.toDynamicParameters()
+    return whole
+
+
+def _pose(data: mujoco.MjData, body: int) -> pin.SE3:
+    return pin.SE3(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+
+def _odd_body(
+    changes: NumberChanges, side: str, mover: str, before: Array, after: Array
+) -> Iterator[tuple[Key, Diagnostic]]:
+    """Yields a body that has not changed by what was wanted, if it has not."""
+    apart = np.abs(after - before - changes.step(side, mover))
+    sizes = np.repeat([abs(after[0]), max(abs(after[0]), 1e-3), np.abs(after[4:]).max()], [1, 3, 6])
+    if (apart > _WRITTEN * np.maximum(sizes, 1e-300)).any():
+        kind = next((k for k in OF_BODIES if (k, mover) in changes.wanted), "mass")
+        yield (kind, mover), diagnose("read-otherwise")
+
+
+def _odd_number(
+    changes: NumberChanges, key: Key, before: float, after: float, *, motors: bool = False
+) -> Iterator[tuple[Key, Diagnostic]]:
+    """Yields a number of a joint that is not what was wanted, or has changed unasked."""
+    wanted = before
+    if key in changes.wanted:
+        wanted = float(changes.wanted[key])
+        if motors:
+            wanted = float(getattr(changes.tree("urdf").joints[key[1]], BY_KIND[key[0]].field))
+    if abs(after - wanted) > _WRITTEN * max(abs(wanted), abs(before)):
+        yield key, diagnose("read-otherwise")
+
+
+# Given numbers of a robot, by what moves, and what both of its models become with them.
+
+
+OF_BODIES = ("mass", "com", "inertia")
+OF_JOINTS = ("damping", "friction", "armature")
+OF_SERVOS = ("kp", "kd")
+
+_OWN = 1e-6
+"""Relative: a robot's number is that of its file. What an engine makes of a file, converted or
+aligned, is good to some 1e-9; what was changed since differs by more than anybody writes digits."""
+
+
+def refuse_numbers(robot: Robot, left: Mapping[Key, Diagnostic]) -> ModelError:
+    """Returns the error that names the numbers that cannot be written, each with its reason."""
+    problems = [diagnose("number-unwritten", what=" ".join(k), why=why) for k, why in left.items()]
+    return ModelError(robot.name, diagnose("numbers-unwritten", problems=problems))
+
+
+def resolve_numbers(matched: Match, numbers: Mapping[Key, ArrayLike]) -> dict[Key, Array]:
+    """Returns the numbers by the names of base and joints that move what they are of.
+
+    Raises:
+        UnknownNameError: If an element is not there.
+    """
+    movers: dict[str, str] = {}
+    for names in (matched.mjcf_body, matched.urdf_link):
+        movers |= {name: mover for mover, name in names.items()}
+    movers |= {mover: mover for mover in matched.urdf_link}
+    model, found = matched.robot.pin_model, {}
+    for (kind, element), value in numbers.items():
+        mover = movers.get(element)
+        if kind not in OF_BODIES:
+            mover = element if element in matched.robot.joint_names else None
+        elif mover is None and model.existFrame(element, pin.FrameType.BODY):
+            at = model.frames[model.getFrameId(element, pin.FrameType.BODY)].parentJoint
+            name = str(model.names[at])
+            mover = name if name in matched.robot.joint_names else matched.robot.base
+        if mover is None:
+            known = movers if kind in OF_BODIES else matched.robot.joint_names
+            what = "link" if kind in OF_BODIES else "joint"
+            raise UnknownNameError(matched.robot.name, what, element, known)
+        found[kind, mover] = np.array(value, dtype=float)
+    return found
+
+
+def check_own(robot: Robot, changes: NumberChanges) -> None:
+    """Checks that a robot's bodies are those that its files state, in the same frames.
+
+    All of them: where one is not, the files are another robot's, whatever is written.
+
+    Raises:
+        ModelError: If one is not: it was changed since, or derived.
+    """
+    both = changes.both
+    own, base = kinematic_trees(robot)[0], both.matched.robot.base
+    for mover in both.matched.urdf_link:
+        stated = both.urdf.bodies[mover]
+        body = own.bodies.get(own.base if mover == base else mover, stated)
+        size = max(float(np.abs(stated.inertia).max()), 1e-300)
+        if mover == base and not robot.floating:  # in the world's frame
+            body = replace(body, com=stated.com, inertia=stated.inertia)
+        if (
+            abs(body.mass - stated.mass) > _OWN * stated.mass
+            or float(np.abs(body.com - stated.com).max()) > _OWN
+            or float(np.abs(body.inertia - stated.inertia).max()) > 1e3 * _OWN * size
+        ):
+            told = diagnose(
+                "robot-is-not-its-files",
+                subject=("link", both.matched.urdf_link.get(mover, mover)),
+                file=both.matched.robot.description.urdf_source.name,
+                mass=Quantity(body.mass, "kg"),
+                stated=Quantity(stated.mass, "kg"),
+            )
+            raise ModelError(robot.name, told)
+
+
+class NumberChanges:
+    """What both robots shall be.
+
+    Args:
+        both: The robots, in the URDF's link frames.
+        wanted: {(kind, base or joint): value}.
+    """
+
+    def __init__(self, both: MatchedRobots, wanted: Mapping[Key, Array]) -> None:
+        self.both, self.wanted = both, wanted
+        model = both.matched.robot.mj_model
+        joints = both.matched.robot.joint_names
+        dofs = [int(model.jnt_dofadr[model.joint(name).id]) for name in joints]
+        self.movers = tuple(dict.fromkeys(name for kind, name in wanted if kind in OF_BODIES))
+        more = {
+            "damping": joint_damping(model) - model.dof_damping,
+            "armature": joint_armature(model) - model.dof_armature,
+        }
+        self._of_motors = {
+            kind: dict(zip(joints, values[dofs].tolist(), strict=True))
+            for kind, values in more.items()
+        }
+
+    def tree(self, side: str) -> MultibodyTree:
+        """Returns what a robot shall be, of ``"urdf"`` or ``"mjcf"``."""
+        tree = self.both.urdf if side == "urdf" else self.both.mjcf
+        bodies, joints = dict(tree.bodies), dict(tree.joints)
+        for mover in self.movers:
+            bodies[mover] = self._body(bodies[mover], mover)
+        for (kind, name), value in self.wanted.items():
+            if kind in OF_JOINTS:
+                whole = float(value) + float(self._of_motors.get(kind, {}).get(name, 0.0))
+                changed: dict[str, Any] = {BY_KIND[kind].field: whole}
+                joints[name] = replace(joints[name], **changed)
+        return replace(tree, bodies=bodies, joints=joints)
+
+    def _body(self, body: TreeBody, mover: str) -> TreeBody:
+        mass = float(self.wanted.get(("mass", mover), np.array(body.mass)))
+        com = self.wanted.get(("com", mover), body.com)
+        pattern = body.inertia * (mass / body.mass if body.mass > 0 else 1.0)
+        return replace(
+            body, mass=mass, com=com, inertia=self.wanted.get(("inertia", mover), pattern)
+        )
+
+    def step(self, side: str, mover: str) -> Array:
+        """Returns by what a body changes in its file's frame, as its ten dynamic parameters."""
+        frames = self.both.urdf_frames if side == "urdf" else self.both.mjcf_frames
+        before = self.both.urdf if side == "urdf" else self.both.mjcf
+        frame = frames[mover]
+        one, two = (
+            frame.actInv(tree.bodies[mover].rigid).toDynamicParameters()
+            for tree in (before, self.tree(side))
+        )
+        return np.array(two - one)

@@ -27,9 +27,9 @@ from pupper_analysis.tools.audit.audit import (
     Severity,
     audit_model,
 )
-from pupper_analysis.tools.audit.pairs import mirror_name, mirror_pairs
 from pupper_analysis.tools.audit.registry import CHECKS
 from pupper_analysis.tools.audit.rules.joints import expected_axis
+from pupper_analysis.tools.audit.rules.mirror import mirror_name, mirror_pairs
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT
 

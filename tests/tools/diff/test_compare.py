@@ -27,7 +27,7 @@ from pupper_analysis.models.multibody import (
     with_fixed,
 )
 from pupper_analysis.robot.matching.trees import kinematic_trees
-from pupper_analysis.tools.diff.behaviour import Trial
+from pupper_analysis.tools.diff.compare import Trial
 from tests.support.commands import Answer, answer
 from tests.support.repository import ROOT
 from tests.support.robots import (

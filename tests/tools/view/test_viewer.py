@@ -14,19 +14,14 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.pupper.variants import model_folder
-from pupper_analysis.tools.view import (
-    drop,
-    viewer,
-    window,
-    words,
-)
+from pupper_analysis.tools.view import viewer
 
 GRAVITY = 9.81
 
 
 @pytest.fixture(scope="module")
-def dropped() -> drop.Drop:
-    return drop.drop()
+def dropped() -> viewer.Drop:
+    return viewer.drop()
 
 
 def home(file: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
@@ -40,16 +35,16 @@ def home(file: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
 # ------------------------------------------------------------------------------------- the drop
 
 
-def test_a_dropped_robot_falls_lands_and_holds(dropped: drop.Drop) -> None:
+def test_a_dropped_robot_falls_lands_and_holds(dropped: viewer.Drop) -> None:
     assert dropped.height[0] == 0.28
-    assert dropped.time[-1] == pytest.approx(drop.DEFAULT_SECONDS)
+    assert dropped.time[-1] == pytest.approx(viewer.DEFAULT_SECONDS)
     assert len(dropped.time) == len(dropped.height)
     assert dropped.height[-1] == pytest.approx(0.120, abs=5e-4)
     assert dropped.height_deviation < 5e-6
     assert dropped.stable
 
 
-def test_a_dropped_robot_falls_freely_until_it_lands(dropped: drop.Drop) -> None:
+def test_a_dropped_robot_falls_freely_until_it_lands(dropped: viewer.Drop) -> None:
     touchdown = dropped.readings[1].time
     falling = dropped.time < touchdown - 0.01
     expected = 0.28 - GRAVITY / 2 * dropped.time[falling] ** 2
@@ -57,7 +52,7 @@ def test_a_dropped_robot_falls_freely_until_it_lands(dropped: drop.Drop) -> None
     np.testing.assert_allclose(dropped.height[falling], expected, atol=2e-3)
 
 
-def test_the_imu_feels_the_fall_the_impact_and_gravity(dropped: drop.Drop) -> None:
+def test_the_imu_feels_the_fall_the_impact_and_gravity(dropped: viewer.Drop) -> None:
     release, touchdown, impact, rest = dropped.readings
     moments = [reading.moment for reading in dropped.readings]
     assert moments == ["release", "touchdown", "impact", "rest"]
@@ -70,9 +65,9 @@ def test_the_imu_feels_the_fall_the_impact_and_gravity(dropped: drop.Drop) -> No
 
 
 def test_the_default_time_is_well_beyond_what_it_takes_to_settle() -> None:
-    assert drop.drop(2.4).height_deviation < 5e-6
-    assert drop.drop(2.2).height_deviation > 5e-6
-    assert drop.DEFAULT_SECONDS > 2 * 2.4
+    assert viewer.drop(2.4).height_deviation < 5e-6
+    assert viewer.drop(2.2).height_deviation > 5e-6
+    assert viewer.DEFAULT_SECONDS > 2 * 2.4
 
 
 def test_stand_prints_its_result(capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,7 +82,6 @@ def test_stand_prints_its_result(capsys: pytest.CaptureFixture[str]) -> None:
 def test_stand_says_that_it_is_not_stable(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(drop, "STABLE_DEVIATION", 1e-9)
     monkeypatch.setattr(viewer, "STABLE_DEVIATION", 1e-9)
     assert not viewer.drop_and_report(headless=True)
     assert "(>= 1e-06 mm = NOT stable)" in capsys.readouterr().out
@@ -102,10 +96,12 @@ def test_bad_seconds_are_refused(seconds: float) -> None:
 
 @pytest.mark.parametrize("name", ["original", "v3-heavy"])
 def test_other_variants_fall_and_stand(name: str) -> None:
-    result = drop.drop(4.0, robot=name)
+    result = viewer.drop(4.0, robot=name)
     assert result.stable
     assert result.readings[1].time > 0.1  # it has fallen
-    expected = math.sqrt(2 * drop.FALL / GRAVITY) if name == "original" else result.readings[1].time
+    expected = (
+        math.sqrt(2 * viewer.FALL / GRAVITY) if name == "original" else result.readings[1].time
+    )
     assert result.readings[1].time == pytest.approx(expected, abs=0.01)
     assert result.readings[-1].acceleration[2] == pytest.approx(GRAVITY, abs=0.02)
 
@@ -127,7 +123,7 @@ def test_view_tells_sizes_joints_and_imu(
     assert len(joints) == 12
     readings = [re.match(r'  data\.sensor\("(\w+)"\)\.data +(.*)', line) for line in lines]
     sensors = {found[1]: found[2].split() for found in readings if found}
-    assert set(sensors) == set(words.IMU_SENSORS)
+    assert set(sensors) == set(viewer.IMU_SENSORS)
     assert [float(value) for value in sensors["body_quat"][:4]] == [1, 0, 0, 0]
     assert float(sensors["body_acc"][2]) == pytest.approx(acceleration, abs=1e-3)
     assert sensors["body_acc"][3] == "m/s^2"
@@ -136,16 +132,16 @@ def test_view_tells_sizes_joints_and_imu(
 def test_the_snippet_reads_the_imu() -> None:
     model, data = home("pupper_v3_fixed.xml")
     names = {"data": data}
-    exec(words.IMU_SNIPPET, names)
+    exec(viewer.IMU_SNIPPET, names)
     imu = names["imu"]
     assert set(imu) == {model.sensor(index).name for index in range(model.nsensor)}
     np.testing.assert_allclose(imu["body_acc"], [0, 0, GRAVITY], atol=1e-9)
 
 
 def test_what_the_joints_really_do() -> None:
-    robot, data = drop.at_home("v3", fixed=True)
+    robot, data = viewer.at_home("v3", fixed=True)
     model = robot.mj_model
-    actions = {action.name: action for action in words.joint_actions(robot, data)}
+    actions = {action.name: action for action in viewer.joint_actions(robot, data)}
     assert list(actions) == [model.actuator(index).name for index in range(model.nu)]
     for name, action in actions.items():
         side = 1.0 if "_l_" in name else -1.0
@@ -156,13 +152,13 @@ def test_what_the_joints_really_do() -> None:
 
 @pytest.mark.parametrize("fixed", [True, False])
 def test_feet_move_as_told(fixed: bool) -> None:
-    robot, data = drop.at_home("v3", fixed=fixed)
+    robot, data = viewer.at_home("v3", fixed=fixed)
     model = robot.mj_model
     if not fixed:  # another attitude of the base must make no difference
         data.qpos[3:7] = [0.5, -0.5, 0.5, 0.5]
         mujoco.mj_forward(model, data)
     base = model.body("base_link").id
-    for action in words.joint_actions(robot, data):
+    for action in viewer.joint_actions(robot, data):
         site = model.site(f"{action.name[:-1]}3_foot_site").id
         jacobian = np.zeros((3, model.nv))
         mujoco.mj_jacSite(model, data, jacobian, None, site)
@@ -172,7 +168,7 @@ def test_feet_move_as_told(fixed: bool) -> None:
 
 
 def test_an_axis_between_two_is_oblique() -> None:
-    assert words._motion(np.array([1.0, 1.0, 0.0]) / math.sqrt(2)) == "oblique"
+    assert viewer._motion(np.array([1.0, 1.0, 0.0]) / math.sqrt(2)) == "oblique"
 
 
 # ------------------------------------------------------------------------------------- no window
@@ -190,9 +186,9 @@ def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for show in (
         lambda: viewer.view_robot(fixed=True, headless=False),
         lambda: viewer.drop_and_report(headless=False),
-        lambda: drop.drop(window=True),
+        lambda: viewer.drop(window=True),
     ):
-        with pytest.raises(window.DisplayError, match=r"no display.*--headless") as caught:
+        with pytest.raises(viewer.DisplayError, match=r"no display.*--headless") as caught:
             show()
         assert isinstance(caught.value, PupperAnalysisError)
         assert "\n" not in str(caught.value)
@@ -204,15 +200,15 @@ def test_macos_is_told_of_mjpython(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(sys, "platform", "darwin")
     monkeypatch.setattr(sys, "argv", ["scripts/view_pupper.py", "--fixed-base"])
-    with pytest.raises(window.DisplayError, match=r"mjpython scripts/view_pupper\.py --fixed-base"):
-        window.check_display()
+    with pytest.raises(viewer.DisplayError, match=r"mjpython scripts/view_pupper\.py --fixed-base"):
+        viewer.check_display()
     monkeypatch.setattr(mujoco_viewer, "_MJPYTHON", object())
-    window.check_display()
+    viewer.check_display()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is how Linux says so")
 def test_a_screen_that_is_not_there_ends_no_interpreter() -> None:
-    code = "from pupper_analysis.tools.view import window; window.check_display()"
+    code = "from pupper_analysis.tools.view import viewer; viewer.check_display()"
     environment = {**os.environ, "DISPLAY": ":4711"}
     environment.pop("WAYLAND_DISPLAY", None)
     done = subprocess.run(
@@ -245,15 +241,15 @@ def test_play_keeps_time_and_stops_with_the_window() -> None:
         def sync(self) -> None:
             return None
 
-    window.play_steps(Window(1000), 0.002, lambda: calls.append(1), 50)
+    viewer.play_steps(Window(1000), 0.002, lambda: calls.append(1), 50)
     assert len(calls) == 50  # 0.1 s
     calls.clear()
-    window.play_steps(Window(6), 0.002, lambda: calls.append(1))
+    viewer.play_steps(Window(6), 0.002, lambda: calls.append(1))
     assert 25 <= len(calls) <= 250
 
 
 def test_a_window_that_is_closed_early_changes_nothing(
-    monkeypatch: pytest.MonkeyPatch, dropped: drop.Drop
+    monkeypatch: pytest.MonkeyPatch, dropped: viewer.Drop
 ) -> None:
     handle = SimpleNamespace(
         is_running=lambda: False,
@@ -263,7 +259,7 @@ def test_a_window_that_is_closed_early_changes_nothing(
     )
     from mujoco import viewer as mujoco_viewer
 
-    monkeypatch.setattr(window, "check_display", lambda: None)
+    monkeypatch.setattr(viewer, "check_display", lambda: None)
     monkeypatch.setattr(mujoco_viewer, "launch_passive", lambda model, data: handle)
-    seen = drop.drop(window=True)
+    seen = viewer.drop(window=True)
     np.testing.assert_array_equal(seen.height, dropped.height)

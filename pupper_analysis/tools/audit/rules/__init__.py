@@ -1,20 +1,16 @@
-"""The rules; importing this package registers them, in the order of the documentation."""
+"""The rules; importing this package registers them."""
 
-from pupper_analysis.tools.audit.rules import (  # noqa: F401, I001  (the order is that of the table)
+from pupper_analysis.tools.audit.rules import (  # noqa: F401
+    actuators,
+    files,
+    joints,
+    legs,
     mass,
-    engines,
-    inertia,
+    mirror,
     scale,
     shapes,
-    mirror,
-    joints,
-    limits,
-    legs,
-    values,
-    numbers,
-    files,
-    actuators,
-    start,
     simulation,
+    start,
     usd,
+    values,
 )

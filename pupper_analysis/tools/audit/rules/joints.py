@@ -1,21 +1,33 @@
-"""Rules about joint axes."""
+"""Rules about the axes and the limits of joints."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 
+import mujoco
 import numpy as np
 
 from pupper_analysis.base.diagnostics import (
+    Diagnostic,
     Quantity,
     Term,
     Vector,
     diagnose,
 )
-from pupper_analysis.models.stated.model import HINGE, RobotModel
-from pupper_analysis.tools.audit.pairs import mirror_plane
+from pupper_analysis.models.attributes import BY_KIND
+from pupper_analysis.models.efforts import Motor, placeholder_efforts
+from pupper_analysis.models.stated.mjcf import line_of
+from pupper_analysis.models.stated.model import (
+    HINGE,
+    Joint,
+    MjcfModel,
+    RobotModel,
+    UrdfModel,
+)
 from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.rules.mirror import mirror_plane
 
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
 
@@ -84,3 +96,134 @@ def axis_not_unit(robot: RobotModel) -> Iterator[Found]:
             axis = Vector(tuple(joint.raw_axis), "1")
             told = diagnose("axis-not-unit", axis=axis, length=Quantity(length, "1"))
             yield Found("joint", joint.name, told, "axis")
+
+
+# Rules about the limits of joints.
+
+
+@rule
+def range_empty(robot: RobotModel) -> Iterator[Found]:
+    """Finds lower >= upper, also where both are left out of a URDF, where they count as 0.
+
+    Of an MJCF's ranges that nothing says to be off, also those of actuators: MuJoCo takes an
+    inverted one for none, without a word.
+    """
+    for joint in robot.joints.values():
+        if joint.moves and joint.lower >= joint.upper:
+            lower, upper = Quantity(joint.lower, joint.unit), Quantity(joint.upper, joint.unit)
+            told = diagnose("range-empty", lower=lower, upper=upper)
+            yield Found("joint", joint.name, told, "limit")
+    if isinstance(robot, MjcfModel) and robot.refusal is None:
+        yield from _inverted(robot)
+
+
+def _inverted(robot: MjcfModel) -> Iterator[Found]:
+    spec, auto = robot.file.spec, mujoco.mjtLimited.mjLIMITED_AUTO
+    kinds = (
+        ("joint", spec.joints, (("range", "limited"), ("actfrcrange", "actfrclimited"))),
+        (
+            "actuator",
+            spec.actuators,
+            (("ctrlrange", "ctrllimited"), ("forcerange", "forcelimited")),
+        ),
+        ("tendon", spec.tendons, (("range", "limited"),)),
+    )
+    for tag, elements, pairs in kinds:
+        for element in elements:
+            for name, switch in pairs:
+                low, high = np.array(getattr(element, name)).reshape(-1)[:2]
+                if getattr(element, switch) == auto and low > high:
+                    around = element.parent.name if tag == "joint" else robot.base
+                    place = None if element.name else line_of(robot.file, element, around)
+                    told = diagnose("range-inverted", attribute=name, low=low, high=high)
+                    yield Found(tag, element.name, told, place=place)
+
+
+@rule
+def limit_missing(robot: RobotModel) -> Iterator[Found]:
+    """Finds hinges and slides without a range, but for wheels.
+
+    In a URDF, these are those of type continuous: others without <limit> are refused on reading.
+    """
+    for joint in robot.joints.values():
+        if joint.moves and math.isinf(joint.lower) and "wheel" not in joint.name.lower():
+            ignored = _limits_without_effect(joint)
+            if ignored is not None:
+                yield Found("joint", joint.name, ignored, "limit")
+                continue
+            told = diagnose("joint-without-end", kind=Term(joint.kind))
+            yield Found("joint", joint.name, told)
+
+
+def _limits_without_effect(joint: Joint) -> Diagnostic | None:
+    """Says so if a joint without limits states some all the same: one of type continuous."""
+    lower, upper = (joint.stated.get(f"{end} limit", math.nan) for end in ("lower", "upper"))
+    if not lower < upper:
+        return None
+    return diagnose(
+        "limits-without-effect", lower=Quantity(lower, "rad"), upper=Quantity(upper, "rad")
+    )
+
+
+@rule
+def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
+    """Finds limits of 12 to 400 rad, and a file in degrees with none above 2 pi.
+
+    Limits of 10 rad are a habit of those who want none.
+    """
+    hinges = [
+        j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.lower + j.upper)
+    ]
+    for joint in hinges:
+        limits = (joint.lower, joint.upper)
+        if 12 <= max(map(abs, limits)) <= 400:
+            lower, upper = (Quantity(value, "rad") for value in limits)
+            told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
+            yield Found("joint", joint.name, told, "limit")
+    mjcf = isinstance(robot, MjcfModel) and robot.file.spec.compiler.degree
+    if not (mjcf or robot.format == "usd") or len(hinges) < 3:
+        return
+    widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
+    low, high = np.rad2deg((widest.lower, widest.upper))
+    if max(abs(low), abs(high)) <= 2 * math.pi:
+        told = diagnose(
+            "limits-look-like-radians",
+            hinges=len(hinges),
+            lower=Quantity(widest.lower, "rad"),
+            upper=Quantity(widest.upper, "rad"),
+        )
+        yield Found("joint", widest.name, told)
+
+
+@rule
+def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
+    """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
+    for name, joint in robot.file.tree.joints.items():
+        if joint.is_fixed or joint.mimic is not None:
+            continue
+        stated = robot.joints[name].stated
+        zero = {what: stated[what] for what in ("effort", "velocity") if stated.get(what, 1.0) <= 0}
+        if zero:
+            slides = joint.kind == "prismatic"
+            effort, velocity = (
+                Quantity(zero[what], BY_KIND[what].unit(slides)) if what in zero else None
+                for what in ("effort", "velocity")
+            )
+            told = diagnose(
+                "effort-or-velocity-zero", effort=effort, velocity=velocity, both=len(zero) == 2
+            )
+            yield Found("joint", name, told, "limit")
+
+
+@rule
+def effort_placeholder(robot: RobotModel) -> Iterator[Found]:
+    """Finds efforts that no motor of that mass, armature or robot gives."""
+    motors = []
+    for joint in robot.joints.values():
+        if joint.kind == HINGE:
+            ends = map(robot.carrier, (joint.parent, joint.child))
+            mass = sum(link.mass for end in ends for link in robot.fixed_group(end))
+            armature = joint.stated.get("armature", 0.0)
+            motors.append(Motor(joint.name, joint.effort, mass, armature))
+    for joints, told in placeholder_efforts(motors, robot.total_mass):
+        yield Found("joint", joints[0], told, "limit")
