@@ -4,12 +4,12 @@ from .measurements.log_quality import LogQuality as LogQuality
 from .measurements.log_quality import inspect_log as inspect_log
 from .measurements.stands import MeasuredStands as MeasuredStands
 from .motions.fit import fit_motion as fit_motion
-from .motions.result import MotionFit as MotionFit
 from .parameters import Parameter as Parameter
 from .parameters import Prior as Prior
 from .parameters import parse_prior as parse_prior
 from .result import Estimate as Estimate
 from .result import Fit as Fit
+from .result import MotionFit as MotionFit
 from .stands.fit import fit_stands as fit_stands
 from .stands.plan import StandPlan as StandPlan
 from .stands.plan import plan_stands as plan_stands

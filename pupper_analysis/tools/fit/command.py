@@ -216,7 +216,7 @@ def command(
 
 def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, folder: Path) -> None:
     """Writes the corrected models, unless they would be of a fit that explains nothing."""
-    from pupper_analysis.tools.fit.fitted import write_fit
+    from pupper_analysis.tools.fit.write import write_fit
 
     if not found.explained:
         click.echo(str(diagnose("fit-not-written", folder=str(folder))), err=True)

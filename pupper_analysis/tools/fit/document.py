@@ -10,13 +10,10 @@ from pupper_analysis.present import plots
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.correlation import Correlation
-from pupper_analysis.tools.fit.motions.result import MotionFit
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
-from pupper_analysis.tools.fit.result import Estimate, Fit
+from pupper_analysis.tools.fit.result import Correlation, Estimate, Fit, MotionFit, Together, Told
 from pupper_analysis.tools.fit.stands.plan import StandPlan
 from pupper_analysis.tools.fit.stands.result import JointResidual, StandFit
-from pupper_analysis.tools.fit.told import Together, Told
 
 TITLES = {
     "mass": "fitted-mass",

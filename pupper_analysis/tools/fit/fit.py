@@ -10,10 +10,9 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.tools.fit.held_out import HOLD_OUT
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
-from pupper_analysis.tools.fit.motions.fit import fit_motion
+from pupper_analysis.tools.fit.motions.fit import HOLD_OUT, fit_motion
 from pupper_analysis.tools.fit.parameters import Prior
 from pupper_analysis.tools.fit.result import Fit
 from pupper_analysis.tools.fit.stands.fit import fit_stands

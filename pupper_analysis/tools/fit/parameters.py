@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.units import UNITS
+from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -258,3 +260,38 @@ class ParameterTable:
         """Returns a parameter's value in a vector, or another if it is known."""
         place = self._at.get((kind, subject, component))
         return otherwise if place is None else float(vector[place])
+
+
+# The links that bodies are named by: of all that a joint moves, the one whose frame is its own.
+
+AXES = ("x", "y", "z")
+"""Components of a com, in the link's frame."""
+
+
+def link_of(model: pin.Model, number: int) -> str:
+    """Returns the URDF's link that a joint of Pinocchio's moves.
+
+    Args:
+        model: The model.
+        number: The joint's.
+    """
+    frames = [
+        frame
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == number
+    ]
+    own = next((frame for frame in frames if frame.placement.isIdentity(1e-12)), frames[0])
+    return str(own.name)
+
+
+def bodies_of(robot: Robot) -> tuple[tuple[str, int], ...]:
+    """Returns the moving bodies of a robot: the link each is named by, and its joint's number.
+
+    The links that are fixed to it are part of it. What has no mass is left out.
+    """
+    model = robot.structure.model
+    return tuple(
+        (link_of(model, number), number)
+        for number in range(1, model.njoints)
+        if model.inertias[number].mass > 0
+    )

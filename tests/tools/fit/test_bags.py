@@ -15,7 +15,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
-from pupper_analysis.tools.fit.measurements import bags, unpacking
+from pupper_analysis.tools.fit.measurements import bags
 from pupper_analysis.tools.fit.measurements.log import Log
 from pupper_analysis.tools.fit.measurements.log_files import read_log
 
@@ -306,8 +306,8 @@ def test_packed_bags_are_unpacked_within_limits(
     time, kinds = bags.read_bag(path, {}, ())
     np.testing.assert_allclose(time, TIME, atol=1e-6)
     np.testing.assert_array_equal(kinds["position"]["hip"], POSITION[:, 1])
-    monkeypatch.setattr(unpacking, "MOST_CHUNK", 50)  # bytes: less than a message
-    monkeypatch.setattr(unpacking, "MOST_FILE", 1000)
+    monkeypatch.setattr(bags, "MOST_CHUNK", 50)  # bytes: less than a message
+    monkeypatch.setattr(bags, "MOST_FILE", 1000)
     with pytest.raises(MeasurementError) as refused:
         bags.read_bag(path, {}, ())
     assert refused.value.cause.code == "bag-too-large"
@@ -321,7 +321,7 @@ def test_a_chunk_of_zeros_does_not_take_what_it_unpacks_to(tmp_path: Path) -> No
 
     from lz4 import frame
 
-    from pupper_analysis.tools.fit.measurements.unpacking import _bounded
+    from pupper_analysis.tools.fit.measurements.bags import _bounded
 
     piece = frame.compress(bytes(10_000_000))
     unpack = _bounded(frame.LZ4FrameDecompressor)
@@ -329,7 +329,7 @@ def test_a_chunk_of_zeros_does_not_take_what_it_unpacks_to(tmp_path: Path) -> No
     with pytest.raises(ValueError, match="in the midst"):
         unpack(piece[:-10])
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(unpacking, "MOST_CHUNK", 25_000_000)
+        patch.setattr(bags, "MOST_CHUNK", 25_000_000)
         tracemalloc.start()
         with pytest.raises(MeasurementError):
             unpack(piece * 200)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.fit.consistency import make_consistent
+from pupper_analysis.tools.fit.consistency import hull_of, make_consistent
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.hulls import hull_of
 from pupper_analysis.tools.fit.parameters import Parameter
 
 LINK = "base_link"

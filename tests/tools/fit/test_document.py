@@ -17,12 +17,17 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.documents.registry import document
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.motions.result import MotionFit
 from pupper_analysis.tools.fit.parameters import Parameter
-from pupper_analysis.tools.fit.result import Estimate, Expected, describe_parameters
+from pupper_analysis.tools.fit.result import (
+    Estimate,
+    Expected,
+    MotionFit,
+    Together,
+    Told,
+    describe_parameters,
+)
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan
 from pupper_analysis.tools.fit.stands.result import JointResidual, StandFit
-from pupper_analysis.tools.fit.told import Together, Told
 
 PARAMETERS = (
     Parameter("offset", "knee", "", 0.01, 0.035),

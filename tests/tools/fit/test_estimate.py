@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import FitError
-from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.tools.fit.moments import Moments
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, Slopes, estimate_parameters
+from pupper_analysis.tools.fit.motions.rollouts import Moments
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.tools.fit.slopes import Slopes
 
 Array = np.ndarray
 

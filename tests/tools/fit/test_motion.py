@@ -14,8 +14,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, UnknownNameError
 from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.tools.fit.motions.fit import fit_motion
-from pupper_analysis.tools.fit.motions.result import MotionFit
-from pupper_analysis.tools.fit.told import Told, told_by
+from pupper_analysis.tools.fit.result import MotionFit, Told, told_by
 from tests.support.bar import MJCF, OFFSET, QUANTUM, TRUE, URDF, bar, log
 
 PRIORS = ("mass=0", "com=0")

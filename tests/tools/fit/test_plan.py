@@ -5,11 +5,16 @@ from __future__ import annotations
 from itertools import combinations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from pupper_analysis.base.errors import MeasurementError
 from pupper_analysis.pupper.load import load_variant
-from pupper_analysis.tools.fit.stands.plan import choose_stands, plan_stands
+from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.tools.fit.parameters import bodies_of, parse_prior
+from pupper_analysis.tools.fit.stands import plan
+from pupper_analysis.tools.fit.stands.plan import RandomStands, choose_stands, plan_stands
+from pupper_analysis.tools.study.parameters import scale_robot
 
 
 def test_the_chosen_make_the_determinant_largest() -> None:
@@ -30,3 +35,74 @@ def test_the_chosen_make_the_determinant_largest() -> None:
 def test_servos_that_are_too_soft_hold_no_stand() -> None:
     with pytest.raises(MeasurementError, match="only 0 of 3"):
         plan_stands(load_variant("v3"), 3, kp=0.3)
+
+
+# --------- Random stands: com and joints keep off by what is not known of them, and what is refused
+
+
+@pytest.mark.parametrize(
+    "priors", [("mass=20%", "com=2mm"), ("mass=0", "com=0", "com:base_link=4mm")]
+)
+def test_the_com_is_aside_by_as_much_as_robots_with_drawn_numbers(priors: tuple[str, ...]) -> None:
+    """Against 2000 robots whose masses and coms are drawn from the priors.
+
+    The base's com is far forward: where it weighs more, the whole robot's moves by what is between.
+    Their coms are sums of bodies; the first few are made as robots, which have the same com.
+    """
+    robot = scale_robot(load_variant("original"), {"com_x:base_link": 0.08})
+    rng = np.random.default_rng(4)
+    known = [parse_prior(one) for one in priors]
+    mass = next(one.share for one in known if one.kind == "mass" and one.subject == "*")
+    links, numbers = zip(*bodies_of(robot), strict=True)
+    model = robot.structure.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot.structure.convention.unit_q(robot.home))
+    masses = np.array([model.inertias[at].mass for at in numbers])
+    coms = np.array([data.oMi[at].act(model.inertias[at].lever) for at in numbers])
+    axes = np.array([data.oMi[at].rotation for at in numbers])
+    com = [
+        [one.width for one in known if one.kind == "com" and one.subject in ("*", link)][-1]
+        for link in links
+    ]
+    share = 0.0 if np.isnan(mass) else mass
+    factors = 1 + share * rng.normal(size=(2000, len(links)))
+    offsets = np.array(com)[:, None] * rng.normal(size=(2000, len(links), 3))
+    weights = factors * masses
+    places = coms + np.einsum("bij,nbj->nbi", axes, offsets)
+    found = np.einsum("nb,nbi->ni", weights, places) / weights.sum(axis=1)[:, None]
+    for one in range(3):
+        asked = {f"mass:{link}": factors[one, at] for at, link in enumerate(links)}
+        for at, link in enumerate(links):
+            asked |= {f"com_{axis}:{link}": offsets[one, at, i] for i, axis in enumerate("xyz")}
+        drawn = Configuration(scale_robot(robot, asked), robot.home)
+        assert found[one] == pytest.approx(drawn.center_of_mass(), abs=1e-12)
+    aside = np.std(found, axis=0)[:2].max()
+    # A twentieth: what 2000 draws leave, and that heavier robots' coms are not linear in masses.
+    assert plan._com_width(robot, known) == pytest.approx(aside, rel=0.05)
+
+
+@pytest.mark.parametrize("variant", ["original", "long-leg"])
+def test_variants_whose_thighs_pass_near_by_and_near_their_limits_have_stands(
+    variant: str,
+) -> None:
+    """They keep off: joints by three widths of encoders' zeros, links by half of what is there."""
+    robot = load_variant(variant)
+    priors = [parse_prior("offset=2deg"), parse_prior("com=5mm")]
+    found = RandomStands(robot, np.random.default_rng(0), None, priors).draw(6)
+    assert len(found) == 6
+    off = 3 * np.radians(2.0)
+    for stand, sagged in found:
+        assert (stand.qpos[7:] > robot.lower_limits + off - 1e-9).all()
+        assert (stand.qpos[7:] < robot.upper_limits - off + 1e-9).all()
+        assert stand.self_clearance.distance > 0.001
+        assert set(sagged.stance_feet) == set(stand.stance_feet)
+
+
+def test_what_leaves_no_stand_is_named() -> None:
+    robot, rng = load_variant("original"), np.random.default_rng(0)
+    unsure = RandomStands(robot, rng, None, [parse_prior("offset=20deg")])
+    assert unsure.draw(3) == []
+    assert unsure.explain(3).code == "too-few-in-reach"
+    soft = RandomStands(load_variant("v3"), rng, 0.3)
+    assert soft.draw(3) == []
+    assert soft.explain(3).code == "too-few-are-held"

@@ -16,7 +16,7 @@ from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import ParameterTable, give_widths
 from pupper_analysis.tools.fit.stands.equations import StandEquations
 from pupper_analysis.tools.fit.stands.fit import parameters_of
-from pupper_analysis.tools.fit.stands.remedies import further_measurements, on_three_feet
+from pupper_analysis.tools.fit.stands.result import further_measurements, on_three_feet
 from pupper_analysis.tools.fit.stands.rows import StandNoise
 
 Array = NDArray[np.float64]

@@ -13,19 +13,17 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.tools.fit.links import link_of
 from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.moments import Moments
-from pupper_analysis.tools.fit.motions.bodies import MovingBodies
-from pupper_analysis.tools.fit.motions.derivatives import differentiate
+from pupper_analysis.tools.fit.motions.residuals import SeriesNoise, differentiate
 from pupper_analysis.tools.fit.motions.rollouts import (
     SERVOS,
+    Moments,
+    MovingBodies,
     Run,
     Simulator,
     split_runs,
 )
-from pupper_analysis.tools.fit.noise import SeriesNoise
-from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, link_of
 from tests.support.arm import arm
 from tests.support.variants import load
 

@@ -26,12 +26,13 @@ from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import follow_to_end
 from pupper_analysis.stance.stand import solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.fit.hulls import unbounded_coms
-from pupper_analysis.tools.fit.links import bodies_of
+from pupper_analysis.tools.fit.consistency import unbounded_coms
+from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of, read_stands
-from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, give_widths
+from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, bodies_of, give_widths
 from pupper_analysis.tools.fit.stands.equations import StandEquations
-from pupper_analysis.tools.fit.stands.fit import fit_stands, parameters_of
+from pupper_analysis.tools.fit.stands.fit import Logarithms, fit_stands, parameters_of
+from pupper_analysis.tools.fit.stands.result import doubt_surroundings
 from pupper_analysis.tools.fit.stands.rows import StandNoise
 from pupper_analysis.tools.study.parameters import scale_robot
 
@@ -333,3 +334,129 @@ def test_a_file_is_read_with_units_and_readings_of_one_stand_are_averaged(tmp_pa
     path.write_text(path.read_text().replace("9.1", "11"))
     with pytest.raises(MeasurementError, match="not at rest"):
         read_stands(path).repeated()
+
+
+# ------------------------ Logarithms: there and back, their slopes, and a robot that nobody weighed
+
+
+MASS = Parameter("mass", "base", "", 2.0, 1.0)
+OFFSET = Parameter("offset", "knee", "", 0.0, 0.03)
+FRICTION = Parameter("friction", "knee", "", 0.1, 0.1)
+
+
+def test_they_lead_back_and_have_the_slopes_of_finite_differences() -> None:
+    logarithms = Logarithms(ParameterTable((MASS, OFFSET, FRICTION)))
+    x = np.array([3.0, -0.02, 0.05])
+    y = logarithms.of_parameters(x)
+    assert logarithms.to_parameters(y) == pytest.approx(x)
+    step = 1e-6
+    slopes = (logarithms.to_parameters(y + step) - logarithms.to_parameters(y - step)) / (2 * step)
+    assert logarithms.rates(y) == pytest.approx(slopes, rel=1e-6)
+    assert y[1:] == pytest.approx(x[1:])  # what is off by an amount stays as it is
+
+
+def test_twice_and_half_are_as_far_away_and_nothing_of_a_mass_is_below_zero() -> None:
+    table = ParameterTable((MASS, FRICTION))
+    logarithms = Logarithms(table)
+    twice, half = (logarithms.of_parameters(np.array([x, 0.1]))[0] - 2.0 for x in (4.0, 1.0))
+    assert twice == pytest.approx(-half)
+    assert logarithms.to_parameters(np.array([-20.0, 0.1]))[0] > 0
+    assert logarithms.least.tolist() == [-np.inf, 0.0]
+
+
+def test_what_is_told_by_ratios_alone_is_drawn_to_no_side() -> None:
+    """Twelve kp by their ratio to one mass: to 0.8 and 1.25 of it, as many each.
+
+    The stated scale is the most probable one, by symmetry of factors. Of normal distributions it
+    is 5 % less: what differs by a share differs by less if all is less.
+    """
+    factors = np.repeat([0.8, 1.25], 6)
+    parameters = (
+        Parameter("mass", "base", "", 1.0, 0.15),
+        *(Parameter("kp", f"joint {joint}", "", 1.0, 0.15) for joint in range(12)),
+    )
+    table = ParameterTable(parameters)
+    logarithms = Logarithms(table)
+
+    def told(x: Array) -> Linearised:
+        rows = np.column_stack([-x[1:] / x[0] ** 2, np.eye(12) / x[0]])
+        return Linearised.of((x[1:] / x[0] - factors) / 1e-4, rows / 1e-4)
+
+    def by_logarithms(y: Array, _: Array) -> Linearised:
+        return logarithms.linearise(told(logarithms.to_parameters(y)), y)
+
+    found = estimate_parameters(table, by_logarithms, least=logarithms.least)
+    posterior = logarithms.of_posterior(found)
+    assert posterior.mean == pytest.approx([1.0, *factors], abs=1e-3)
+    # What is not known of it, of each in proportion.
+    assert posterior.std / posterior.mean == pytest.approx(np.full(13, found.std[0]), rel=1e-3)
+    assert posterior.shares == pytest.approx(found.shares)
+    plain = estimate_parameters(table, lambda x, _: told(x))
+    assert plain.mean[0] < 0.96
+
+
+# ---------------------- What ground and IMU are not as was said is told by all signs of it together
+
+
+WIDTH = math.radians(0.2)
+
+
+def measured(parameters: tuple[Parameter, ...], values: Array, noise: float) -> Posterior:
+    """Returns what is known once each was measured, with noise in parts of the prior's width."""
+    table = ParameterTable(parameters)
+    n, told = len(parameters), 1 / noise**2
+    share = 1 / (1 + told)
+    width = table.width
+    return Posterior(
+        parameters=table.parameters,
+        mean=table.stated + (1 - share) * (values - table.stated),
+        covariance=share * np.diag(width**2),
+        information=told * np.eye(n),
+        precision=table.precision,
+        chi2=0.0,
+        moved=(1 - share) * (values - table.stated) / width,
+        rows=n,
+        steps=1,
+    )
+
+
+SLOPE = tuple(Parameter("slope", "floor", axis, 0.0, WIDTH) for axis in "xy")
+FEET = tuple(Parameter("softness", foot, "", 1.0, 0.5) for foot in ("FL", "FR", "RL", "RR"))
+
+
+def test_two_weak_signs_of_a_slope_are_one() -> None:
+    """2.6 sigma along each axis: neither alone is beyond 3.1, of which 0.002 are by chance."""
+    noise = 0.5
+    sigma = WIDTH * math.hypot(1, noise)
+    one = measured(SLOPE, np.array([2.6, 0.0]) * sigma, noise)
+    both = measured(SLOPE, np.array([2.6, -2.7]) * sigma, noise)
+    assert not list(doubt_surroundings(one))
+    (told,) = doubt_surroundings(both)
+    assert told.code == "ground-slopes"
+    assert told.values["axis"] == "y"
+    # As measured: not drawn to the level by what was known before.
+    assert told.values["slope"].value == pytest.approx(math.hypot(2.6, 2.7) * sigma)
+
+
+def test_soles_that_are_all_a_little_softer_are_softer() -> None:
+    noise = 1.0
+    sigma = 0.5 * math.hypot(1, noise)
+    alike = measured(FEET, 1 + np.array([2.1, 2.2, 2.3, 1.9]) * sigma, noise)
+    told = list(doubt_surroundings(alike))
+    assert [one.subject.name for one in told if one.subject] == ["FL", "FR", "RL"]
+    assert told[0].values["times"] == pytest.approx(1 + 2.1 * sigma)
+    assert not list(doubt_surroundings(measured(FEET, 1 + np.eye(4)[0] * 2.5 * sigma, noise)))
+
+
+def test_false_alarms_are_as_rare_as_is_said() -> None:
+    rng, noise = np.random.default_rng(0), 0.7
+    alarms = 0
+    for _ in range(4000):
+        true = WIDTH * rng.normal(size=2)
+        found = measured(SLOPE, true + noise * WIDTH * rng.normal(size=2), noise)
+        alarms += bool(list(doubt_surroundings(found)))
+    assert 1 <= alarms <= 20  # 8 on average
+
+
+def test_what_is_not_told_is_not_doubted() -> None:
+    assert not list(doubt_surroundings(measured(SLOPE, np.array([9.0, 9.0]) * WIDTH, 30.0)))

@@ -17,9 +17,8 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.base import files
 from pupper_analysis.tools.fit.estimate import Posterior
-from pupper_analysis.tools.fit.fitted import write_fit
 from pupper_analysis.tools.fit.parameters import Parameter
-from pupper_analysis.tools.fit.write import FitFiles
+from pupper_analysis.tools.fit.write import FitFiles, write_fit
 from pupper_analysis.tools.study.parameters import scale_robot, with_gains
 from tests.support.repository import ROOT
 

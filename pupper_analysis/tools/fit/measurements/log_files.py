@@ -12,10 +12,9 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, MeasurementError
 from pupper_analysis.base.files import reason_of
 from pupper_analysis.base.inputs import check_input
-from pupper_analysis.tools.fit.measurements.bags import is_bag, read_bag
+from pupper_analysis.tools.fit.measurements.bags import MOST_FILE, is_bag, read_bag
 from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
 from pupper_analysis.tools.fit.measurements.log import Log, make_log
-from pupper_analysis.tools.fit.measurements.unpacking import MOST_FILE
 
 COLUMNS = (
     Column("time", "time"),

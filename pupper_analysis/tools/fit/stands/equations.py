@@ -15,11 +15,11 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.estimate import Linearised
-from pupper_analysis.tools.fit.links import AXES, bodies_of
 from pupper_analysis.tools.fit.measurements.stands import APPROACHES, MeasuredStands
-from pupper_analysis.tools.fit.parameters import ParameterTable, give_widths
-from pupper_analysis.tools.fit.stands.numbers import GravityRegressor, Numbers
+from pupper_analysis.tools.fit.parameters import AXES, ParameterTable, bodies_of, give_widths
 from pupper_analysis.tools.fit.stands.rows import (
+    GravityRegressor,
+    Numbers,
     Reading,
     StandNoise,
     StandRows,

@@ -15,21 +15,20 @@ from pupper_analysis.base.errors import ConfigurationError, FitError, Measuremen
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
+from pupper_analysis.tools.fit.consistency import unbounded_coms
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
-from pupper_analysis.tools.fit.hulls import unbounded_coms
-from pupper_analysis.tools.fit.links import AXES, bodies_of
-from pupper_analysis.tools.fit.logarithms import Logarithms
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of
 from pupper_analysis.tools.fit.parameters import (
+    AXES,
+    KINDS,
     ParameterTable,
     Prior,
+    bodies_of,
     give_widths,
     parse_priors,
 )
 from pupper_analysis.tools.fit.stands.equations import StandEquations
-from pupper_analysis.tools.fit.stands.noise_levels import find_noise
-from pupper_analysis.tools.fit.stands.remedies import WEIGHED
-from pupper_analysis.tools.fit.stands.result import StandFit, describe_stands
+from pupper_analysis.tools.fit.stands.result import WEIGHED, StandFit, describe_stands
 from pupper_analysis.tools.fit.stands.rows import StandNoise
 
 Array = NDArray[np.float64]
@@ -362,3 +361,134 @@ def _check_feet(
                     swing=list(stands.swing[row]),
                 )
                 raise MeasurementError(stands.source, told)
+
+
+# Coordinates of parameters in which what is known before is normal: logarithms of what scales.
+
+
+class Logarithms:
+    """A vector of parameters by logarithms of masses and stiffness, and back.
+
+    Stands tell kp and masses by their ratio. Were each normal, all smaller together would be more
+    probable than all larger: twelve kp that differ by a tenth differ by less if all are halved, and
+    the most probable robot was 13 % too light. Factors are as probable either way.
+
+    In place of x there stands x0 + x0 log(x / x0), x0 being the stated value: in the parameter's
+    unit, the same near x0, and with the same width before.
+
+    Args:
+        table: The parameters.
+
+    Attributes:
+        least: (n,) below which coordinates mean nothing.
+    """
+
+    def __init__(self, table: ParameterTable) -> None:
+        kinds = [KINDS[one.kind] for one in table]
+        self._factors = np.array([kind.factor for kind in kinds], dtype=bool)
+        self._stated = table.stated
+        above = np.array([kind.positive for kind in kinds], dtype=bool) & ~self._factors
+        self.least: Array = np.where(above, 0.0, -np.inf)
+
+    def to_parameters(self, logarithms: Array) -> Array:
+        """Returns parameters (n,) of coordinates (n,)."""
+        return np.where(self._factors, self._stated * self.rates(logarithms), logarithms)
+
+    def of_parameters(self, vector: Array) -> Array:
+        """Returns coordinates (n,) of parameters (n,)."""
+        found, stated = vector.copy(), self._stated[self._factors]
+        found[self._factors] = stated * (1 + np.log(vector[self._factors] / stated))
+        return found
+
+    def rates(self, logarithms: Array) -> Array:
+        """Returns how fast parameters change with coordinates (n,): x / x0 of what scales."""
+        found = np.ones(len(logarithms))
+        stated = self._stated[self._factors]
+        found[self._factors] = np.exp(logarithms[self._factors] / stated - 1)
+        return found
+
+    def linearise(self, told: Linearised, logarithms: Array) -> Linearised:
+        """Returns measurements about coordinates, of those about the parameters that they are."""
+        rates = self.rates(logarithms)
+        information = rates[:, None] * told.information * rates
+        return replace(told, information=information, gradient=rates * told.gradient)
+
+    def of_posterior(self, posterior: Posterior) -> Posterior:
+        """Returns what is known of parameters, as it is of coordinates, linear about the best.
+
+        What was known before is as wide as it is there: of a robot twice as heavy, twice as wide.
+        """
+        rates, step = self.rates(posterior.mean), posterior.open_step
+        return replace(
+            posterior,
+            parameters=tuple(
+                replace(one, width=float(rate) * one.width)
+                for one, rate in zip(posterior.parameters, rates, strict=True)
+            ),
+            mean=self.to_parameters(posterior.mean),
+            covariance=rates[:, None] * posterior.covariance * rates,
+            open_step=None if step is None else rates * step,
+        )
+
+
+# How large noise is that nobody states: what the measurements themselves make most likely.
+
+
+_SPREAD = 1.5
+"""Standard deviation of a level's logarithm before: a factor of 4.5 either way."""
+
+_FLATTEST = 1e-4
+"""m: links and floors are no better; simulated ones are, but feet sink by more than is modelled."""
+
+_LEAST_MOMENT = 1e-4
+"""m: what feet keep alike in all stands, which are come to alike, hides in the zeros of encoders.
+No evidence tells of it. Feet of v3 in MuJoCo keep 2e-5 to 1e-3 after 12 s."""
+
+_SETTLES = 4
+"""Steps after which stands' own unknowns change no evidence that is told."""
+
+_EVALUATIONS = 40
+"""Of the evidence, in search of three levels: they are wanted to some ten per cent."""
+
+
+def find_noise(
+    equations: StandEquations, known: Posterior, more: Callable[[Array], Linearised]
+) -> StandNoise:
+    """Returns the noise with moments on feet, flatness and joints' friction that are most likely.
+
+    The greatest evidence: probability of the measurements, whatever the parameters are, times that
+    of the levels, which are log-normal about those that are expected.
+
+    Args:
+        equations: Of the stands, with the noise that is expected.
+        known: With that noise; about its parameters residuals are taken.
+        more: Returns further residuals.
+    """
+    from scipy import optimize  # slow to import
+
+    expected, x, table = equations.noise, known.mean, ParameterTable(known.parameters)
+    equations.linearise(x, x, _SETTLES)  # finds stands' own unknowns
+    about = x.copy()  # so that they stay as they are: no level is better by when it is tried
+
+    def at(levels: Array) -> StandNoise:
+        moment, flatness, friction = np.exp(levels)
+        return replace(
+            expected,
+            moment=max(_LEAST_MOMENT, expected.moment * moment),
+            flatness=max(_FLATTEST, expected.flatness * flatness),
+            friction=expected.friction * friction,
+        )
+
+    def unlikely(levels: Array) -> float:
+        equations.noise = at(levels)
+        told = equations.linearise(x, about, 1) + more(x)
+        # Moments that all stands have alike are as large as those of each.
+        alike = table.scaled("moment", equations.noise.moment / expected.moment)
+        evidence = told.evidence(alike, known.moved)
+        return float(levels @ levels) / (2 * _SPREAD**2) - evidence
+
+    simplex = np.vstack([np.zeros(3), -np.eye(3)])
+    options = {"initial_simplex": simplex, "maxfev": _EVALUATIONS, "xatol": 0.05, "fatol": 0.02}
+    found = optimize.minimize(unlikely, np.zeros(3), method="Nelder-Mead", options=options)
+    equations.noise = expected
+    return at(found.x)

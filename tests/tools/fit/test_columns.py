@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import InputError, MeasurementError
-from pupper_analysis.tools.fit.measurements import npz
-from pupper_analysis.tools.fit.measurements.columns import Column, read_columns
-from pupper_analysis.tools.fit.measurements.npz import read_npz
+from pupper_analysis.tools.fit.measurements import columns
+from pupper_analysis.tools.fit.measurements.columns import Column, read_columns, read_npz
 
 TIME = np.arange(6.0).reshape(2, 3)
 
@@ -62,7 +61,7 @@ def test_zeros_are_refused_before_they_are_unpacked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A thousandth of what they are: three megabytes would be three gigabytes."""
-    monkeypatch.setattr(npz, "MOST_UNPACKED", 30_000_000)
+    monkeypatch.setattr(columns, "MOST_UNPACKED", 30_000_000)
     file = io.BytesIO()
     with (
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable
-from pupper_analysis.tools.fit.told import Told, find_together, told_by
+from pupper_analysis.tools.fit.result import Told, find_together, told_by
 
 Array = NDArray[np.float64]
 
