@@ -40,8 +40,8 @@ import pupper_analysis as pa
 from pupper_analysis.simulation import rollout, verify
 from pupper_analysis.tools.study import running
 from pupper_analysis.tools.study import study as whole
-from pupper_analysis.tools.study.dask import open_cluster
 from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.running import open_cluster
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
 AXES = {  # 10 000 designs of v3

@@ -33,7 +33,7 @@ from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.push.bench import bench_of
 from pupper_analysis.tools.push.recovery import tipping_impulses
 from pupper_analysis.tools.study.document import duration_text
-from pupper_analysis.tools.study.estimate import Estimate
+from pupper_analysis.tools.study.study import Estimate
 from tests.support.engines import changed, mujoco_at
 from tests.support.legged import quadruped
 from tests.support.repository import ROOT

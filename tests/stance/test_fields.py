@@ -19,7 +19,7 @@ from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.present.documents.tasks import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.tools.live import export
-from pupper_analysis.tools.live.sliders import CONTROLS, ranges_of
+from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
 from pupper_analysis.tools.live.state import State, halfway_state, parse_state
 from pupper_analysis.tools.live.variants import LiveVariants
 from pupper_analysis.tools.study.design import STANCE, check_range

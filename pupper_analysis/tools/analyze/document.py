@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,9 +33,6 @@ from pupper_analysis.present.words import text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verify import StandVerification
 from pupper_analysis.tools.analyze.analysis import Analysis
-
-if TYPE_CHECKING:
-    from pupper_analysis.tools.analyze.analysis import Analysis
 
 
 @build_document.register(Analysis)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -15,9 +14,6 @@ from pupper_analysis.cli.matching_options import (
     mapped_names,
     with_changes,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("crosscheck")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -20,9 +19,6 @@ from pupper_analysis.cli.robots import (
     shown_robot,
     with_robot,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("drop")

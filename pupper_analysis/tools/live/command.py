@@ -21,7 +21,7 @@ from pupper_analysis.cli.robots import (
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 
 if TYPE_CHECKING:
-    from pupper_analysis.tools.live.source import LiveSource
+    from pupper_analysis.tools.live.state import LiveSource
 
 
 @shared.command("live")
@@ -81,8 +81,7 @@ def command(
     from pupper_analysis.tools.live.door import is_loopback
     from pupper_analysis.tools.live.held import HeldPage
     from pupper_analysis.tools.live.server import Page, serve
-    from pupper_analysis.tools.live.source import load_source
-    from pupper_analysis.tools.live.state import parse_state
+    from pupper_analysis.tools.live.state import load_source, parse_state
     from pupper_analysis.tools.live.viser_parts import import_viser
 
     import_viser()  # before anything is loaded

@@ -4,29 +4,28 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-from pupper_analysis.base.diagnostics import term
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Term, term
+from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.robot.posture import free_joints, named_positions
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.tool import split_place
-from pupper_analysis.stance.fields import FIELDS, Field
+from pupper_analysis.stance.fields import FIELDS, Field, Slider
+from pupper_analysis.stance.posture import joint_ranges, joint_units
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.live.joints import JointSliders, led_joints
-from pupper_analysis.tools.live.language import Language
-from pupper_analysis.tools.live.sliders import (
-    CONTROLS,
-    Control,
-    Range,
-    ranges_of,
-)
-from pupper_analysis.tools.live.state import State, on_page
+from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, on_page
 from pupper_analysis.tools.live.viser_parts import mark_slider
 
 PLACES = {
@@ -354,3 +353,226 @@ def _folder(field: Field) -> str:
 
 def _within(span: Range, value: float) -> float:
     return min(max(round(value, 2), span.low), span.high)
+
+
+# Sliders of joints: of an arm's, of a stand's posture, and of legs that hang.
+
+Array = NDArray[np.float64]
+
+_SHOWN = {"rad": (180.0 / math.pi, "deg", math.pi), "m": (1e3, "mm", 1.0)}
+"""{unit of a joint: (how many of what the page shows it is, what that is, the end of a slider of a
+joint without limits)}."""
+
+_STEP = 0.5
+"""From notch to notch of a slider (deg, mm): half of what one tells apart on the page."""
+
+_FINE = 2
+"""Digits of a slider's value (deg, mm) where a program sets it."""
+
+_DIGITS = 6
+"""Of a position (rad, m): what is finer than a micrometre or microradian nobody types."""
+
+
+class JointSliders:
+    """A slider for each of some joints, in degrees, or in mm of those that slide.
+
+    Args:
+        gui: viser's interface of one page.
+        robot: The robot.
+        joints: Which.
+        start: (nu,) where they are (rad, m).
+        moved: Is told a joint and its position (rad, m) when somebody moves a slider.
+
+    Attributes:
+        sliders: {joint: viser's slider}.
+    """
+
+    def __init__(
+        self,
+        gui: Any,
+        robot: Robot,
+        joints: Iterable[str],
+        start: Array,
+        moved: Callable[[str, float], None],
+    ) -> None:
+        self._moved = moved
+        self.sliders: dict[str, Any] = {}
+        self._scales: dict[str, float] = {}
+        ranges, units = joint_ranges(robot), joint_units(robot)
+        for name in joints:
+            index = robot.joint_names.index(name)
+            scale, unit, end = _SHOWN[units[index]]
+            ends = np.clip(ranges[index], -end, end) * scale
+            # Inwards, so that no end of a slider is beyond the joint's.
+            low, high = math.ceil(ends[0] / _STEP) * _STEP, math.floor(ends[1] / _STEP) * _STEP
+            value = float(np.clip(round(float(start[index]) * scale, _FINE), low, max(high, low)))
+            name_and_unit = f"{escape_control(name)} ({unit})"
+            slider = gui.add_slider(name_and_unit, low, max(high, low + _STEP), _STEP, value)
+            slider.on_update(partial(self._by_hand, name))
+            self.sliders[name], self._scales[name] = slider, scale
+        self._begin = {name: slider.value for name, slider in self.sliders.items()}
+
+    def _by_hand(self, joint: str, event: Any) -> None:
+        if event.client is not None:  # what a program sets is known
+            self._moved(joint, self._position(joint))
+
+    def _position(self, joint: str) -> float:
+        value = float(self.sliders[joint].value) / self._scales[joint]
+        return round(value, _DIGITS) + 0.0  # never -0
+
+    def positions(self) -> dict[str, float]:
+        """Returns where all of these joints are told to be (rad, m)."""
+        return {joint: self._position(joint) for joint in self.sliders}
+
+    def changed(self) -> dict[str, float]:
+        """Returns where those are told to be that are not where they began (rad, m)."""
+        begin, sliders = self._begin, self.sliders
+        return {n: p for n, p in self.positions().items() if sliders[n].value != begin[n]}
+
+    def show(self, positions: Mapping[str, float]) -> None:
+        """Moves sliders to where joints are (rad, m); the others to where they began."""
+        for joint, slider in self.sliders.items():
+            value = self._begin[joint]
+            if joint in positions:
+                value = round(positions[joint] * self._scales[joint], _FINE)
+            value = min(max(value, slider.min), slider.max)
+            if slider.value != value:
+                slider.value = value
+
+
+def led_joints(robot: Robot) -> tuple[str, ...]:
+    """Returns the joints that follow no other, in actuator order."""
+    follows = () if robot.closure is None else {int(one) for one in robot.closure.following}
+    return tuple(name for index, name in enumerate(robot.joint_names) if index not in follows)
+
+
+# The sliders of a page: what each is about, and how far it goes for one robot.
+
+_WAYS = {"x": Term("forward"), "y": Term("to the left"), "z": Term("up")}
+
+
+@dataclass(frozen=True)
+class Control:
+    """One slider: a field's number, or one of a point's.
+
+    Attributes:
+        name: What it is called: ``roll``, ``offset_x``.
+        field: What it sets.
+        axis: Which number of a point; None for a number.
+    """
+
+    name: str
+    field: Field
+    axis: int | None = None
+
+    def label(self, language: str) -> str:
+        """Returns what it is called, with its unit."""
+        unit, _ = PAGE_UNITS[self.field.kind]
+        axis = "" if self.axis is None else f" {self.field.axes[self.axis]}"
+        return f"{self.field.words(language).label}{axis}" + (f" ({unit})" if unit else "")
+
+    def hint(self, language: str) -> str:
+        """Returns what it is about."""
+        way = {} if self.axis is None else {"axis": _WAYS[self.field.axes[self.axis]]}
+        return fill_template(self.field.words(language).hint, way, language)
+
+    def of(self, value: float | tuple[str | float, ...]) -> float:
+        """Returns its number of the field's value."""
+        if self.axis is None:
+            return float(value)  # type: ignore[arg-type]
+        return float(value[self.axis - len(self.field.axes)])  # type: ignore[index]  # behind a frame
+
+
+CONTROLS = {
+    control.name: control
+    for field in SHOWN.values()
+    if field.per != "joint"
+    for control in (
+        [Control(f"{field.address}_{axis}", field, at) for at, axis in enumerate(field.axes)]
+        or [Control(field.address, field)]
+    )
+}
+"""{name: slider} of all there are, by the names that the page's address has for them; those of
+joints are the robot's (``live.joints``)."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """How a slider goes.
+
+    Attributes:
+        low: Where it begins.
+        high: Where it ends.
+        step: From notch to notch.
+        value: Where it is on a page just opened.
+    """
+
+    low: float
+    high: float
+    step: float
+    value: float
+
+
+def ranges_of(robot: Robot, scales: Mapping[str, float]) -> dict[str, Range]:
+    """Returns the range of each slider: in mm, degrees, kg and N m/rad.
+
+    Lengths are parts of the height of the nominal stand, so that they suit a robot of any size.
+
+    Args:
+        robot: The robot.
+        scales: {name of a scale that it can be made with: its own}.
+    """
+    found = {}
+    for name, control in CONTROLS.items():
+        field, slider = control.field, control.field.slider
+        assert slider is not None  # or the page would not show it
+        if field.kind == "ratio":
+            if name in scales:
+                found[name] = _scale(slider, scales[name])
+        elif field.kind in ("stiffness", "damping"):
+            found[name] = _gain(field, slider, robot)
+        elif field.kind == "angle":
+            found[name] = Range(slider.low, slider.high, slider.step or 0.1, 0.0)
+        else:
+            found[name] = _span(field, slider, robot)
+    return found
+
+
+def _span(field: Field, slider: Slider, robot: Robot) -> Range:
+    """Returns how a length goes, in parts of the robot's height; a mass, of its mass."""
+    whole = robot.total_mass if field.kind == "mass" else 1e3 * robot.stand_height
+    low, high = (math.copysign(round_up(abs(end) * whole), end) if end else 0.0
+                 for end in (slider.low, slider.high))  # fmt: skip
+    step = fine_step((slider.high - max(slider.low, 0.0)) * whole)
+    value = 0.0 if field.nominal == "zero" else 1e3 * getattr(robot, field.nominal)
+    if slider.start is not None:
+        value = min(1e3 * slider.start, high)
+    return Range(step if field.open and low == 0.0 else low, high, step, value)
+
+
+def _scale(slider: Slider, own: float) -> Range:
+    return Range(min(slider.low, own), max(slider.high, own), slider.step or 0.01, own)
+
+
+def _gain(field: Field, slider: Slider, robot: Robot) -> Range:
+    """Returns the range of a gain, around the model's own; 0 is no stiffness."""
+    own = own_servos(robot)
+    values = [gains[("kp", "kd").index(field.name)] for gains in own.values()]
+    middle = float(np.median(values)) if values else 0.0
+    middle = middle or slider.start or 1.0
+    high = round_up(8 * middle)
+    low = fine_step(high) if field.kind == "stiffness" else 0.0
+    return Range(low, high, fine_step(high), middle)
+
+
+def fine_step(span: float) -> float:
+    """Returns a step of which a span has some hundreds: 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(span / 200))
+    return next(factor * power for factor in (1.0, 2.0, 5.0, 10.0) if factor * power >= span / 400)
+
+
+def round_up(value: float) -> float:
+    """Returns the next number of one digit, or of one and a half."""
+    power = 10.0 ** math.floor(math.log10(value))
+    factors = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(round(f * power, 9) for f in factors if f * power >= value * (1 - 1e-9))

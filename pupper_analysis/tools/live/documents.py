@@ -23,10 +23,9 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.verdict import Verdict, VerdictCode
 from pupper_analysis.statics.equilibrium import GravityCompensation
 from pupper_analysis.tools.hold.document import hardest_motor
-from pupper_analysis.tools.live.controls import slider_values
+from pupper_analysis.tools.live.controls import CONTROLS, slider_values
 from pupper_analysis.tools.live.door import without_folders
 from pupper_analysis.tools.live.model import Answer, Hanging, PredictedSag
-from pupper_analysis.tools.live.sliders import CONTROLS
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.push.document import trial_document
 from pupper_analysis.tools.push.trial import PushTrial

@@ -12,12 +12,13 @@ from urllib.parse import quote
 from pupper_analysis.base.results import to_json
 from pupper_analysis.stance.fields import Field
 from pupper_analysis.tools.live.model import Answer, PredictedSag
-from pupper_analysis.tools.live.source import LiveSource, quote_words
 from pupper_analysis.tools.live.state import (
     SHOWN,
+    LiveSource,
     State,
     format_number,
     in_si,
+    quote_words,
 )
 
 PROGRAM = "pupper-analysis"

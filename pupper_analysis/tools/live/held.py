@@ -21,18 +21,22 @@ from pupper_analysis.stance.posture import Posture, find_posture
 from pupper_analysis.statics.equilibrium import gravity_compensation
 from pupper_analysis.tools.hold.hold import hold_posture
 from pupper_analysis.tools.live import render, viser_parts
-from pupper_analysis.tools.live.colour import colour_of
+from pupper_analysis.tools.live.controls import JointSliders, led_joints
 from pupper_analysis.tools.live.documents import (
     failure_document,
     held_document,
     unforeseen_document,
 )
 from pupper_analysis.tools.live.export import hold_command
-from pupper_analysis.tools.live.joints import JointSliders, led_joints
-from pupper_analysis.tools.live.language import Language
-from pupper_analysis.tools.live.scene import Figure, joint_text, quaternion_along
+from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.scene import (
+    Figure,
+    colour_of,
+    joint_text,
+    parts_of,
+    quaternion_along,
+)
 from pupper_analysis.tools.live.server import LOOPBACK, Served
-from pupper_analysis.tools.live.shapes import parts_of
 
 Array = NDArray[np.float64]
 

@@ -34,8 +34,7 @@ from pupper_analysis.stance.soft_ground import solve_stand_as_simulated
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation, gravity_compensation
-from pupper_analysis.tools.live.source import LiveSource
-from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.state import LiveSource, State
 from pupper_analysis.tools.push.trial import PushTrial, simulate_push
 from pupper_analysis.tools.stand.stance import Stance, study_stance
 

@@ -12,13 +12,13 @@ from pupper_analysis.present.words import text
 from pupper_analysis.tools.live import export, render
 from pupper_analysis.tools.live.controls import Controls
 from pupper_analysis.tools.live.documents import hanging_document
-from pupper_analysis.tools.live.language import Language
 from pupper_analysis.tools.live.model import (
     Answer,
     Hanging,
     Model,
     PredictedSag,
 )
+from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.live.viser_parts import clear_but_tabs, named_tabs
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.arrays import rotation_from_quaternion
 from pupper_analysis.present.formats import escape_control
 from pupper_analysis.present.scene import (
     Contact,
@@ -17,15 +20,122 @@ from pupper_analysis.present.scene import (
     StandingScene,
     describe_scene,
     joint_axes,
+    shapes_of,
 )
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import find_place
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.tools.live.colour import colour_of
 from pupper_analysis.tools.live.model import Answer, Hanging
-from pupper_analysis.tools.live.shapes import Colour, ShapePart, parts_of
+
+# What colour says how hard a motor works: blue, yellow, red, which all eyes tell apart.
+
+SCALE: tuple[tuple[float, Colour], ...] = (
+    (0.0, (52, 108, 176)),
+    (0.25, (120, 170, 214)),
+    (0.5, (250, 214, 90)),
+    (0.75, (240, 138, 52)),
+    (1.0, (208, 28, 40)),
+)
+"""Parts of a motor's limit, and their colours."""
+
+BEYOND: Colour = (138, 0, 110)
+"""Above the limit."""
+
+UNLIMITED: Colour = (150, 150, 150)
+"""Of a motor without a limit."""
+
+
+def colour_of(utilisation: float | None) -> Colour:
+    """Returns the colour of a motor's utilisation, in parts of its limit; None without a limit."""
+    if utilisation is None or not math.isfinite(utilisation):
+        return UNLIMITED
+    if utilisation > 1.0:
+        return BEYOND
+    for (low, one), (high, other) in pairwise(SCALE):
+        if utilisation <= high:
+            share = (utilisation - low) / (high - low)
+            red, green, blue = (round(a + share * (b - a)) for a, b in zip(one, other, strict=True))
+            return red, green, blue
+    return BEYOND
+
+
+def to_css(colour: Colour) -> str:
+    """Returns a colour as pages write it."""
+    return f"rgb({colour[0]},{colour[1]},{colour[2]})"
+
+
+# A robot's shapes as triangles, each on its body.
+
+Integers = NDArray[np.int64]
+Colour = tuple[int, int, int]
+
+MOST_FACES = 40_000
+"""Of all meshes of a robot together: half a megabyte, which is sent when a page opens."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePart:
+    """All of a body's shapes that have one colour.
+
+    Attributes:
+        body: Number of the body in MuJoCo's model.
+        vertices: (n, 3) in the body's frame (m).
+        faces: (m, 3) numbers of vertices.
+        colour: Red, green, blue, 0 to 255.
+    """
+
+    body: int
+    vertices: Array
+    faces: Integers
+    colour: Colour
+
+
+def parts_of(model: mujoco.MjModel) -> list[ShapePart]:
+    """Returns a robot's shapes, those of one body and colour together."""
+    shapes, meshes = shapes_of(model, MOST_FACES)
+    found: dict[tuple[int, Colour], list[tuple[Array, Integers]]] = {}
+    for shape in shapes:
+        if shape.mesh is None:
+            vertices, faces = mesh_of_primitive(shape.kind, shape.size)
+        else:
+            vertices, faces = meshes[shape.mesh].vertices, meshes[shape.mesh].faces
+        turn = rotation_from_quaternion(shape.quaternion)
+        red, green, blue = (round(255 * float(value)) for value in shape.colour[:3])
+        placed = vertices @ turn.T + shape.position, faces
+        found.setdefault((shape.body, (red, green, blue)), []).append(placed)
+    return [ShapePart(body, *_joined(parts), colour) for (body, colour), parts in found.items()]
+
+
+def _joined(shapes: list[tuple[Array, Integers]]) -> tuple[Array, Integers]:
+    firsts = np.cumsum([0, *(len(vertices) for vertices, _ in shapes)])
+    faces = [faces + first for (_, faces), first in zip(shapes, firsts, strict=False)]
+    return np.concatenate([vertices for vertices, _ in shapes]), np.concatenate(faces)
+
+
+def mesh_of_primitive(name: str, size: Array) -> tuple[Array, Integers]:
+    """Returns a shape of MuJoCo's as triangles, along z about its centre.
+
+    Args:
+        name: ``sphere``, ``capsule``, ``ellipsoid``, ``cylinder`` or ``box``.
+        size: (3,) MuJoCo's ``geom_size`` (m).
+    """
+    from trimesh import creation  # comes with viser
+
+    a, b, c = (float(value) for value in size)
+    made: Any
+    if name == "box":
+        made = creation.box(extents=(2 * a, 2 * b, 2 * c))
+    elif name == "cylinder":
+        made = creation.cylinder(radius=a, height=2 * b, sections=24)
+    elif name == "capsule":
+        made = creation.capsule(radius=a, height=2 * b, count=(16, 16))
+    else:
+        made = creation.icosphere(subdivisions=2)
+        made.apply_scale((a, a, a) if name == "sphere" else (a, b, c))
+    return np.asarray(made.vertices, dtype=float), np.asarray(made.faces, dtype=np.int64)
+
 
 Array = NDArray[np.float64]
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import itertools
+import sys
 import threading
 import time
 import webbrowser
@@ -11,13 +14,12 @@ from typing import Any
 
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.posture import placed_joints
-from pupper_analysis.tools.live import memory, viser_parts
+from pupper_analysis.tools.live import viser_parts
 from pupper_analysis.tools.live.door import Door
-from pupper_analysis.tools.live.language import NAMES, Language
 from pupper_analysis.tools.live.model import Model
+from pupper_analysis.tools.live.render import NAMES, Language
 from pupper_analysis.tools.live.session import Session
-from pupper_analysis.tools.live.source import LiveSource
-from pupper_analysis.tools.live.state import State, parse_state
+from pupper_analysis.tools.live.state import LiveSource, State, parse_state
 
 LOOPBACK = "127.0.0.1"
 
@@ -97,7 +99,7 @@ class Served:
             session = self.sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
-            memory.give_back_later()
+            give_back_later()
 
     def close(self) -> None:
         """Ends all sessions, and serves no more."""
@@ -208,3 +210,42 @@ def serve(page: Served, *, browser: bool, wait: Callable[[], object]) -> None:
         wait()
     finally:
         page.close()
+
+
+# Memory that a session leaves, given back to the system.
+
+_LATER = 1.0
+"""s after which what a session leaves is given back: its threads have ended, its browser is let go
+of, and of several that leave together it is done once."""
+
+_lock = threading.Lock()
+_waiting: list[threading.Timer] = []
+
+
+def give_back_later() -> None:
+    """Gives memory back in a moment; whoever asks again meanwhile is served as well."""
+    with _lock:
+        if not _waiting:
+            timer = threading.Timer(_LATER, _in_time)
+            timer.daemon = True
+            _waiting.append(timer)
+            timer.start()
+
+
+def _in_time() -> None:
+    with _lock:
+        _waiting.clear()
+    give_back()
+
+
+def give_back() -> None:
+    """Gives back what nobody uses, where the C library can (glibc).
+
+    Each session has two threads, and glibc gives threads arenas of their own, whose free memory it
+    keeps: of 60 sessions, five at a time, 85 MB of which nothing was in use.
+    """
+    gc.collect()
+    if sys.platform == "linux":
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim is not None:
+            trim(0)

@@ -15,7 +15,7 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.tools.study.design import ENDS, NUMBERS, UNBOUNDED
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.named import AXES, OF_JOINTS
+from pupper_analysis.tools.study.parameters import AXES, OF_JOINTS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -100,10 +100,10 @@ def command(
     \b
     Exit status: 0 all designs were measured, 2 bad input, 130 interrupted.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.tools.study import lines as report
-    from pupper_analysis.tools.study.estimate import estimate_study
+    from pupper_analysis.tools.study import document as report
     from pupper_analysis.tools.study.of_variants import Study
     from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
+    from pupper_analysis.tools.study.study import estimate_study
 
     if dry_run:
         refuse_idle("--dry-run", "dask", "scheduler", "figures", "report_path")
@@ -166,7 +166,7 @@ def _executor(dask: bool, scheduler: str | None, workers: int | None) -> Iterato
     if not dask and scheduler is None:
         yield None
         return
-    from pupper_analysis.tools.study.dask import open_cluster
+    from pupper_analysis.tools.study.running import open_cluster
 
     with open_cluster(scheduler, workers) as (executor, dashboard):
         if dashboard:

@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of
+from pupper_analysis.present.terminal import make_console
 from pupper_analysis.present.words import join_words, text, word
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study.cells import column_label, metrics_in, standing_designs, unit_of
-from pupper_analysis.tools.study.estimate import Estimate
 from pupper_analysis.tools.study.measures import METRICS, text_key
 from pupper_analysis.tools.study.outcome import MetricSummary, StudyOutcome
 from pupper_analysis.tools.study.plots import LINES, MeansPlot, front_plot, study_plots
+from pupper_analysis.tools.study.study import Estimate
 from pupper_analysis.tools.study.tolerance import Chance
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from pupper_analysis.tools.study.running import Progress as Done
 
 _ALONE = "alone-the-variance"
 
@@ -439,3 +445,38 @@ def measured_document(
         )
         told = text("designs-kinds", designs=told, kinds=named)
     return doc.Document(text("study-of-designs"), doc.Name(name), (measured,), told=(told,))
+
+
+# Studies on a terminal: the bar while they run.
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[Done], None]]:
+    """Yields what shows how far a run has come: designs, rate, time left, failures by kind."""
+    columns = (
+        TextColumn("designs"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TextColumn("{task.fields[failures]}"),
+    )
+    with Progress(*columns, console=make_console()) as shown:
+        task = shown.add_task("", total=None, rate="", failures="")
+
+        def show(done: Done) -> None:
+            rate = f"{done.rate:.1f}/s, {duration_text(done.left)} left" if done.done else ""
+            shown.update(
+                task,
+                total=done.total,
+                completed=done.there + done.done,
+                rate=rate,
+                failures=count_failures(done.failures),
+            )
+
+        yield show
+
+
+def count_failures(failures: Mapping[str, int]) -> str:
+    """Returns failures by kind, the most frequent first."""
+    ordered = sorted(failures.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{count} {kind}" for kind, count in ordered)

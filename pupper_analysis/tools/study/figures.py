@@ -14,7 +14,6 @@ from pupper_analysis.present.figures import style
 from pupper_analysis.present.html.plots import STYLES, Drawing, Mark, draw_svg
 from pupper_analysis.present.plots import Plot
 from pupper_analysis.present.words import in_english
-from pupper_analysis.tools.study import html_maps  # noqa: F401 - says how its plots are drawn
 from pupper_analysis.tools.study.cells import spread_in, standing_designs
 from pupper_analysis.tools.study.pareto import pareto_front
 from pupper_analysis.tools.study.plots import MeansPlot, front_plot, study_plots

@@ -15,8 +15,8 @@ from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study import study
+from pupper_analysis.tools.study.design import RobotSource, load_source
 from pupper_analysis.tools.study.parameters import without_visuals
-from pupper_analysis.tools.study.source import RobotSource, load_source
 
 
 class Variants(Scaled):

@@ -3,31 +3,172 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from glob import escape
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.base.diagnostics import Vector, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND, BY_MJCF
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.model_tree import ModelTree
+from pupper_analysis.models.spec_tree import SpecTree
+from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
+from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.tools.study.com import check_coms, move_coms
-from pupper_analysis.tools.study.named import (
-    AXES,
-    BODIES,
-    SERVOS,
-    Named,
-    bodies_of,
-    joints_of,
-)
+from pupper_analysis.stance.fields import FIELDS
+
+# Names of factors on a robot's numbers, and the joints and bodies that they mean.
+
+OF_JOINTS = tuple(name for name, field in FIELDS.items() if field.per == "joint")
+"""Kinds that are fields of the stance, of each joint."""
+
+KINDS = {
+    "mass": "mass and inertia of bodies",
+    "inertia": "inertia of bodies about their centres of mass",
+    "com_x": "offset of bodies' centres of mass along x of the URDF's link (m)",
+    "com_y": "the same along y (m)",
+    "com_z": "the same along z (m)",
+    "effort": "effort limits of joints",
+    "armature": "armature of joints",
+    "damping": "damping of joints",
+    "frictionloss": "dry friction of joints",
+    "kp": "stiffness of servos",
+    "kd": "damping of servos",
+    **dict.fromkeys(OF_JOINTS, "position of joints that carry no foot (rad, m)"),
+}
+"""What ``KIND:PATTERN`` may say: factors on what the files say, but for the offsets of coms."""
+
+EACH = "each"
+"""``KIND:each:PATTERN`` is a number of its own for each that matches."""
+
+AXES = ("com_x", "com_y", "com_z")
+"""Kinds that are added, along these axes (m), and are no factors."""
+
+ADDED = (*AXES, *OF_JOINTS)
+"""Kinds that are no factors of what the files say, and have no bounds."""
+
+BODIES = ("mass", "inertia", *AXES)
+SERVOS = ("kp", "kd")
+
+
+@dataclass(frozen=True)
+class Named:
+    """A factor's name, taken apart.
+
+    Attributes:
+        kind: One of ``KINDS``.
+        pattern: What the names of bodies or joints must match, as file names do: ``*``, ``?``.
+        each: Whether each that matches has a number of its own: ``KIND:each:PATTERN``, and
+            ``KIND:each`` for all.
+    """
+
+    kind: str
+    pattern: str
+    each: bool = False
+
+    @staticmethod
+    def of(name: str) -> Named | None:
+        """Takes a name apart; None if it is of another form.
+
+        Raises:
+            ConfigurationError: If there is no such kind.
+        """
+        kind, separator, pattern = name.partition(":")
+        if not separator:
+            return None
+        if kind not in KINDS or not pattern:
+            known = [f"{one}:NAME" for one in KINDS]
+            told = diagnose("no-number-of-a-model", kind=kind, known=known)
+            raise ConfigurationError(f"vary[{name!r}]", told)
+        first, _, rest = pattern.partition(":")
+        return Named(kind, rest or "*", each=True) if first == EACH else Named(kind, pattern)
+
+
+def joints_of(robot: Robot, named: Named) -> tuple[str, ...]:
+    """Returns the joints that a factor is for, or that move its bodies; ``""`` is the base.
+
+    A body is matched by its link's name in the URDF, its body's in the MJCF, or its joint's.
+
+    Raises:
+        UnknownNameError: If none match; the message lists the names.
+    """
+    names = _names(robot, named.kind)
+    found = tuple(
+        joint for joint, own in names.items() if any(fnmatchcase(one, named.pattern) for one in own)
+    )
+    if not found:
+        kind = "body" if named.kind in BODIES else "joint"
+        raise UnknownNameError(
+            robot.name, kind, named.pattern, dict.fromkeys(own[0] for own in names.values())
+        )
+    return found
+
+
+def _names(robot: Robot, kind: str) -> dict[str, tuple[str, ...]]:
+    """Returns {joint: by which names a factor may mean it, or what it moves}."""
+    if kind not in BODIES:
+        return {joint: (joint,) for joint in robot.joint_names}
+    links, bodies = UrdfTree.of(robot.description.urdf).moved_links, bodies_of(robot)
+    names = {"": (robot.base, robot.mj_base)}
+    return names | {joint: (links[joint], bodies[joint], joint) for joint in robot.joint_names}
+
+
+def expand_pattern(robot: Robot, named: Named) -> tuple[str, ...]:
+    """Returns the names of the numbers that ``KIND:each:PATTERN`` stands for, one for each.
+
+    Each has its link's name; where that also means another body, its body's or its joint's.
+
+    Raises:
+        UnknownNameError: If none match.
+        ConfigurationError: If a body has no name that means it alone.
+    """
+    names = _names(robot, named.kind)
+    found = []
+    for joint in joints_of(robot, named):
+        alone = [one for one in map(escape, names[joint])
+                 if joints_of(robot, Named(named.kind, one)) == (joint,)]  # fmt: skip
+        if not alone:
+            problem = diagnose("no-name-of-its-own", body=names[joint][0])
+            raise ConfigurationError(f"vary['{named.kind}:{EACH}:{named.pattern}']", problem)
+        found.append(f"{named.kind}:{alone[0]}")
+    return tuple(found)
+
+
+def groups_of(robot: Robot, names: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Returns {name: the numbers that it stands for}: itself, but for ``KIND:each:PATTERN``.
+
+    Raises:
+        UnknownNameError: If a pattern matches nothing.
+        ConfigurationError: If two names stand for one number.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        named = Named.of(name)
+        own = expand_pattern(robot, named) if named is not None and named.each else (name,)
+        twice = next((one for one in own for other in found.values() if one in other), None)
+        if twice is not None:
+            raise ConfigurationError(f"vary[{name!r}]", diagnose("varies-already", name=twice))
+        found[name] = own
+    return found
+
+
+def bodies_of(robot: Robot) -> dict[str, str]:
+    """Returns {joint: the body that it moves in the MJCF}."""
+    model = robot.mj_model
+    return {
+        joint: str(model.body(int(model.jnt_bodyid[model.joint(joint).id])).name)
+        for joint in robot.joint_names
+    }
+
 
 Array = NDArray[np.float64]
 
@@ -220,3 +361,87 @@ def without_visuals(description: Description) -> Description:
 
 def _weightless(geom: mujoco.MjsGeom) -> bool:
     return bool(geom.parent.name == "world" or geom.parent.explicitinertial or geom.mass == 0)
+
+
+# Bodies whose centres of mass are elsewhere, in a robot's URDF and its MJCF alike.
+
+
+_COM_TOLERANCE = 1e-9
+"""m: the centres of mass of both models have moved alike to rounding."""
+
+
+def move_coms(robot: Robot, trees: tuple[UrdfTree, SpecTree], offsets: Mapping[str, Array]) -> None:
+    """Moves centres of mass in both files, in place.
+
+    What is fixed to a link moves with it, each part by the same offset in the world, so that the
+    whole's centre moves by it, and no inertia about a centre of mass changes.
+
+    Args:
+        robot: The robot of which the files are: its links are turned as its pose of zeros has them.
+        trees: Of the URDF and of the MJCF.
+        offsets: {joint: (3,) m, in the axes of the URDF's link that it moves}; ``""``: the base.
+    """
+    config, data = Configuration(robot, robot.neutral()), mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(robot.mj_model, data)
+    urdf, mjcf = trees
+    for joint, offset in offsets.items():
+        link = urdf.moved_by(joint) or robot.base
+        moved = config.frame_rotation(link) @ offset
+        for one in urdf.fixed_group(link):
+            urdf.move_com(one, config.frame_rotation(one).T @ moved)
+        for one in mjcf.fixed_group(mjcf.moved_by(joint) or robot.mj_base):
+            mjcf.move_com(one, data.body(one).xmat.reshape(3, 3).T @ moved)
+
+
+def check_coms(before: Robot, after: Robot, offsets: Mapping[str, Array]) -> None:
+    """Checks that the whole's centre of mass has moved as asked, in both engines.
+
+    Args:
+        before: The robot of before.
+        after: That with the offsets, of the same masses.
+        offsets: As ``move_coms`` has them.
+
+    Raises:
+        ModelError: If not.
+    """
+    config = Configuration(before, before.neutral())
+    links = UrdfTree.of(before.description.urdf).moved_links
+    shares = {joint: _shares(after, joint) for joint in offsets}
+    both = zip(("URDF", "MJCF"), _centres(before), _centres(after), strict=True)
+    for at, (place, old, new) in enumerate(both):
+        asked = sum(
+            (shares[joint][at] * config.frame_rotation(links.get(joint, before.base)) @ offset
+             for joint, offset in offsets.items()), np.zeros(3),
+        )  # fmt: skip
+        if np.abs(new - old - asked).max() > _COM_TOLERANCE:
+            told = diagnose(
+                "com-moved-otherwise",
+                file=place,
+                moved=Vector(tuple(new - old), "m"),
+                asked=Vector(tuple(asked), "m"),
+            )
+            raise ModelError(before.description.mjcf_source, told)
+
+
+def _shares(robot: Robot, joint: str) -> tuple[float, float]:
+    """Returns the share of a body in the whole's mass, by either file: they may differ."""
+    pin_model, model = robot.pin_model, robot.mj_model
+    body = model.body(bodies_of(robot)[joint] if joint else robot.mj_base).id
+    welded = model.body_mass[model.body_weldid == model.body_weldid[body]].sum()
+    own = pin_model.inertias[pin_model.getJointId(joint) if joint else 1].mass
+    return (
+        float(own / sum(one.mass for one in pin_model.inertias)),
+        float(welded / model.body_subtreemass[model.body(robot.mj_base).id]),
+    )
+
+
+def _centres(robot: Robot) -> tuple[Array, Array]:
+    """Returns the whole's centre of mass by either model, in the pose of zeros (m)."""
+    data = mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, robot.neutral())
+    mujoco.mj_kinematics(robot.mj_model, data)
+    mujoco.mj_comPos(robot.mj_model, data)
+    base = robot.mj_model.body(robot.mj_base).id
+    own = Configuration(robot, robot.neutral()).center_of_mass()
+    return own, np.array(data.subtree_com[base])

@@ -2,17 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pupper_analysis.present import plots
-from pupper_analysis.present.document import Name, Text
+from pupper_analysis.present.document import Name, Text, Words
+from pupper_analysis.present.html.plots import (
+    BOTTOM,
+    LEFT,
+    TOP,
+    WIDTH,
+    Drawing,
+    Mark,
+    draw_axes,
+    draw_grid,
+    draw_line,
+    draw_svg,
+    round_ticks,
+    word_at,
+)
 from pupper_analysis.present.plots import Plot
-from pupper_analysis.present.words import text
+from pupper_analysis.present.words import text, word
 from pupper_analysis.tools.study.cells import (
+    Cells,
+    EndMap,
+    MeanMap,
     Panel,
     check_columns,
     column_label,
@@ -21,13 +39,11 @@ from pupper_analysis.tools.study.cells import (
     metrics_in,
     split_panels,
     spread_in,
+    value_span,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from pupper_analysis.present.document import Words
-    from pupper_analysis.tools.study.cells import EndMap, MeanMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +129,7 @@ LINES = 4
 
 def study_plots(
     table: pd.DataFrame, variables: Sequence[str], axes: Sequence[str]
-) -> dict[str, list[plots.Plot]]:
+) -> dict[str, list[Plot]]:
     """Returns what a study can show without being asked, each drawing with a name for its file.
 
     Args:
@@ -122,7 +138,7 @@ def study_plots(
         axes: The two variables that span the maps; empty if there are no two.
     """
     metrics, spread = metrics_in(table, variables), spread_in(table, variables)
-    shown: dict[str, list[plots.Plot]] = {}
+    shown: dict[str, list[Plot]] = {}
     if axes:
         x, y = axes
         shown["failures"] = [*end_plots(table, x, y, variables)]
@@ -205,3 +221,300 @@ def front_plot(
     along, up = (f"{column_label(one)}, {sense}" for one, sense in objectives.items())
     title = text("designs-worth-building-the-front")
     return FrontPlot(title, table, front, (along, up), list(objectives))
+
+
+# Drawings of many designs: maps over two numbers, lines over several, clouds with their front.
+
+Array = NDArray[np.float64]
+
+MAP_HEIGHT = 380.0
+"""Of a map (CSS pixels)."""
+
+BAR_ROOM = 92.0
+"""At the right of a map (CSS pixels): a bar of its colours, with words."""
+
+MOST_LINES = 300
+"""Designs that are drawn as lines: more are one blot, and a page of megabytes."""
+
+MOST_DOTS = 1500
+"""Designs of a cloud, evenly drawn of more."""
+
+FEW_LABELS = 10
+"""Values that are written along one side of a map."""
+
+_VIRIDIS = ("#440154", "#482878", "#3e4989", "#31688e", "#26828e", "#1f9e89", "#35b779", "#6ece58",
+            "#b5de2b", "#fde725")  # fmt: skip
+"""Matplotlib's, which is even to the eye, in grey too, and to those who see few colours."""
+
+_OUTCOME_COLOURS = ("#009e73", "#d55e00", "#e69f00", "#7f7f7f", "#56b4e9", "#cc79a7", "#f0e442")
+"""Okabe and Ito's colours: measured, then kinds of failure, the most frequent first."""
+
+
+def colour_of_share(share: float) -> str:
+    """Returns the colour of a share from 0 to 1."""
+    place = min(max(share, 0.0), 1.0) * (len(_VIRIDIS) - 1)
+    first = min(int(place), len(_VIRIDIS) - 2)
+    pair = [[int(c[i : i + 2], 16) for i in (1, 3, 5)] for c in _VIRIDIS[first : first + 2]]
+    mixed = [round(a + (b - a) * (place - first)) for a, b in zip(*pair, strict=True)]
+    return "#{:02x}{:02x}{:02x}".format(*mixed)
+
+
+@draw_svg.register
+def _means(plot: MeansPlot) -> Drawing:
+    """Draws means, which show under the pointer."""
+    found, x, y = plot.found, plot.x, plot.y
+    low, high = plot.ends
+    wide = value_span(low, high)
+
+    def filled(row: int, column: int) -> tuple[str, float]:
+        mean = float(found.means[row, column])
+        if not math.isfinite(mean):
+            return "", 1.0
+        return colour_of_share((mean - low) / wide if wide else 0.5), 1.0
+
+    def told(row: int, column: int) -> str:
+        mean = float(found.means[row, column])
+        if not math.isfinite(mean):
+            return "-"
+        several = found.designs[row, column] > 1
+        of = f" ({found.counts[row, column]:.0f} / {found.designs[row, column]:.0f})"
+        return f"{mean:.4g}{of if several else ''}"
+
+    cells = _Grid(found.x, found.y)
+    marks = [*cells.cells(filled), *cells.crossed(found.partial), *cells.axes(x, y)]
+    marks += _bar(low, high)
+    marks.append(cells.labels(Name(column_label(plot.metric)), x, y, told))
+    return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks))
+
+
+@draw_svg.register
+def _ends(plot: EndsPlot) -> Drawing:
+    found, x, y, kinds = plot.found, plot.x, plot.y, plot.kinds
+    total, most = found.counts.sum(axis=0), found.counts.argmax(axis=0)
+    tones = [
+        _OUTCOME_COLOURS[0],
+        *(_OUTCOME_COLOURS[1 + i % (len(_OUTCOME_COLOURS) - 1)] for i in range(len(kinds) - 1)),
+    ]
+    shade = [tones[kinds.index(kind)] for kind in found.kinds]
+
+    def filled(row: int, column: int) -> tuple[str, float]:
+        if not total[row, column]:
+            return "", 1.0
+        kind = int(most[row, column])
+        share = float(found.counts[kind, row, column] / total[row, column])
+        return shade[kind], 0.25 + 0.75 * share
+
+    cells = _Grid(found.x, found.y)
+    marks = [*cells.cells(filled), *cells.axes(x, y)]
+    named = [text("all-measured") if not kind else word(kind) for kind in found.kinds]
+    for kind, name in enumerate(
+        named
+    ):  # where it is the most frequent: what it is, and of how many
+
+        def told(row: int, column: int, kind: int = kind) -> str:
+            return f"{found.counts[kind, row, column]:.0f} / {total[row, column]:.0f}"
+
+        chosen = (most == kind) & (total > 0)
+        if chosen.any():
+            marks.append(cells.labels(name, x, y, told, chosen))
+    counts = found.counts.sum(axis=(1, 2))
+    legend = tuple((name, shade[kind]) for kind, name in enumerate(named) if counts[kind])
+    return Drawing(_titled(plot), WIDTH, MAP_HEIGHT, tuple(marks), legend)
+
+
+def _titled(plot: MeansPlot | EndsPlot) -> Words:
+    """Returns a map's title, and of which designs it is."""
+    return plot.title if plot.part is None else text("name-note", name=plot.title, note=plot.part)
+
+
+@draw_svg.register
+def _parallel(plot: ParallelPlot) -> Drawing:
+    table, columns, shade = plot.table, plot.columns, plot.shade
+    shown = _evenly(table, MOST_LINES)
+    places, numbers = shown.index.to_numpy(), shown[list(columns)].to_numpy(float)
+    low, high = (table[list(columns)].agg(end).to_numpy(float) for end in ("min", "max"))
+    wide = np.array([value_span(*ends) for ends in zip(low.tolist(), high.tolist(), strict=True)])
+    values = shown[shade].to_numpy(float)
+    least, most = float(table[shade].min()), float(table[shade].max())
+    foot, top = MAP_HEIGHT - 62.0, TOP + 18.0
+    across = np.linspace(70.0, WIDTH - BAR_ROOM - 10.0, len(columns))
+    marks: list[Mark] = []
+    for row in np.argsort(np.where(np.isfinite(values), values, -np.inf), kind="stable"):
+        known = np.flatnonzero(np.isfinite(numbers[row]))
+        share = (numbers[row, known] - low[known]) / np.where(wide > 0, wide, 1.0)[known]
+        up = foot - (foot - top) * np.where((wide > 0)[known], share, 0.5)
+        tone = (values[row] - least) / value_span(least, most) if value_span(least, most) else 0.5
+        mark: dict[str, Any] = {
+            "tag": "polyline",
+            "class": "series pc",
+            "points": np.round(np.column_stack([across[known], up]), 1).tolist(),
+            "labels": [_plain(f"{columns[i]} {numbers[row, i]:.4g}") for i in known],
+            "name": text("design-number", number=int(places[row]) + 1),
+            "stroke": colour_of_share(tone) if math.isfinite(values[row]) else "#8a8a8a",
+        }
+        marks.append(mark)
+    for index, (at, name) in enumerate(zip(across, columns, strict=True)):
+        marks.append(draw_line(at, top, at, foot, "axis"))
+        marks.append(word_at(at, top - 6, Name(f"{high[index]:.4g}"), "middle"))
+        marks.append(word_at(at, foot + 14, Name(f"{low[index]:.4g}"), "middle"))
+        # Names below one another in turn, so that long ones do not run into their neighbours.
+        marks.append(
+            word_at(at, foot + 32 + 16 * (index % 2), Name(_cut(column_label(name))), "middle")
+        )
+    marks += _bar(least, most)
+    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks))
+
+
+@draw_svg.register
+def _front(plot: FrontPlot) -> Drawing:
+    table, front = plot.table, plot.front
+    x, y = plot.objectives
+    known = table.dropna(subset=[x, y])
+    low = [float(known[name].min()) for name in (x, y)]
+    high = [float(known[name].max()) for name in (x, y)]
+    room = [0.04 * ((b - a) or abs(b) or 1.0) for a, b in zip(low, high, strict=True)]
+    wide, tall = WIDTH - LEFT - 14.0, MAP_HEIGHT - TOP - BOTTOM
+
+    def place(values: Array) -> Array:
+        share = (values - np.array(low) + room) / (np.array(high) - low + 2 * np.array(room))
+        points = np.array([LEFT, TOP + tall]) + share * np.array([wide, -tall])
+        return np.asarray(np.round(points, 1))
+
+    across, up = (
+        {value: place(np.array([value, value]))[axis] for value in round_ticks(least, most, 6)}
+        for axis, (least, most) in enumerate(zip(low, high, strict=True))
+    )
+    marks = [
+        *draw_grid(across, up, wide, tall),
+        *draw_axes(Name(plot.axes[0]), Name(plot.axes[1]), wide, tall),
+    ]
+    cloud = _evenly(known, MOST_DOTS)
+    for part, style, name in (
+        (cloud, "s0", text("designs")),
+        (front, "s1", text("no-other-design-beats-these")),
+    ):
+        numbers = part[[x, y]].to_numpy(float)
+        points = place(numbers)
+        labels = [_plain(f"{x} {a:.4g}, {y} {b:.4g}") for a, b in numbers]
+        kind = f"series {style}" if style == "s1" else "unseen"
+        marks.append({"tag": "polyline", "class": kind, "points": points.tolist(),
+                      "labels": labels, "name": name})  # fmt: skip
+        size = 3.5 if style == "s1" else 2.0
+        marks += [{"tag": "circle", "class": f"dot {style}", "cx": cx, "cy": cy, "r": size}
+                  for cx, cy in points.tolist()]  # fmt: skip
+    legend = ((text("designs"), "s0"), (text("no-other-design-beats-these"), "s1"))
+    return Drawing(plot.title, WIDTH, MAP_HEIGHT, tuple(marks), legend)
+
+
+class _Grid:
+    """Cells of one size, whatever values they stand for: each can be pointed at."""
+
+    def __init__(self, x: Cells, y: Cells) -> None:
+        self.x, self.y = x, y
+        self.wide, self.tall = WIDTH - LEFT - BAR_ROOM, MAP_HEIGHT - TOP - BOTTOM
+        self.across, self.up = self.wide / len(x.centres), self.tall / len(y.centres)
+
+    def cells(self, filled: Callable[[int, int], tuple[str, float]]) -> list[Mark]:
+        """Returns the cells, by (row, column) coloured; without a colour they are empty."""
+        marks: list[Mark] = []
+        for row, column in np.ndindex(len(self.y.centres), len(self.x.centres)):
+            fill, opacity = filled(row, column)
+            bounds = {
+                "x": LEFT + column * self.across,
+                "y": TOP + (len(self.y.centres) - 1 - row) * self.up,
+                "width": self.across,
+                "height": self.up,
+            }
+            style = {"fill": fill, "opacity": opacity} if fill else {}
+            kind = "cell" if fill else "cell empty"
+            marks.append({"tag": "rect", "class": kind, **bounds, **style})
+        return marks
+
+    def crossed(self, chosen: NDArray[np.bool_]) -> list[Mark]:
+        """Returns lines across some cells."""
+        marks = []
+        for row, column in np.argwhere(chosen):
+            left, foot = LEFT + column * self.across, TOP + self.tall - row * self.up
+            for x0, y0, x1, y1 in (
+                (0.0, 0.5, 0.5, 1.0),
+                (0.0, 0.0, 1.0, 1.0),
+                (0.5, 0.0, 1.0, 0.5),
+            ):
+                begin = left + x0 * self.across, foot - y0 * self.up
+                marks.append(
+                    draw_line(*begin, left + x1 * self.across, foot - y1 * self.up, "axis")
+                )
+        return marks
+
+    def labels(
+        self,
+        name: Words,
+        x: str,
+        y: str,
+        told: Callable[[int, int], str],
+        chosen: NDArray[np.bool_] | None = None,
+    ) -> Mark:
+        """Returns what cells say when pointed at: an unseen line through their middles."""
+        points, labels = [], []
+        for row, column in np.ndindex(len(self.y.centres), len(self.x.centres)):
+            if chosen is not None and not chosen[row, column]:
+                continue
+            middle = LEFT + (column + 0.5) * self.across
+            points.append([round(middle, 1), round(TOP + self.tall - (row + 0.5) * self.up, 1)])
+            at = f"{x} {self.x.centres[column]:.4g}, {y} {self.y.centres[row]:.4g}"
+            labels.append(_plain(f"{at}: {told(row, column)}"))
+        reach = math.hypot(self.across, self.up) / 2
+        return {"tag": "polyline", "class": "unseen", "points": points, "labels": labels,
+                "name": name, "reach": reach}  # fmt: skip
+
+    def axes(self, x: str, y: str) -> list[Mark]:
+        """Returns the axes, with the values of some cells."""
+        marks = draw_axes(Name(column_label(x)), Name(column_label(y)), self.wide, self.tall)
+        for index in _some(len(self.x.centres)):
+            at = LEFT + (index + 0.5) * self.across
+            words = Name(f"{self.x.centres[index]:.4g}")
+            marks.append(word_at(at, TOP + self.tall + 16, words, "middle"))
+        for index in _some(len(self.y.centres)):
+            at = TOP + self.tall - (index + 0.5) * self.up
+            marks.append(word_at(LEFT - 6, at + 4, Name(f"{self.y.centres[index]:.4g}"), "end"))
+        return marks
+
+
+def _some(count: int) -> range:
+    """Returns which of some cells have their value written beside them."""
+    return range(0, count, -(-count // FEW_LABELS))
+
+
+def _bar(low: float, high: float) -> list[Mark]:
+    """Returns the bar that tells which colour is which value."""
+    steps, tall = 40, MAP_HEIGHT - TOP - BOTTOM
+    left, height = WIDTH - BAR_ROOM + 16.0, tall / 40
+    marks: list[Mark] = [
+        {"tag": "rect", "class": "cell", "x": left, "y": TOP + tall - (step + 1) * height,
+         "width": 14.0, "height": height + 0.5, "fill": colour_of_share((step + 0.5) / steps),
+         "opacity": 1.0}
+        for step in range(steps)
+    ]  # fmt: skip
+    for share in (0.0, 0.5, 1.0):
+        value = low + share * (high - low)
+        at = TOP + tall - share * tall + (4 if share else 0)
+        marks.append(
+            word_at(left + 18, at + (6 if share == 1 else 0), Name(f"{value:.3g}"), "start")
+        )
+    return marks
+
+
+def _evenly(table: pd.DataFrame, most: int) -> pd.DataFrame:
+    """Returns at most so many rows, evenly drawn."""
+    if len(table) <= most:
+        return table
+    return table.iloc[np.linspace(0, len(table) - 1, most).astype(int)]
+
+
+def _plain(label: str) -> str:
+    """Returns a label without what parts labels from each other in the page."""
+    return label.replace("|", "¦")
+
+
+def _cut(name: str) -> str:
+    return name if len(name) <= 20 else f"{name[:9]}…{name[-10:]}"

@@ -14,7 +14,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import RANGES
-from pupper_analysis.tools.study.named import AXES, Named
+from pupper_analysis.tools.study.parameters import AXES, Named
 
 Form = Literal["yaml", "mjlab", "isaaclab"]
 

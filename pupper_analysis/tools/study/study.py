@@ -8,7 +8,7 @@ import pickle
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,13 +19,22 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_finite, check_type
 from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, InputError, VariantError
+from pupper_analysis.base.errors import ConfigurationError, InputError, StudyError, VariantError
 from pupper_analysis.base.inputs import is_input, read_toml
+from pupper_analysis.base.results import Result
 from pupper_analysis.robot.posture import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.study.design import STANCE, check_name, check_range
+from pupper_analysis.tools.study.design import (
+    ENDS,
+    STANCE,
+    RobotSource,
+    check_name,
+    check_range,
+    digest_of,
+    load_source,
+)
 from pupper_analysis.tools.study.measures import (
     REVISION,
     Function,
@@ -34,7 +43,7 @@ from pupper_analysis.tools.study.measures import (
     metric_text,
     modules_in,
 )
-from pupper_analysis.tools.study.named import (
+from pupper_analysis.tools.study.parameters import (
     OF_JOINTS,
     SERVOS,
     Named,
@@ -42,12 +51,9 @@ from pupper_analysis.tools.study.named import (
     joints_of,
 )
 from pupper_analysis.tools.study.running import Progress, Run, Settings
-from pupper_analysis.tools.study.sampling import BLOCK, Sampling
-from pupper_analysis.tools.study.source import RobotSource, digest_of, load_source
-from pupper_analysis.tools.study.store import Store, require_library
-from pupper_analysis.tools.study.table import names_of, order_rows
-from pupper_analysis.tools.study.variables import Variable, make_variable
-from pupper_analysis.tools.study.worker import Work, list_versions
+from pupper_analysis.tools.study.store import Store, design_keys, require_library
+from pupper_analysis.tools.study.variables import BLOCK, Sampling, Variable, make_variable
+from pupper_analysis.tools.study.worker import Chunk, Work, list_versions, measure_designs
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -400,3 +406,131 @@ def _beside(path: Path, word: str) -> str:
     """Returns files that are beside a study's with their folder; what is none is a name."""
     there = [(path.parent / part, part) for part in word.split("+")]
     return "+".join(str(file) if is_input(file) else part for file, part in there)
+
+
+# A study's table: the hashes of its designs, and its rows in their order.
+
+
+def names_of(digest: str, variables: Sequence[str], block: Array) -> list[str]:
+    """Returns the hashes of designs (n, variables): of all that their results depend on.
+
+    The order in which a study names its variables does not count.
+    """
+    order = sorted(range(len(variables)), key=lambda index: variables[index])
+    head = "\0".join([digest, *(variables[index] for index in order)]).encode()
+    rows = np.ascontiguousarray(block[:, order] + 0.0, dtype="<f8")  # 0.0: -0.0 is the same number
+    return [hashlib.sha256(head + row.tobytes()).hexdigest()[:32] for row in rows]
+
+
+def order_rows(frame: pd.DataFrame, order: Mapping[str, int]) -> pd.DataFrame:
+    """Returns the rows of designs, {hash: place}, in their order; empty columns are left out."""
+    kept = frame[frame["design"].isin(order.keys())]
+    placed = kept.assign(_at=kept["design"].map(order)).sort_values("_at").drop(columns="_at")
+    ends = [name for name in ENDS if name in placed]
+    front = [name for name in placed.columns if name not in ends]
+    return (
+        placed[[*front, *ends]]
+        .dropna(axis="columns", how="all")
+        .reset_index(drop=True)
+        .pipe(lambda table: table.assign(**{end: None for end in ENDS if end not in table}))
+    )
+
+
+def read_study(folder: str | Path, *, everything: bool = False) -> pd.DataFrame:
+    """Reads the results in a study's folder.
+
+    Args:
+        folder: The folder.
+        everything: Also the designs of what was asked before, in the order of their hashes.
+
+    Returns:
+        One row per design, as ``Study.run`` returns it; those that are there.
+
+    Raises:
+        StudyError: If it is no study's folder, or damaged.
+    """
+    check_type("folder", folder, str | Path)
+    require_library("pandas")
+    store = Store(Path(folder))
+    stored = store.asked()
+    if everything:
+        return store.table()
+    try:
+        study, digest = stored["study"], str(stored["digest"])
+        variables = {name: make_variable(name, given) for name, given in study["vary"].items()}
+        check_type("seed", study["seed"], int)
+        sampling = Sampling(variables, study.get("samples"), study["seed"])
+    except (AttributeError, KeyError, TypeError, ValueError, ConfigurationError) as error:
+        what = getattr(error, "diagnostic", str(error))
+        if isinstance(error, KeyError):
+            what = diagnose("key-missing", key=str(error))
+        raise StudyError(folder, diagnose("study-does-not-say", what=what)) from error
+    order: dict[str, int] = {}
+    for block in sampling.blocks():
+        for name in names_of(digest, tuple(variables), block):
+            order.setdefault(name, len(order))
+    return order_rows(store.table(), order)
+
+
+# How many designs a study has, and about how long it takes: some are timed.
+
+TIMED = 5
+"""So many designs are timed, evenly drawn, once the first has loaded what all need."""
+
+
+@dataclass(frozen=True)
+class Estimate(Result):
+    """What a study would take.
+
+    Attributes:
+        designs: How many it has.
+        there: How many of these are there.
+        seconds_each: How long a design takes, on average of those that were timed (s).
+        slowest: The slowest of these (s).
+        failures: Their failures, by kind.
+        left_out: Measures that were not timed, as their code would have had to be imported.
+    """
+
+    designs: int
+    there: int
+    seconds_each: float
+    slowest: float
+    failures: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+    def seconds(self, workers: int) -> float:
+        """Returns about how long the rest takes on some workers (s)."""
+        return (self.designs - self.there) * self.seconds_each / workers
+
+
+def estimate_study(study: DesignStudy, folder: Path) -> Estimate:
+    """Times some designs of a study's first block, in this process; nothing is written."""
+    # Without some of its measures it is another study, of which nothing is there.
+    begun = (folder / "shards").is_dir() and not study.left_out
+    done = Store(folder).designs() if begun else np.zeros(0, np.uint64)
+    there, numbers = 0, np.zeros((0, len(study.variables)))
+    names: list[str] = []
+    for block_names, block in study.designs():
+        there += int(np.isin(design_keys(block_names), done).sum())
+        if not names:
+            names, numbers = block_names, block
+        if not len(done):  # nothing is there to be counted
+            break
+    chosen = np.unique(np.linspace(0, len(names) - 1, TIMED).astype(int))
+    work = study.work()
+    seconds: list[float] = []
+    failures: list[str] = []
+    for index in (chosen[0], *chosen):
+        chunk = Chunk(work, (names[index],), (tuple(numbers[index].tolist()),))
+        found = measure_designs(chunk)
+        seconds.append(found.seconds)
+        failures += [row["failure"] for row in found.rows if row["failure"] is not None]
+    timed = seconds[1:]
+    return Estimate(
+        designs=len(study),
+        there=there,
+        seconds_each=float(np.mean(timed)),
+        slowest=max(timed),
+        failures=tuple(sorted(set(failures))),
+        left_out=study.left_out,
+    )

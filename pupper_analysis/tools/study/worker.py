@@ -19,9 +19,8 @@ from multiprocessing import parent_process
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import StudyError
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.study.design import Maker, Row, row_of
+from pupper_analysis.tools.study.design import Maker, RobotSource, Row, row_of
 from pupper_analysis.tools.study.measures import Function, Metric, metric_of
-from pupper_analysis.tools.study.source import RobotSource
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
 """Whose versions results depend on."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import click
 
 from pupper_analysis.cli import shared
@@ -16,9 +14,6 @@ from pupper_analysis.cli.robots import (
     shown_robot,
     with_robot,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("view")

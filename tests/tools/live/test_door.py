@@ -23,7 +23,7 @@ from pupper_analysis.tools.live.door import (
     problem_of,
     without_folders,
 )
-from pupper_analysis.tools.live.language import Language
+from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.server import Page
 from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.stubs import problem
@@ -263,7 +263,7 @@ def test_what_is_no_value_moves_nothing(page: Page, capfd: pytest.CaptureFixture
 
 MEMORY = """
 import os, threading
-from pupper_analysis.tools.live.memory import give_back
+from pupper_analysis.tools.live.server import give_back
 def used():
     with open("/proc/self/statm") as file:
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -15,8 +15,8 @@ from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.live import viser_parts
 from pupper_analysis.tools.live.held import HeldPage, HeldSession
-from pupper_analysis.tools.live.language import Language
-from pupper_analysis.tools.live.source import load_source
+from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.state import load_source
 from tests.tools.live.test_session import PATIENCE, Browser, wait_for
 
 pytest.importorskip("viser", reason="viser is not installed")

@@ -23,20 +23,13 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.tools.live import export, viser_parts
-from pupper_analysis.tools.live.colour import (
-    BEYOND,
-    SCALE,
-    UNLIMITED,
-    colour_of,
-    to_css,
-)
+from pupper_analysis.tools.live.controls import fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
     brief_document,
     failure_document,
     refusal_document,
     stance_document,
 )
-from pupper_analysis.tools.live.language import Language
 from pupper_analysis.tools.live.model import (
     Answer,
     Model,
@@ -46,11 +39,17 @@ from pupper_analysis.tools.live.model import (
     push_stand,
     simulate_stance,
 )
-from pupper_analysis.tools.live.render import render_brief, render_panel
-from pupper_analysis.tools.live.shapes import mesh_of_primitive, parts_of
-from pupper_analysis.tools.live.sliders import fine_step, ranges_of, round_up
-from pupper_analysis.tools.live.source import load_source
-from pupper_analysis.tools.live.state import State, parse_length, parse_state
+from pupper_analysis.tools.live.render import Language, render_brief, render_panel
+from pupper_analysis.tools.live.scene import (
+    BEYOND,
+    SCALE,
+    UNLIMITED,
+    colour_of,
+    mesh_of_primitive,
+    parts_of,
+    to_css,
+)
+from pupper_analysis.tools.live.state import State, load_source, parse_length, parse_state
 from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.commands import answer as run_command
 from tests.support.variants import load

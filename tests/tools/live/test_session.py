@@ -16,10 +16,9 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live import viser_parts
-from pupper_analysis.tools.live.language import Language
 from pupper_analysis.tools.live.model import Model
-from pupper_analysis.tools.live.motion import interpolate_motion
-from pupper_analysis.tools.live.session import Session
+from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import State
 from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.variants import load

@@ -25,14 +25,18 @@ from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.study import figures
 from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
 from pupper_analysis.tools.study.design import Maker
-from pupper_analysis.tools.study.linear import sag_derivatives, torque_derivatives
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.outcome import main_effects, study_outcome
 from pupper_analysis.tools.study.pareto import pareto_front
 from pupper_analysis.tools.study.plots import end_plots, mean_plots
 from pupper_analysis.tools.study.randomisation import write_randomisation
 from pupper_analysis.tools.study.search import optimise_study
-from pupper_analysis.tools.study.sensitivity import linear_shares, sobol_indices
+from pupper_analysis.tools.study.sensitivity import (
+    linear_shares,
+    sag_derivatives,
+    sobol_indices,
+    torque_derivatives,
+)
 from pupper_analysis.tools.study.tolerance import (
     certainty,
     narrow_study,

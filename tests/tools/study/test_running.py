@@ -177,7 +177,7 @@ def test_threads_processes_and_any_order_give_the_same_bits(
 
 @pytest.mark.longest
 def test_dask_gives_the_same_bits(undisturbed: pd.DataFrame, tmp_path: Path) -> None:
-    from pupper_analysis.tools.study.dask import open_cluster
+    from pupper_analysis.tools.study.running import open_cluster
 
     with open_cluster(None, 2) as (executor, dashboard):
         assert dashboard.startswith("http://127.0.0.1")

@@ -21,16 +21,16 @@ from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.tools.study.design import Maker
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.named import Named, joints_of
 from pupper_analysis.tools.study.parameters import (
+    Named,
+    joints_of,
     scale_robot,
     with_friction,
     with_gains,
     without_visuals,
 )
-from pupper_analysis.tools.study.sampling import BLOCK, Sampling
-from pupper_analysis.tools.study.table import names_of
-from pupper_analysis.tools.study.variables import make_variable
+from pupper_analysis.tools.study.study import names_of
+from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
 from tests.support import study_metrics
 from tests.support.commands import answer
 from tests.support.repository import ROOT
