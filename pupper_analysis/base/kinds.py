@@ -122,9 +122,7 @@ PATH_TABLE: Final = Kind("table of a path", _is_path_table)
 PATH_ARRAYS: Final = Kind("file of a path's arrays", _is_path_arrays)
 PLAN: Final = Kind("plan of stands", _is_plan, keeps=_is_filled_in)
 OFFSETS: Final = Kind("table of offsets", _begins("joint,offset_rad,offset_deg\n"))
-RANGES: Final = Kind(
-    "file of ranges", _begins("# Domain randomization.", '"""Domain randomization, for ')
-)
+RANGES: Final = Kind("file of ranges", _begins("# Domain randomization."))
 MODEL: Final = Kind("model")
 """A model: people go on with it, so that it is replaced when it is asked for alone."""
 

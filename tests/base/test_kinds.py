@@ -24,9 +24,6 @@ WRITERS: dict[str, Callable[..., object]] = {
     "random.yaml": lambda path, **how: write_randomisation(
         {"kp": {"uniform": [0.9, 1.1]}}, path, **how
     ),
-    "events.py": lambda path, **how: write_randomisation(
-        {"kp:*": {"uniform": [0.9, 1.1]}}, path, "mjlab", **how
-    ),
 }
 
 

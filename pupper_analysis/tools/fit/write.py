@@ -275,7 +275,7 @@ def write_fit(
     made = fit_files(robot, posterior, fit=fit, files=files, packages=packages)
     contents = dict(made.contents)
     if made.spreads:
-        contents[Path("ranges.yaml")] = randomisation_text(made.spreads, "yaml")[0].encode()
+        contents[Path("ranges.yaml")] = randomisation_text(made.spreads).encode()
     writings = made.models.writings(folder, _made_before(folder), force=force)
     writings += [
         Writing(folder / name, content, FIT_FOLDER.files[name.name], force=force)

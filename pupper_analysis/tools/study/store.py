@@ -55,9 +55,7 @@ def require_library(library: str) -> None:
     import importlib.util
 
     if importlib.util.find_spec(library) is None:
-        raise MissingPackageError(
-            library, {"optuna": "optuna", "distributed": "dask"}.get(library, "study")
-        )
+        raise MissingPackageError(library, "dask" if library == "distributed" else "study")
 
 
 class Store:

@@ -58,7 +58,6 @@ from pupper_analysis.tools.study.worker import Chunk, Work, list_versions, measu
 if TYPE_CHECKING:
     import pandas as pd
 
-    from pupper_analysis.tools.study.search import SearchOptimum
 
 Array = NDArray[np.float64]
 
@@ -350,18 +349,6 @@ class DesignStudy:
         """
         self.execute(folder, executor=executor, workers=workers, progress=progress)
         return self.table(folder)
-
-    def optimise(self, folder: str | Path, **options: Any) -> SearchOptimum:
-        """Searches the study's ranges for the designs that are best: see ``search.optimise_study``.
-
-        Args:
-            folder: Where results are kept.
-            options: ``minimise``, ``maximise``: columns; ``subject_to``: {column: (least,
-                greatest)}; ``trials``; and ``executor``, ``workers``, ``progress`` as in ``run``.
-        """
-        from pupper_analysis.tools.study.search import optimise_study
-
-        return optimise_study(self, folder, **options)
 
     def execute(
         self,
