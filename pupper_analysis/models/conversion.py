@@ -9,6 +9,8 @@ bodies are kept apart and the base is given a free joint.
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
@@ -26,7 +28,7 @@ from pupper_analysis.models.joint_kinds import JointKind, free_joints, has_free_
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import to_text
+from pupper_analysis.models.xml import parse_text, to_text
 
 Array = NDArray[np.float64]
 
@@ -160,6 +162,38 @@ def _free_joint(model: mujoco.MjModel) -> int:
     return free_joints(model)[0]
 
 
+@dataclass(frozen=True)
+class UrdfImport:
+    """A URDF for MuJoCo's own importer, each link with the mass that it states.
+
+    Attributes:
+        path: Where it came from, for messages.
+        text: Its XML, whose meshes have absolute paths or are ``assets``.
+        assets: {name: content} of meshes.
+    """
+
+    path: Path
+    text: str = field(repr=False)
+    assets: Mapping[str, bytes] = field(default_factory=dict, repr=False)
+
+    def spec(self) -> mujoco.MjSpec:
+        """Lets MuJoCo import it; compiled as it is, it has a body for each link.
+
+        Raises:
+            ModelError: If MuJoCo refuses it.
+        """
+        root = parse_text(self.text)
+        for own in root.findall("mujoco"):  # MuJoCo takes one such block; its own is for loading
+            root.remove(own)
+        off = ("fusestatic", "balanceinertia", "discardvisual", "strippath", "inertiafromgeom")
+        etree.SubElement(etree.SubElement(root, "mujoco"), "compiler", dict.fromkeys(off, "false"))
+        try:
+            return mujoco.MjSpec.from_string(to_text(root), assets=dict(self.assets))
+        except (ValueError, RuntimeError) as error:
+            message = " ".join(str(error).split())
+            raise ModelError(self.path, diagnose("urdf-not-imported", message=message)) from error
+
+
 def mujoco_from_urdf(
     text: str,
     source: Path,
@@ -184,21 +218,10 @@ def mujoco_from_urdf(
     """
     tree = UrdfTree.of(text)
     tree.remove_shapes()
-    root, root_link = tree.root, tree.base.name
-    floating = has_free_joint(like)
-    for own in root.findall("mujoco"):  # MuJoCo takes one such block; what it says is for loading
-        root.remove(own)
-    extension = etree.SubElement(root, "mujoco")
-    etree.SubElement(
-        extension, "compiler", fusestatic="false", balanceinertia="false", discardvisual="false"
-    )
-    try:
-        spec = mujoco.MjSpec.from_string(to_text(root))
-    except (ValueError, RuntimeError) as error:
-        message = " ".join(str(error).split())
-        raise ModelError(source, diagnose("urdf-not-imported", message=message)) from error
+    root_link = tree.base.name
+    spec = UrdfImport(source, to_text(tree.root)).spec()
     spec.option.gravity = acting_gravity(like)
-    if floating:
+    if has_free_joint(like):
         spec.body(root_link).add_freejoint(name=_ROOT)
     else:
         data = mujoco.MjData(like)

@@ -12,9 +12,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.models.additions import Apart, Floor, Options, Servo, put_all
+from pupper_analysis.models.conversion import UrdfImport
+from pupper_analysis.models.flat import compile_with_shells
 from pupper_analysis.models.joint_kinds import scalar_joints
 from pupper_analysis.models.mjcf import compile_spec, name_all, silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
+from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import (
     Drive,
@@ -64,7 +70,8 @@ class Bare:
     def of(cls, model: mujoco.MjModel, robot: Robot) -> Bare:
         """Finds a robot's base and joints in a model that has them."""
         drives = tuple(drive_of(model, model.joint(name).id) for name in robot.joint_names)
-        return cls(model, _ground(model), int(model.body(robot.mj_base).id), drives)
+        base = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, robot.mj_base)
+        return cls(model, _ground(model), max(base, 0), drives)  # one that is held may be the world
 
     @property
     def floating(self) -> bool:
@@ -88,6 +95,32 @@ def published_model(mjcf: MjcfFile, robot: Robot, *, floor: bool = True) -> mujo
         SpecTree(spec).add_floor()
     model = compile_spec(spec, mjcf.path)
     return model if _has(model, robot) else None
+
+
+def imported_model(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
+    """Returns the model of a URDF as MuJoCo itself imports it, with what no URDF can state.
+
+    That is a free base, and what the robot was given: a floor, how MuJoCo steps and contacts hold,
+    which bodies overlap and do not touch, and servos. Its shapes are the file's.
+
+    Raises:
+        ModelError: If MuJoCo refuses it.
+    """
+    spec = own.spec()
+    base = spec.body(robot.mj_base)
+    while robot.floating and not list(base.joints):
+        if base.parent.name == spec.worldbody.name:
+            base.add_freejoint()
+        else:
+            base = base.parent
+    kinds = Floor | Options | Servo | Apart
+    given = (one for one in robot.description.added if isinstance(one, kinds))
+    put_all(given, SpecTree(spec))
+    try:
+        return compile_with_shells(spec.copy)[0]
+    except (ValueError, RuntimeError) as error:
+        problem = diagnose("urdf-not-imported", message=one_line(error))
+        raise ModelError(own.path, problem) from error
 
 
 def _has(model: mujoco.MjModel, robot: Robot) -> bool:

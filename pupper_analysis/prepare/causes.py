@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.models.additions import Ball
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.transmission import Drive, drives_of
 from pupper_analysis.prepare.bare import (
@@ -352,7 +353,11 @@ def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
     """Shapes of the robot that were kept from touching, and what else stands in the world."""
     model = bare.model
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    kept = [geom for geom in _untouched(bare, robot) if not _replaced(bare, robot, geom)]
+    replaced = {model.body(name).id for name in _on_balls(robot)}
+    # Of a URDF's import the geoms are others than the robot's, which has what is seen, too.
+    alike = robot.published is None or robot.published.imported is None
+    untouched = _untouched(bare, robot) if alike else []
+    kept = [geom for geom in untouched if model.geom_bodyid[geom] not in replaced]
     by_hand = model.body_mocapid[model.body_weldid[model.geom_bodyid]] >= 0
     still = ((model.body_weldid[model.geom_bodyid] == 0) | by_hand) & touch
     plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value
@@ -394,13 +399,10 @@ def _untouched(bare: Bare, robot: Robot) -> list[int]:
     return found
 
 
-def _replaced(bare: Bare, robot: Robot, geom: int) -> bool:
-    """Tells whether balls took the place of a geom: its body has more of them in the robot."""
-    model, other = bare.model, robot.mj_model
-    body = int(model.geom_bodyid[geom])
-    name = mujoco.mj_id2name(model, _OBJ.mjOBJ_BODY, body) or ""
-    same = mujoco.mj_name2id(other, _OBJ.mjOBJ_BODY, name)
-    return bool(other.body_geomnum[same] > model.body_geomnum[body])
+def _on_balls(robot: Robot) -> tuple[str, ...]:
+    """Returns the bodies of which balls took the place of shapes."""
+    balls = (one.body for one in robot.description.added if isinstance(one, Ball))
+    return tuple(dict.fromkeys(balls))
 
 
 def altered_on_loading(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
@@ -409,15 +411,10 @@ def altered_on_loading(bare: Bare, robot: Robot) -> tuple[Cause, ...]:
     Bodies whose own shapes were replaced by balls, and joints whose actuator, neither a servo nor a
     torque motor, was replaced by a servo.
     """
-    model = bare.model
-    bodies = dict.fromkeys(
-        _name(model, _OBJ.mjOBJ_BODY, int(model.geom_bodyid[geom]))
-        for geom in _untouched(bare, robot)
-        if _replaced(bare, robot, geom)
-    )
+    bodies = _on_balls(robot)
     named = zip(robot.joint_names, bare.drives, strict=True)
     joints = tuple(name for name, drive in named if drive is Drive.OTHER)
     return (
-        *((Cause("balls", tuple(bodies)),) if bodies else ()),
+        *((Cause("balls", bodies),) if bodies else ()),
         *((Cause("other-drive", joints),) if joints else ()),
     )

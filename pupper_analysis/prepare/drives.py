@@ -26,7 +26,7 @@ from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
 from pupper_analysis.prepare import notes, start
 from pupper_analysis.prepare.notes import describe_span
-from pupper_analysis.prepare.servo_tuning import held_gains, suggested_gains
+from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_gains
 from pupper_analysis.prepare.visuals import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
@@ -46,11 +46,6 @@ that are not as stiff; softer ones let a biped's ankles tip over."""
 
 _BRIEF = 2.0
 """Simulated time after which what holds exactly as computed has done so for a second (s)."""
-
-_FINER = (1, 2, 4)
-"""Parts into which the model's time step is divided, the first with which the robot comes to rest.
-A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and
-the ground at 2 ms, and is at rest at 0.5 ms."""
 
 
 def following_joints(robot: Robot) -> list[int]:
@@ -105,7 +100,7 @@ def add_position_servos(
 
     candidates = [
         (parts, *_kept(robot, own, *suggested_gains(robot, stand, torques, sag, parts)))
-        for parts, sag in itertools.product(_FINER, _SAGS)
+        for parts, sag in itertools.product(FINER, _SAGS)
     ]
 
     timestep = float(robot.mj_model.opt.timestep)

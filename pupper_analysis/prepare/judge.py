@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.prepare.own_run import as_loaded, own_run_held
+from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import as_published_held, as_published_in, own_run_explained
 from pupper_analysis.robot.alike import limbs_without_feet
 from pupper_analysis.robot.configuration import Configuration
@@ -67,6 +67,7 @@ def judge(
             *limbs_without_feet(robot),
             *robot.description.replaced_soles(),
             *efforts_nobody_meant(robot),
+            *import_refused(robot),
         ),
     )
 
@@ -105,7 +106,7 @@ def judge_held(
         own=own_run_held(robot, posture.qpos),
         published=as_published_held(robot, posture.qpos, bare.joint_torques),
         converted=robot.description.converted,
-        remarks=efforts_nobody_meant(robot),
+        remarks=(*efforts_nobody_meant(robot), *import_refused(robot)),
     )
 
 

@@ -13,18 +13,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.transmission import Drive, drives_of, law_of
 from pupper_analysis.prepare.bare import (
     Bare,
     Hold,
     hold_of,
+    imported_model,
     place_held,
     place_published,
     published_model,
     self_controlled,
     simulate_published,
 )
+from pupper_analysis.prepare.servo_tuning import FINER
 from pupper_analysis.prepare.start import stands_at
 from pupper_analysis.robot.as_published import (
     GIVES_WAY,
@@ -32,7 +36,7 @@ from pupper_analysis.robot.as_published import (
     OwnCommands,
     OwnRun,
 )
-from pupper_analysis.robot.fall import held_motion, own_motion
+from pupper_analysis.robot.fall import held_motion, nudge_velocity, own_motion
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]
@@ -44,6 +48,13 @@ of as many joints are not by chance."""
 
 NOTHING = (np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 """No joints that a law from outside holds; see ``Hold``."""
+
+_WHILE = 2.0
+"""s in which what stands has come to rest."""
+
+_STILL = 5e-3
+"""Speed of what has (m/s, rad/s): feet that part creep by 1e-3 (ANYmal B's), what shakes goes to
+and fro by 2e-2 or more."""
 
 _THERE = 1e-6
 """A posture that is so near to a keyframe's is its (rad, m)."""
@@ -68,14 +79,54 @@ def raw_model(robot: Robot) -> mujoco.MjModel | None:
     """Returns the file's model, with what every robot needs to stand; see ``published_model``."""
     if robot.published is None:
         return None
-    if robot.published.file is None:
+    if robot.published.as_prepared:
         return robot.mj_model
-    model = published_model(robot.published.file, robot, floor=robot.floating)
+    if robot.published.file is None:
+        found = robot.once(_imported)
+        model = None if isinstance(found, Diagnostic) else found
+    else:
+        model = published_model(robot.published.file, robot, floor=robot.floating)
     if model is not None and robot.published.options:
         model = copy.copy(model)
         for name, value in robot.published.options:
             setattr(model.opt, name, value)
     return model
+
+
+def import_refused(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells why MuJoCo does not import a robot's URDF, if it does not."""
+    found = as_loaded(robot).once(_imported)
+    return (diagnose("own-import-refused", problem=found),) if isinstance(found, Diagnostic) else ()
+
+
+def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
+    """Returns what MuJoCo makes of a URDF that is alone, or why it refuses it."""
+    if robot.published is None or robot.published.imported is None:
+        return None
+    try:
+        model = imported_model(robot.published.imported, robot)
+    except ModelError as error:
+        return error.cause
+    # Servos and time step were chosen for shapes that may be others: the step is as short as the
+    # file's own shapes need, of which MuJoCo's contact may have more points.
+    steps = [model.opt.timestep / parts for parts in FINER]
+    at_rest = (step for step in steps if _rests(model, robot, step))
+    model.opt.timestep = next(at_rest, steps[0]) if robot.floating and robot.feet else steps[0]
+    return model
+
+
+def _rests(model: mujoco.MjModel, robot: Robot, timestep: float) -> bool:
+    """Tells whether a file, held at the angles of its nominal stand, is still in a while."""
+    model = copy.copy(model)
+    model.opt.timestep = timestep
+    bare = Bare.of(model, robot)
+    data = place_published(bare, robot, robot.home)
+    if data is None:
+        return False
+    data.qvel[:] = nudge_velocity(model)
+    hold = hold_of(bare, robot, data, None, data.qpos[_places(bare, robot)])
+    simulate_published(bare, data, hold, _WHILE)
+    return bool(np.abs(data.qvel).max() < _STILL)
 
 
 def _own_run(robot: Robot) -> OwnRun | None:
@@ -149,8 +200,7 @@ def _from_stand(bare: Bare, robot: Robot) -> OwnRun | None:
         return None
     pose = data.qpos[_places(bare, robot)].copy()
     run = _own(bare, robot, data, _angles(bare, robot, data, pose))
-    assert robot.published is not None
-    return replace(run, imported=robot.published.imported, commands=OwnCommands.ANGLES)
+    return replace(run, commands=OwnCommands.ANGLES)
 
 
 def own_run_held(robot: Robot, qpos: Array) -> OwnRun | None:
@@ -230,13 +280,16 @@ def _own(
     else:
         motion, end = held_motion(bare.model, start, advance)
     off = end.qpos[places] - start.qpos[places]
+    imported = robot.published is not None and robot.published.imported is not None
+    given = {servo.joint for servo in robot.description.made_servos if imported}
     joints = [
         JointOff(
             name,
             float(off[index]),
             bare.drives[index],
             _told(bare, name, hold.ctrl, float(start.qpos[places[index]])),
-            added=bare.model.jnt_dofadr[bare.model.joint(name).id] in hold.outside[0],
+            added=name in given
+            or bare.model.jnt_dofadr[bare.model.joint(name).id] in hold.outside[0],
         )
         for index, name in enumerate(robot.joint_names)
     ]
@@ -250,8 +303,11 @@ def _own(
         and abs(one.off) > GIVES_WAY
     ]
     most = 2 * sum(one.drive is Drive.SERVO for one in joints) > len(joints)
+    step = float(bare.model.opt.timestep)
     return OwnRun(
         **asdict(motion),
+        imported=imported,
+        timestep=step if imported and step < robot.mj_model.opt.timestep else None,
         worst=max(joints, key=_far, default=None) if whole else None,
         unheld=max(loose, key=_far, default=None) if whole and most else None,
         standing=standing,

@@ -89,7 +89,7 @@ def as_published_in(robot: Robot, stand: Stand, servos: ServosUsed) -> Published
     bad = any(servo.instead_of.bad for servo in robot.description.made_servos)
     if robot.published is None or (servos.source is ServoSource.GIVEN and bad):
         return None
-    if robot.published.file is None:
+    if robot.published.as_prepared:
         return None  # it is what is simulated
     if robot.published.loaded is not None or not stand.task.ground.level:
         return as_loaded(robot).once(published_nominal)
@@ -105,16 +105,21 @@ def published_nominal(robot: Robot) -> Published | None:
 
 def _published_in(robot: Robot, stand: Stand) -> Published | None:
     """Returns how the file differs in a stand, with the lines of what makes it differ."""
-    file = None if robot.published is None else robot.published.file
-    if not robot.floating or not robot.feet or file is None:
+    if not robot.floating or not robot.feet or robot.published is None:
         return None
     model = robot.once(raw_model)
+    if model is None and robot.published.file is None:
+        return None  # MuJoCo does not import it
     if model is None:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
     found = as_published(Bare.of(model, robot), robot, stand)
-    if found is None:
-        return None
-    return replace(found, causes=tuple(with_line(cause, file) for cause in found.causes))
+    return found and replace(found, causes=_with_lines(found.causes, robot))
+
+
+def _with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
+    """Returns causes with the lines where they stand in a robot's MJCF, if it has one."""
+    file = None if robot.published is None else robot.published.file
+    return tuple(cause if file is None else with_line(cause, file) for cause in causes)
 
 
 def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | None:
@@ -131,9 +136,10 @@ def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | 
         What comes of it; None where there is no file, or its base is free in it.
     """
     robot = as_loaded(robot)
-    file = None if robot.published is None else robot.published.file
-    model = None if robot.floating or file is None else robot.once(raw_model)
-    if model is None or file is None:
+    if robot.floating or robot.published is None or robot.published.as_prepared:
+        return None
+    model = robot.once(raw_model)
+    if model is None:
         return None
     bare = Bare.of(model, robot)
     if bare.floating:
@@ -144,8 +150,7 @@ def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | 
     run = run_as_published(bare, robot, wanted)
     if run is None or not run.differs:
         return Published(() if run is None else (run,), (), differs=False)
-    causes = (with_line(cause, file) for cause in causes_of(bare, robot, wanted))
-    return Published((run,), tuple(causes), differs=True)
+    return Published((run,), _with_lines(causes_of(bare, robot, wanted), robot), differs=True)
 
 
 def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
@@ -290,6 +295,7 @@ def run_as_published(bare: Bare, robot: Robot, wanted: Predicted) -> PublishedRu
         joint_error=joint,
         collapses=collapses,
         differs=collapses or not (alike and torque <= SAME),
+        imported=robot.published is not None and robot.published.imported is not None,
     )
 
 
@@ -322,10 +328,7 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
         return None if again is None or again.fails else 0.0
 
     causes = _both_ways(bare, candidate_causes(bare, robot), tried)
-    file = None if robot.published is None else robot.published.file
-    if file is not None:
-        causes = tuple(with_line(cause, file) for cause in causes)
-    return replace(run, causes=causes)
+    return replace(run, causes=_with_lines(causes, robot))
 
 
 def causes_of(bare: Bare, robot: Robot, wanted: Predicted) -> tuple[Cause, ...]:

@@ -56,6 +56,11 @@ gravity, and still is to be where it is commanded within some tenths of a second
 
 _POSES = 64
 
+FINER = (1, 2, 4)
+"""Parts into which the model's time step is divided, the first with which the robot comes to rest.
+A light foot without armature (G1's: 3e-4 kg m^2 about the ankle) shakes between a stiff servo and
+the ground at 2 ms, and is at rest at 0.5 ms."""
+
 
 @dataclass(frozen=True, eq=False)
 class Requirement:

@@ -125,6 +125,7 @@ def own_clauses(own: OwnRun | None) -> Iterator[Clause]:
     for run in () if own is None else (own, *((own.held,) if own.held else ())):
         how: dict[str, Any] = {
             "imported": run.imported,
+            "step": None if run.timestep is None else Quantity(run.timestep, "s"),
             "keyframe": run.keyframe or None,
             "absent": run.commands is OwnCommands.ABSENT,
             "angles": run.commands is OwnCommands.ANGLES,

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.models.conversion import acting_gravity
+from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.mjcf_file import MjcfFile
@@ -45,19 +45,24 @@ class PublishedFile:
     """A robot's MJCF, or its URDF alone, as it was published: what verdicts simulate beside it.
 
     Attributes:
-        file: The MJCF; of a URDF alone MuJoCo's own import of it; None where the robot is as its
-            file has it, with nothing made up.
+        file: The MJCF; None of a URDF alone, and where the robot is as its file has it, with
+            nothing made up.
         keyframe: The one that was asked for.
-        imported: Whether it is of a URDF alone.
+        imported: A URDF that is alone, for MuJoCo's own importer.
         options: MuJoCo's that were asked for in place of the file's: their names and values.
         loaded: The robot that was made of it, where this is of one that was changed since.
     """
 
     file: MjcfFile | None
     keyframe: str | None = None
-    imported: bool = False
+    imported: UrdfImport | None = None
     options: tuple[tuple[str, float], ...] = ()
     loaded: Robot | None = None
+
+    @property
+    def as_prepared(self) -> bool:
+        """Whether the robot is as its file has it."""
+        return self.file is None and self.imported is None
 
     def of_changed(self, robot: Robot) -> PublishedFile:
         """Returns the file of what is made of a robot by changing it."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from pupper_analysis.base.arguments import check_arguments, check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
+from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
@@ -37,11 +38,13 @@ class ModelPair:
         mjcf: The MJCF.
         converted: ``"urdf"`` or ``"mjcf"``: which of them was made of the other one; empty if each
             has a file.
+        imported: A URDF that is alone, for MuJoCo's own importer.
     """
 
     urdf: UrdfFile
     mjcf: MjcfFile
     converted: str = ""
+    imported: UrdfImport | None = None
 
     @staticmethod
     def of(file: UrdfFile | MjcfFile) -> ModelPair:
@@ -51,7 +54,8 @@ class ModelPair:
             ModelError: If the other format cannot have the robot.
         """
         if isinstance(file, UrdfFile):
-            return ModelPair(*bare_mjcf(file), "mjcf")
+            urdf, mjcf, imported = bare_mjcf(file)
+            return ModelPair(urdf, mjcf, "mjcf", imported)
         return ModelPair(_bare_urdf(file), file, "urdf")
 
     def mark(self, robot: Robot) -> Robot:
@@ -192,5 +196,6 @@ def load_robot(
         keyframe=keyframe,
         as_is=as_is,
     )
-    published = None if pair.converted == "mjcf" else PublishedFile(pair.mjcf, keyframe)
+    file = None if pair.converted == "mjcf" else pair.mjcf
+    published = PublishedFile(file, keyframe, pair.imported)
     return pair.mark(replace(robot, published=published))

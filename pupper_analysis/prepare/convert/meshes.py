@@ -123,6 +123,22 @@ class Meshes:
             self._names[path, scale] = free_name(path.stem, self._taken)
         return self._names[path, scale]
 
+    def file_of(self, mesh: etree._Element, assets: dict[str, bytes]) -> str | None:
+        """Returns what MuJoCo reads for a URDF's <mesh> that touches; None if it is left out.
+
+        Args:
+            mesh: The element.
+            assets: Takes {name: content} of meshes that are written anew.
+        """
+        if self.name(mesh, touches=True) is None:
+            return None
+        path = self.urdf.resolve_mesh(str(mesh.get("filename")))
+        assert path is not None
+        place = self._place(path.resolve())
+        if place in self.made:
+            assets[place.name] = self.made[place]
+        return place.name if place in self.made else str(place)
+
     def write(
         self,
         asset: etree._Element,

@@ -13,9 +13,12 @@ import numpy as np
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, PupperAnalysisError, StanceUnreachableError
 from pupper_analysis.models.additions import Ball, Servo, put_all
+from pupper_analysis.models.conversion import UrdfImport
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text
 from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
+from pupper_analysis.models.urdf_tree import origin_of, set_origin
+from pupper_analysis.models.xml import to_text as urdf_text
 from pupper_analysis.models.xml_layout import put_defaults, to_text
 from pupper_analysis.models.xml_text import add_element
 from pupper_analysis.prepare import drives
@@ -113,6 +116,7 @@ class _Bare:
         meshes: Its meshes.
         bodies: What is known of its bodies.
         free: Whether its base is free.
+        carried: Links whose shapes were moved to the bodies that carry them.
         notes: What was assumed.
         repairs: Inertials that were repaired.
     """
@@ -122,6 +126,7 @@ class _Bare:
     meshes: Meshes
     bodies: UrdfBodies
     free: bool
+    carried: tuple[str, ...]
     notes: tuple[Diagnostic, ...]
     repairs: tuple[Repair, ...]
 
@@ -149,7 +154,9 @@ class _Bare:
             add_element(mjcf.section("asset"), "material", name=name, rgba=rgba)
         for follower, mimic in bodies.mimics.items():
             mjcf.add_coupling(follower, *mimic)
-        return _Bare(mended, mjcf, meshes, bodies, freed, tuple(notes), tuple(repairs))
+        return _Bare(
+            mended, mjcf, meshes, bodies, freed, tuple(carried), tuple(notes), tuple(repairs)
+        )
 
     def file(self, *, visuals: bool = False) -> MjcfFile:
         """Returns the MJCF as far as it is made, as if it were read from the URDF's file.
@@ -167,15 +174,40 @@ class _Bare:
         self.meshes.write(draft.section("asset"), used=used, assets=assets)
         return replace(mjcf_of_text(self.urdf.path, draft.text, assets), of_urdf=True)
 
+    def imported(self) -> UrdfImport:
+        """Returns the URDF for MuJoCo's own importer, as far as it touches.
 
-def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile]:
+        What no body can weigh, which MuJoCo refuses, is where it was given to, and so are shapes of
+        links without mass: the importer, too, makes them the body's that carries them.
+        """
+        tree, assets = self.urdf.tree.copy(), dict[str, bytes]()
+        for body in self.mjcf.bodies:
+            link, mended = tree.links[body.name], body.inertia
+            link.remove("visual", *(("inertial",) if mended is None else ()))
+            if mended is not None and (link.inertia is None or mended != link.inertia):
+                link.set_inertia(mended)
+            for _, shape, geometry in list(link.shapes):
+                if geometry is not None and geometry.tag == "mesh":
+                    file = self.meshes.file_of(geometry, assets)
+                    geometry.set("filename", file or "")
+                    if file is None:
+                        link.element.remove(shape)
+        for name in self.carried:
+            link, joint = tree.links[name], tree.above[name]
+            for shape in link.element.findall("collision"):
+                set_origin(shape, joint.origin * origin_of(shape))
+                tree.links[joint.parent].element.append(shape)
+        return UrdfImport(self.urdf.path, urdf_text(tree.root), assets)
+
+
+def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile, UrdfImport]:
     """Makes the MJCF of a URDF in memory, its base fixed as it is in the URDF.
 
     Links whose inertia no body can have get the nearest that one can, and a gram if they have no
     mass; the notes of the MJCF say so.
 
     Returns:
-        The URDF with such inertials, and the MJCF.
+        The URDF with such inertials, the MJCF, and that URDF for MuJoCo's own importer.
 
     Raises:
         ModelError: If MuJoCo cannot have the robot, or nothing that moves has a mass.
@@ -190,7 +222,8 @@ def bare_mjcf(urdf: UrdfFile) -> tuple[UrdfFile, MjcfFile]:
         if geom.get("name") not in stated:
             geom.attrib.pop("name", None)  # a foot is called as its link then
     left = (*bare.bodies.notes, *bare.meshes.notes)
-    return bare.urdf, replace(bare.file(visuals=True), notes=(*bare.notes, *left))
+    made = replace(bare.file(visuals=True), notes=(*bare.notes, *left))
+    return bare.urdf, made, bare.imported()
 
 
 def _made(urdf: UrdfFile, output: Path, options: MjcfOptions) -> ConversionDraft:

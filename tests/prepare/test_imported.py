@@ -1,0 +1,148 @@
+"""What MuJoCo's own import of a URDF does, beside what was made of it: a line of every verdict."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+import pupper_analysis as pa
+from pupper_analysis.prepare.own_run import own_run, raw_model
+from pupper_analysis.present.verdict import in_words, verdict_clauses
+from pupper_analysis.simulation.verdict import Verdict, VerdictCode
+from pupper_analysis.tools.hold.hold import hold_posture
+from pupper_analysis.tools.path.tracked import study_path
+from pupper_analysis.tools.stand.stance import study_stance
+from tests.support.legged import biped, quadruped
+
+
+def touching(urdf: Path, *shapes: tuple[str, str]) -> Path:
+    """Gives links of a URDF collision shapes, each as it is in a <geometry>, 0.2 m below."""
+    text = urdf.read_text()
+    for link, shape in shapes:
+        begin = f'<link name="{link}">'
+        assert begin in text
+        low = "" if "mesh" in shape else '<origin xyz="0 0 -0.2"/>'
+        text = text.replace(
+            begin, f"{begin}<collision>{low}<geometry>{shape}</geometry></collision>"
+        )
+    urdf.write_text(text)
+    return urdf
+
+
+def four_legs(folder: Path) -> Path:
+    feet = ((f"{leg}_calf", '<sphere radius="0.02"/>') for leg in ("FL", "FR", "RL", "RR"))
+    return touching(quadruped(folder).urdf, *feet)
+
+
+def two_legs(folder: Path) -> Path:
+    """A biped on soles of 60 mm x 60 mm, whose 49 vertices are level to 10 um."""
+    places = np.linspace(-0.03, 0.03, 7)
+    grid = np.array([(x, y) for x in places for y in places])
+    bottom = -0.05 + 1e-5 * (grid**2).sum(axis=1) / (2 * 0.03**2)
+    points = np.vstack(
+        [np.column_stack([grid, bottom]), np.column_stack([grid, np.full(49, -0.03)])]
+    )
+    trimesh.convex.convex_hull(points + np.array([0.02, 0, 0])).export(folder / "sole.stl")
+    soles = ((f"{side}_tilt_link", '<mesh filename="sole.stl"/>') for side in ("left", "right"))
+    return touching(biped(folder).urdf, *soles)
+
+
+def verdict_of(robot: pa.Robot) -> Verdict:
+    return study_stance(robot, pa.StandTask()).verdict
+
+
+def test_a_sound_urdf_does_by_itself_what_is_predicted(tmp_path: Path) -> None:
+    """Two routes from the URDF to MuJoCo, ours and its own: one robot."""
+    robot = pa.load_robot(four_legs(tmp_path))
+    verdict = verdict_of(robot)
+    assert verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
+    assert verdict.own is not None
+    assert verdict.own.imported
+    assert not verdict.own.falls
+    assert verdict.own.timestep is None
+    assert verdict.own.worst is not None
+    assert verdict.own.worst.added
+    assert "MuJoCo's own import of the URDF, from the computed pose" in in_words(verdict)
+    assert verdict.published is not None
+    assert not verdict.published.differs
+    for run in verdict.published.runs:
+        assert abs(run.height_error) < 1e-6
+        assert run.torque_error < 1e-3  # feet stick where the nudge left them
+
+
+def test_the_import_is_mujocos_own_and_has_what_no_urdf_states(tmp_path: Path) -> None:
+    robot = pa.load_robot(four_legs(tmp_path))
+    model = raw_model(robot)
+    assert model is not None
+    assert model is not robot.mj_model
+    assert model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE.value
+    assert sum(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE.value) == 1
+    assert model.nu == 12
+    assert model.body_mass.sum() == pytest.approx(robot.total_mass, rel=1e-12)
+    again = pickle.loads(pickle.dumps(robot))
+    assert own_run(again) == own_run(robot)
+
+
+def test_what_falls_as_mujoco_imports_it_does_not_hold(tmp_path: Path) -> None:
+    """Whatever is made of it: here two feet of the import are points, 18 mm higher."""
+    robot = pa.load_robot(four_legs(tmp_path))
+    assert robot.published is not None
+    own = robot.published.imported
+    assert own is not None
+    short = replace(own, text=own.text.replace('radius="0.02"', 'radius="0.002"', 2))
+    other = replace(robot, published=replace(robot.published, imported=short))
+    verdict = verdict_of(other)
+    assert verdict.with_feedforward == "holds"
+    assert verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED, in_words(verdict)
+    assert not verdict.passed
+
+
+@pytest.mark.slow
+def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> None:
+    """Servos and step are ours, made for spheres: at 2 ms meshes shake on them, at 1 ms not."""
+    verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))
+    assert verdict.passed, in_words(verdict)
+    assert "on-balls-for-soles" in {clause.told.code for clause in verdict_clauses(verdict)}
+    assert verdict.own is not None
+    assert verdict.own.timestep == 1e-3
+    assert "at 1 ms a step, as it shakes at longer ones" in in_words(verdict)
+
+
+def test_other_verdicts_have_the_same_line(tmp_path: Path) -> None:
+    robot = pa.load_robot(four_legs(tmp_path))
+    found = study_path(robot, pa.StandTask(height=0.33), 1.0).verdict
+    assert found.own == own_run(robot)
+    assert "own-run" in {clause.told.code for clause in verdict_clauses(found)}
+
+
+def test_what_mujoco_does_not_import_is_told(tmp_path: Path) -> None:
+    """Our converter leaves out a cone, of which MuJoCo's importer knows nothing."""
+    urdf = touching(four_legs(tmp_path), ("trunk", '<cone radius="0.1" length="0.1"/>'))
+    verdict = verdict_of(pa.load_robot(urdf))
+    assert verdict.own is None
+    assert verdict.passed
+    assert "what MuJoCo's own import of the URDF does is not known" in in_words(verdict)
+
+
+def test_an_arm_is_held_as_mujoco_imports_it(tmp_path: Path) -> None:
+    urdf = tmp_path / "arm.urdf"
+    inertial = (
+        '<inertial><origin xyz="0.2 0 0"/><mass value="1"/>'
+        '<inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    urdf.write_text(
+        f'<robot name="arm"><link name="base"/><link name="arm">{inertial}</link>'
+        '<joint name="shoulder" type="revolute"><parent link="base"/><child link="arm"/>'
+        '<axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="20" velocity="5"/></joint></robot>'
+    )
+    verdict = hold_posture(pa.load_robot(urdf), {"shoulder": 0.5}).verdict
+    assert verdict.passed, in_words(verdict)
+    assert verdict.own is not None
+    assert verdict.own.imported
+    assert "MuJoCo's own import of the URDF" in in_words(verdict)
