@@ -513,17 +513,13 @@ def play_steps(
     handle: Any, timestep: float, step: Callable[[], None], count: int | None = None
 ) -> None:
     """Calls ``step`` in real time, ``count`` times or without end, while the window is open."""
-    done, start = 0, time.perf_counter()
-    limit = math.inf if count is None else count
+    done, limit = 0, math.inf if count is None else count
     while handle.is_running() and done < limit:
-        now = time.perf_counter()
-        due = int((now - start) / timestep)
-        if (due - done) * timestep > 0.1:  # too slow, or woken from sleep: do not catch up
-            due = done + max(1, round(_FRAME / timestep))
-            start = now - due * timestep
+        begun = time.perf_counter()
+        steps = int(min(max(1, round(_FRAME / timestep)), limit - done))
         with handle.lock():
-            while done < min(due, limit):
+            for _ in range(steps):
                 step()
-                done += 1
+        done += steps
         handle.sync()
-        time.sleep(max(0.0, _FRAME - (time.perf_counter() - now)))
+        time.sleep(max(0.0, steps * timestep - (time.perf_counter() - begun)))
