@@ -23,7 +23,7 @@ from .base.errors import UnknownNameError as UnknownNameError
 from .base.errors import VariantError as VariantError
 from .prepare.convert.load import load_robot as load_robot
 from .prepare.judge import judge_stand as judge_stand
-from .pupper.load import load_variant as load_variant
+from .pupper.variant_files import load_variant as load_variant
 from .pupper.variants import VARIANTS as VARIANTS
 from .robot import matching as matching
 from .robot.compare.compare import compare_models as compare_models

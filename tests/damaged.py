@@ -29,7 +29,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.cli.stance_file import read_stance_file
+from pupper_analysis.cli.stance_fields import read_stance_file
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.prepare.convert.mesh_files import (

@@ -30,7 +30,7 @@ def import_mujoco() -> None:
 def import_without_opengl() -> None:
     """Imports MuJoCo without OpenGL, unless it is there already: GLFW starts a process to load.
 
-    What draws asks for its own afterwards (present/opengl.py), by the variable as it is set.
+    What draws asks for its own afterwards (tools/analyze/render.py), by the variable as it is set.
     """
     wanted = os.environ.get("MUJOCO_GL")
     os.environ["MUJOCO_GL"] = "disable"

@@ -1,4 +1,4 @@
-"""The command line."""
+"""The command line: the tools' commands, imported when they are used, and how each run ends."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import gc
 import os
 import sys
 import traceback
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -14,8 +15,7 @@ import click
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.runs import running
-from pupper_analysis.base.tools import own_tools
-from pupper_analysis.cli.lazy import LazyGroup
+from pupper_analysis.base.tools import other_tools, own_tools
 from pupper_analysis.cli.process import (
     Ended,
     ending_signals,
@@ -29,6 +29,42 @@ from pupper_analysis.cli.shared import (
     VERIFIED,
 )
 from pupper_analysis.models import standard_input
+
+
+def list_tools() -> list[str]:
+    """Returns the names of all tools, ours and others'."""
+    return sorted([*own_tools(), *other_tools()])
+
+
+class LazyGroup(click.Group):
+    """A group of the tools' commands, which imports one that is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Returns the names of all commands, as click asks for them."""
+        return list_tools()
+
+    def get_command(
+        self,
+        ctx: click.Context | None,  # noqa: ARG002
+        cmd_name: str,
+    ) -> click.Command | None:
+        """Returns a command; None if there is none of that name."""
+        tool = own_tools().get(cmd_name) or other_tools().get(cmd_name)
+        if tool is None:
+            return None
+        command: click.Command = import_module(f"{tool.package}.command").command
+        return command
+
+    def format_commands(
+        self,
+        ctx: click.Context,  # noqa: ARG002
+        formatter: click.HelpFormatter,
+    ) -> None:
+        """Writes the list of all commands, and imports none."""
+        tools = {**own_tools(), **other_tools()}
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, tools[name].question) for name in sorted(tools)])
+
 
 __all__ = ["BAD_INPUT", "find_command", "group", "main", "run"]
 

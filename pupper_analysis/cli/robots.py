@@ -203,7 +203,7 @@ def robot_from(
     """
     if isinstance(meant, RobotFiles):
         return load_files(meant, fixed_base=fixed_base, **more)
-    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.variant_files import load_variant
 
     return load_variant(meant, fixed_base=fixed_base)
 

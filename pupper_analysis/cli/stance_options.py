@@ -27,9 +27,9 @@ from pupper_analysis.cli.stance_fields import (
     TYPED,
     option_of,
     options_of,
+    stance_option,
     task_of,
 )
-from pupper_analysis.cli.stance_file import stance_option
 from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.stance.fields import ROBOT_FIELDS
 
@@ -186,8 +186,8 @@ def _refuse_idle(meant: Sequence[str | VariantSpec | RobotFiles]) -> None:
 def _print_first_difference(robot: Robot) -> None:
     """Prints what makes a robot's files those of two robots, as far as one thing does."""
     from pupper_analysis.base.errors import ModelError
-    from pupper_analysis.present.comparison import by_cause, first_to_mend
     from pupper_analysis.present.document import tell
+    from pupper_analysis.present.documents.comparison import by_cause, first_to_mend
     from pupper_analysis.present.terminal import make_console
     from pupper_analysis.present.terminal import print_notes as print_lines
     from pupper_analysis.robot.compare.compare import compare_models

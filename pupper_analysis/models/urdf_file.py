@@ -1,41 +1,36 @@
-"""Reads a URDF: where its elements stand, and what its meshes are."""
+"""Reads a URDF: what it must be, where its elements stand, and what its meshes are."""
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
+from typing import Final
 
 from lxml import etree
 
 from pupper_analysis.base.arguments import check_type
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.runs import current_run
+from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.packages import existing_file, folders_of_package
 from pupper_analysis.models.places import (
     Place,
     innermost_element,
     line_of,
+    quote_short,
     refusal_at,
     refuse_file,
 )
 from pupper_analysis.models.unlimited import complete_limits, taken_as_unlimited
-from pupper_analysis.models.urdf_checks import (
-    MAX_LINKS,
-    UNTIDY_NUMBER,
-    check_element,
-    check_joint,
-    check_tree,
-    distinct_children,
-    leave_out_odd_materials,
-    leave_out_undeclared,
-)
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml import parse_xml
+from pupper_analysis.models.xml import MAX_DEPTH, MAX_NUMBER, NUMBER, parse_xml
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,3 +181,253 @@ def urdf_from(
         for element in root.iter("mesh", "texture"):
             file.resolve_mesh(element.get("filename") or "")
     return file
+
+
+MAX_LINKS: Final = 2000
+"""Most links of a URDF."""
+
+_JOINT_TYPES: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+_INERTIA: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+# The attributes that hold numbers, and how many; and those that must be there.
+_NUMBERS: Final[Mapping[str, Mapping[str, int]]] = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(_INERTIA, 1),
+    **{
+        tag: dict.fromkeys(
+            (one.urdf[1] for one in JOINT_ATTRIBUTES if one.urdf and one.urdf[0] == tag), 1
+        )
+        for tag in ("limit", "dynamics")
+    },
+    "mimic": {"multiplier": 1, "offset": 1},
+    "calibration": {"rising": 1, "falling": 1, "reference_position": 1},
+    "safety_controller": {
+        "k_velocity": 1,
+        "k_position": 1,
+        "soft_lower_limit": 1,
+        "soft_upper_limit": 1,
+    },
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {"scale": 3},
+    "color": {"rgba": 4},
+}
+
+_REQUIRED: Final[Mapping[str, tuple[str, ...]]] = {
+    "mass": ("value",),
+    "inertia": _INERTIA,
+    "mimic": ("joint",),
+    "safety_controller": ("k_velocity",),
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename",),
+    "parent": ("link",),
+    "child": ("link",),
+}
+
+# Line breaks and tabs in numbers; an XML parser makes them spaces, Pinocchio's does not.
+UNTIDY_NUMBER: Final = re.compile(
+    rf"""\b(?:{"|".join(name for names in _NUMBERS.values() for name in names)})"""
+    r"""\s*=\s*(?:"[^"<\t\r\n]*[\t\r\n]|'[^'<\t\r\n]*[\t\r\n])"""
+)
+
+# Which children an element may have once only, and which it must have.
+_ONCE: Final[Mapping[str, tuple[str, ...]]] = {
+    "link": ("inertial",),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry", "material"),
+    "collision": ("origin", "geometry"),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+}
+
+_MUST: Final[Mapping[str, tuple[str, ...]]] = {
+    "inertial": ("mass", "inertia"),
+    "visual": ("geometry",),
+    "collision": ("geometry",),
+    "joint": ("parent", "child"),
+}
+
+_KNOWN: Final = frozenset((*_NUMBERS, *_REQUIRED, *_ONCE, *_MUST, "geometry", "material"))
+
+
+def leave_out_undeclared(root: etree._Element) -> Diagnostic | None:
+    """Takes out what has a prefix that is not declared: Pinocchio skips it, other parsers refuse.
+
+    Returns:
+        What was taken out; None if there was nothing.
+    """
+    gone: dict[str, None] = {}
+    for element in list(root.iter()):
+        for name in [str(name) for name in element.attrib if ":" in str(name).rpartition("}")[2]]:
+            gone[name] = None
+            del element.attrib[name]
+        parent = element.getparent()
+        if ":" in element.tag.rpartition("}")[2] and parent is not None:
+            gone[element.tag] = None
+            parent.remove(element)
+    return diagnose("undeclared-prefixes", names=gone) if gone else None
+
+
+def leave_out_odd_materials(root: etree._Element) -> bool:
+    """Takes out a shape's materials without a name, and all but the first, in place.
+
+    Converters write one for each colour of a mesh, where parsers read the first; urdfdom reports
+    one without a name, and leaves out its shape. A colour has no effect, so no note tells of it.
+
+    Returns:
+        Whether there was any.
+    """
+    found = False
+    for visual in root.findall("link/visual"):
+        for number, material in enumerate(visual.findall("material")):
+            if number or not material.get("name"):
+                visual.remove(material)
+                found = True
+    return found
+
+
+def distinct_children(path: Path, root: etree._Element, tag: str) -> dict[str, etree._Element]:
+    """Returns the root's children of a kind by name; the names are to be distinct."""
+    found: dict[str, etree._Element] = {}
+    for element in root.findall(tag):
+        name = element.get("name")
+        if not name:
+            raise refusal_at(path, element, diagnose("element-without-name", tag=tag))
+        if name in found:
+            first = line_of(found[name])
+            problem = diagnose("name-taken", subject=(tag, name), line=first)
+            raise refusal_at(path, element, problem)
+        found[name] = element
+    return found
+
+
+def check_element(path: Path, element: etree._Element) -> bool:
+    """Checks the children and numbers of a link or joint; returns whether it had to rewrite any."""
+    rewritten = False
+    what = str(element.tag), str(element.get("name"))
+    pending = [element]
+    while pending:
+        part = pending.pop()
+        children = [child for child in part if child.tag in _KNOWN]
+        tags = [child.tag for child in children]
+        for tag in _ONCE.get(part.tag, ()):
+            if tags.count(tag) > 1:
+                again = [child for child in children if child.tag == tag][1]
+                problem = diagnose("child-more-than-once", subject=what, tag=tag)
+                raise refusal_at(path, again, problem)
+        for tag in _MUST.get(part.tag, ()):
+            if tag not in tags:
+                problem = diagnose("child-missing", subject=what, tag=part.tag, child=tag)
+                raise refusal_at(path, part, problem)
+        for attribute in _REQUIRED.get(part.tag, ()):
+            if part.get(attribute) is None:
+                missing = {"tag": part.tag, "attribute": attribute}
+                raise refusal_at(path, part, diagnose("attribute-missing", subject=what, **missing))
+        for attribute, count in _NUMBERS.get(part.tag, {}).items():
+            value = part.get(attribute)
+            if value is None:
+                continue
+            _check_numbers(path, part, attribute, value, count, what)
+            tidy = " ".join(value.split())
+            if tidy != value:
+                part.set(attribute, tidy)
+                rewritten |= count == 1
+        if part.tag == "dynamics" and not (part.get("damping") or part.get("friction")):
+            raise refusal_at(path, part, diagnose("dynamics-states-nothing", subject=what))
+        pending.extend(children)
+    return rewritten
+
+
+def _check_numbers(
+    path: Path, part: etree._Element, attribute: str, value: str, count: int, what: tuple[str, str]
+) -> None:
+    where = {"tag": part.tag, "attribute": attribute, "value": quote_short(value)}
+    numbers = value.split()
+    if len(numbers) != count:
+        problem = diagnose(
+            "wrong-count-of-numbers", subject=what, **where, count=len(numbers), wanted=count
+        )
+        raise refusal_at(path, part, problem)
+    for number in numbers:
+        if "${" in number or "$(" in number:
+            raise refusal_at(path, part, diagnose("value-is-xacro", subject=what, **where))
+        if not NUMBER.fullmatch(number) or not math.isfinite(float(number)):
+            where |= {"number": quote_short(number)}
+            raise refusal_at(path, part, diagnose("number-not-finite", subject=what, **where))
+        # A limit may be as large as can be: exporters write that for none.
+        if part.tag != "limit" and abs(float(number)) > MAX_NUMBER:
+            where |= {"number": quote_short(number)}
+            problem = diagnose("number-too-large", subject=what, **where, most=MAX_NUMBER)
+            raise refusal_at(path, part, problem)
+
+
+def check_joint(
+    path: Path,
+    name: str,
+    joint: etree._Element,
+    links: Mapping[str, etree._Element],
+) -> None:
+    """Refuses an unknown type, a missing limit, and ends that are no links."""
+    what = "joint", name
+    kind = joint.get("type")
+    if kind not in _JOINT_TYPES:
+        problem = diagnose("joint-type-unknown", subject=what, kind=kind, valid=_JOINT_TYPES)
+        raise refusal_at(path, joint, problem)
+    if kind in ("revolute", "prismatic") and joint.find("limit") is None:
+        turns = kind == "revolute"
+        problem = diagnose("limit-missing", subject=what, kind=Term(kind), turns=turns)
+        raise refusal_at(path, joint, problem)
+    moves = kind in ("revolute", "continuous", "prismatic")
+    # Pinocchio's world, and its joint of a free base: it takes this one for them, or drops masses.
+    if name == "universe" or (name == "root_joint" and moves):
+        raise refusal_at(path, joint, diagnose("joint-name-reserved", subject=what))
+    for tag in ("parent", "child"):
+        end = joint.find(tag)
+        if end.get("link") not in links:
+            link = str(end.get("link"))
+            problem = diagnose("joint-end-no-link", subject=what, end=Term(tag), link=link)
+            raise refusal_at(path, end, problem)
+
+
+def check_tree(
+    path: Path, links: Mapping[str, etree._Element], joints: Mapping[str, etree._Element]
+) -> None:
+    """Refuses joints that do not make the links one tree."""
+    above: dict[str, str] = {}
+    through: dict[str, str] = {}
+    for name, joint in joints.items():
+        child = joint.find("child").get("link")
+        if child in above:
+            joints_of = (through[child], name)
+            problem = diagnose("link-of-two-joints", subject=("link", child), joints=joints_of)
+            raise refusal_at(path, joint, problem)
+        above[child] = joint.find("parent").get("link")
+        through[child] = name
+    depth: dict[str, int] = {}
+    for link in links:
+        chain: list[str] = []
+        at = link
+        while at in above and at not in depth:
+            depth[at] = -1
+            chain.append(at)
+            at = above[at]
+        if depth.get(at) == -1:
+            closing = through[at]
+            problem = diagnose("links-in-a-loop", subject=("joint", closing), link=at)
+            raise refusal_at(path, joints[closing], problem)
+        base = depth.setdefault(at, 0)
+        for steps, passed in enumerate(reversed(chain), start=1):
+            depth[passed] = base + steps
+        if depth[link] > MAX_DEPTH:
+            problem = diagnose("chain-too-long", subject=("link", link), most=MAX_DEPTH)
+            raise refusal_at(path, links[link], problem)
+    roots = [link for link in links if link not in above]
+    if len(roots) > 1:
+        problem = diagnose("several-roots", links=roots, count=len(roots))
+        raise refusal_at(path, links[roots[1]], problem)

@@ -17,7 +17,7 @@ from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.spec_tree import set_inertia
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.prepare.contact_points import lowest_point
-from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.mjcf import limbs_on_the_world, mjcf_tree
 from pupper_analysis.robot.matching.pairs import without_affixes
 from pupper_analysis.robot.matching.trees import at_zero

@@ -19,8 +19,7 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.prepare.contact_points import ContactPoint, contact_points, lowest_point
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.contact import ground_geom
-from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.contact import ground_geom, limb_ends
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import as_published_held, as_published_in, own_run_explained
 from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.robot.asked_efforts import efforts_nobody_meant
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.efforts import efforts_nobody_meant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.robot.stability import LASTING

@@ -55,7 +55,7 @@ from pupper_analysis.prepare.solver import choose_exact_solver
 from pupper_analysis.prepare.start import find_start_pose, start_of
 from pupper_analysis.prepare.visuals import leave_out_visuals, take_visuals_of
 from pupper_analysis.robot.build import build_robot, equipped_robot, with_knowledge_of
-from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.robot import Robot

@@ -16,7 +16,6 @@ from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.models.additions import Start
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import model_with_servos
@@ -223,7 +222,7 @@ def _calm(robot: Robot, task: StandTask, pose: Array) -> Stand | None:
     """Solves a stand with all but the legs as in a pose, as far as the com allows."""
     legs = np.concatenate([limb.joints for limb in find_limbs(robot)])
     try:
-        check_bodies(robot)
+        robot.check_bodies()
         goal, found = make_goal(robot, task, {}), None
     except PupperAnalysisError:  # the margin leaves nothing of a joint's range, or no body is so
         return None

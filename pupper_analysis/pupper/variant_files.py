@@ -1,11 +1,14 @@
-"""The files of a variant: derived in memory, and written."""
+"""The files of a variant: derived in memory, written, and loaded."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
@@ -22,6 +25,8 @@ from pupper_analysis.pupper.variants import (
     model_folder,
     variant_spec,
 )
+from pupper_analysis.robot.build import build_robot
+from pupper_analysis.robot.robot import PublishedFile, Robot
 
 _SAFE_SCALE = 20.0
 """Scales up to this, or its inverse, compile; whether others do is tried, which takes its time."""
@@ -128,3 +133,30 @@ def write_variant(
     contents |= {urdf_path: description.urdf.encode(), mjcf_path: mjcf_text.encode()}
     write_together([Writing(path, data, MODEL, force=force) for path, data in contents.items()])
     return urdf_path, mjcf_path
+
+
+Array = NDArray[np.float64]
+
+
+def load_variant(variant: str | VariantSpec, *, fixed_base: bool = False) -> Robot:
+    """Loads one of the package's variants, or any other one.
+
+    Args:
+        variant: A name from ``VARIANTS``, or a ``VariantSpec``.
+        fixed_base: Fix the base in the world, at the height that the MJCF gives it.
+
+    Returns:
+        The robot.
+
+    Raises:
+        VariantError: If the name is unknown.
+        ModelError: If a model file is missing or damaged.
+    """
+    spec = variant_spec(variant)
+    check_type("fixed_base", fixed_base, bool)
+    base = BASES[spec.base]
+    robot = build_robot(
+        describe_variant(spec), fixed_base=fixed_base, foot_depth=base.foot_depth(spec.leg_scale)
+    )
+    notes = (*base.remarks(), *robot.notes)
+    return replace(robot, notes=notes, published=PublishedFile(None))

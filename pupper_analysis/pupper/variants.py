@@ -176,3 +176,28 @@ def model_folder(kind: str) -> Path:
         if folder.is_dir():
             return folder
     raise ModelError(here, diagnose("package-folder-missing", kind=kind))
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """A variant that can be scaled.
+
+    Attributes:
+        spec: The variant where nothing is scaled otherwise.
+    """
+
+    spec: VariantSpec
+
+    @property
+    def scales(self) -> Mapping[str, float]:
+        """Those of a ``VariantSpec``."""
+        return {name: getattr(self.spec, name) for name in ("leg_scale", "torso_mass_scale")}
+
+    def scaled(self, scales: Mapping[str, float]) -> VariantSpec:
+        """Returns the variant of some scales; where not given, they are the variant's.
+
+        Raises:
+            VariantError: If a scale is not a finite positive number.
+        """
+        wanted = {**self.scales, **scales}
+        return VariantSpec(self.spec.base, wanted["leg_scale"], wanted["torso_mass_scale"])

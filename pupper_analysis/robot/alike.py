@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
-from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

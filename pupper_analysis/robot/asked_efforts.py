@@ -1,4 +1,4 @@
-"""A robot whose motors can give what is asked about, in place of what its files state."""
+"""Efforts that nobody meant, and a robot whose motors give what is asked about in their place."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.models.attributes import BY_KIND
-from pupper_analysis.models.efforts import EffortLimit, EffortStatement
+from pupper_analysis.models.efforts import EffortLimit, EffortStatement, Motor, placeholder_efforts
+from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.robot import Robot
@@ -62,3 +65,37 @@ def with_efforts(robot: Robot, efforts: Mapping[str, float]) -> Robot:
         )
     built = rebuild_robot(robot, urdf=to_text(urdf.root), mjcf=mjcf.spec, efforts=stated)
     return replace(built, notes=(*robot.notes, diagnose("efforts-as-asked", joints=told)))
+
+
+def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells whether a verdict rests on efforts that look like placeholders; not on asked ones."""
+    stated = {
+        limit.joint: max(-limit.lower, limit.upper)
+        for limit in robot.efforts
+        if limit.origin is None or limit.origin.file
+    }
+    joints = list(placeholders_among(robot, stated))
+    if not joints:
+        return ()
+    return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
+
+
+def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
+    """Returns which efforts look like placeholders, and why; see ``placeholder_efforts``.
+
+    Args:
+        robot: The robot, whose masses and armatures they are held against.
+        efforts: {joint: effort (N m)}; those of slides are left out.
+    """
+    model = robot.mj_model
+    weights, motors = np.bincount(model.body_weldid, model.body_mass, model.nbody), []
+    for name, effort in efforts.items():
+        joint = model.joint(name).id
+        if model.jnt_type[joint] != JointKind.HINGE:
+            continue
+        link = int(model.body_weldid[model.jnt_bodyid[joint]])
+        carrier = int(model.body_weldid[model.body_parentid[link]])
+        mass = float(weights[link] + weights[carrier])
+        motors.append(Motor(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]])))
+    found = placeholder_efforts(motors, robot.total_mass)
+    return {joint: why for joints, why in found for joint in joints}

@@ -28,13 +28,11 @@ from pupper_analysis.models.places import one_line
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import is_at_one_joint
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.at_rest import acts_at_rest
+from pupper_analysis.robot.contact import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
 from pupper_analysis.robot.efforts import effort_notes, efforts_of
-from pupper_analysis.robot.feet import foot_geoms, foot_site, stand_height
 from pupper_analysis.robot.floor import floor_of, leave_ground
-from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.transition import SLEEP
+from pupper_analysis.robot.robot import Robot, acts_at_rest
 
 Array = NDArray[np.float64]
 
@@ -154,7 +152,7 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
     MuJoCo counts it as the motors' torque; here it is what they are relieved of.
     """
     notes = _limited_tendons(mj_model)
-    if mj_model.opt.enableflags & SLEEP:
+    if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
         notes.append(diagnose("sleep-not-differentiated"))
     if acts_at_rest(mj_model):
         notes.append(diagnose("springs-are-the-mjcfs"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+import mujoco
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +13,6 @@ from pupper_analysis.base.arguments import check_type, check_vector
 from pupper_analysis.base.arrays import cross_matrices, rotation_from_quaternion
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
-from pupper_analysis.robot.at_rest import AtRest
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.structure import Workspace
 
@@ -266,7 +266,7 @@ class Configuration:
         """
         if not self.robot.acts_at_rest:
             return np.zeros(self.robot.nv)
-        with lend(self.robot, AtRest.of) as springs:
+        with lend(self.robot, AtRest) as springs:
             return springs.forces(self.qpos)
 
     def load(self) -> Array:
@@ -310,7 +310,7 @@ class Configuration:
         # What carries a joint turns its column of J; what it carries moves its foot.
         changed -= np.where(structure.carried, both, pushed.T)
         if self.robot.acts_at_rest:
-            with lend(self.robot, AtRest.of) as springs:
+            with lend(self.robot, AtRest) as springs:
                 changed -= springs.rates(self.qpos)
         return changed
 
@@ -399,3 +399,50 @@ class Configuration:
         if self._structure.floating:
             return rotation_from_quaternion(self.qpos[3:7])
         return self.frame_rotation(self.robot.base)
+
+
+_DIFFERENCE_STEP = 1e-6
+"""Step of central differences (rad, m): springs are linear, and weights' levers are sines."""
+
+
+class AtRest:
+    """The forces of a robot's springs, gravity compensation and wind, in public coordinates.
+
+    A URDF states none of them. In MuJoCo they push at rest (``qfrc_passive``); what is left of the
+    weight is held by motors and contacts. It is to be lent: MuJoCo's data takes 50 times as long to
+    make.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._model, self._convention = robot.mj_model, robot.mj_convention
+        self._data = mujoco.MjData(self._model)
+
+    def forces(self, qpos: Array) -> Array:
+        """Returns the generalised forces (nv,) at a configuration (nq,), at rest (N, N m)."""
+        self._convention.set_state(self._data, qpos)
+        return self._now()
+
+    def rates(self, qpos: Array) -> Array:
+        """Returns their derivative (nv, nv) by steps in the directions of qvel."""
+        data, index = self._data, self._convention.qvel_index
+        self._convention.set_state(data, qpos)
+        here = data.qpos.copy()
+        columns = []
+        for dof in index:
+            step, ends = np.zeros(self._model.nv), []
+            step[dof] = 1.0
+            for way in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP):
+                data.qpos[:] = here
+                mujoco.mj_integratePos(self._model, data.qpos, step, way)
+                ends.append(self._now())
+            columns.append((ends[0] - ends[1]) / (2 * _DIFFERENCE_STEP))
+        return np.array(columns).T
+
+    def _now(self) -> Array:
+        mujoco.mj_fwdPosition(self._model, self._data)
+        mujoco.mj_fwdVelocity(self._model, self._data)
+        forces: Array = self._data.qfrc_passive[self._convention.qvel_index]
+        return forces.copy()

@@ -4,25 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import mujoco
-import numpy as np
 import pinocchio as pin
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.models.efforts import (
     EffortLimit,
-    Motor,
     effort_of,
-    placeholder_efforts,
 )
-from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.transmission import drives_by_joint
 from pupper_analysis.robot.coordinates import PinocchioConvention
-
-if TYPE_CHECKING:
-    from pupper_analysis.robot.robot import Robot
 
 _EFFORT_TOLERANCE = 1e-6
 """Relative: limits that differ by less are one, rounded otherwise."""
@@ -102,37 +94,3 @@ def effort_notes(limits: Sequence[EffortLimit]) -> list[Diagnostic]:
 
 def _alike(one: float, other: float) -> bool:
     return one == other or math.isclose(one, other, rel_tol=_EFFORT_TOLERANCE)
-
-
-def efforts_nobody_meant(robot: Robot) -> tuple[Diagnostic, ...]:
-    """Tells whether a verdict rests on efforts that look like placeholders; not on asked ones."""
-    stated = {
-        limit.joint: max(-limit.lower, limit.upper)
-        for limit in robot.efforts
-        if limit.origin is None or limit.origin.file
-    }
-    joints = list(placeholders_among(robot, stated))
-    if not joints:
-        return ()
-    return (diagnose("rests-on-placeholder-efforts", joints=joints, count=len(joints)),)
-
-
-def placeholders_among(robot: Robot, efforts: Mapping[str, float]) -> dict[str, Diagnostic]:
-    """Returns which efforts look like placeholders, and why; see ``placeholder_efforts``.
-
-    Args:
-        robot: The robot, whose masses and armatures they are held against.
-        efforts: {joint: effort (N m)}; those of slides are left out.
-    """
-    model = robot.mj_model
-    weights, motors = np.bincount(model.body_weldid, model.body_mass, model.nbody), []
-    for name, effort in efforts.items():
-        joint = model.joint(name).id
-        if model.jnt_type[joint] != JointKind.HINGE:
-            continue
-        link = int(model.body_weldid[model.jnt_bodyid[joint]])
-        carrier = int(model.body_weldid[model.body_parentid[link]])
-        mass = float(weights[link] + weights[carrier])
-        motors.append(Motor(name, effort, mass, float(model.dof_armature[model.jnt_dofadr[joint]])))
-    found = placeholder_efforts(motors, robot.total_mass)
-    return {joint: why for joints, why in found for joint in joints}

@@ -16,13 +16,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from pupper_analysis.base.arrays import plain_state
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
-from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.errors import ConfigurationError, ModelError, UnknownNameError
 from pupper_analysis.models.conversion import UrdfImport, acting_gravity
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.efforts import EffortLimit
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.robot.at_rest import acts_at_rest
 from pupper_analysis.robot.closure import Closure, closure_of
 from pupper_analysis.robot.contact import ContactParameters
 from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvention
@@ -187,7 +186,14 @@ class Robot:
     @cached_property
     def shapes(self) -> tuple[ContactShape, ...]:
         """The shapes with which MuJoCo has it touch, feet included."""
-        return shapes_of(self)
+        return shapes_of(
+            self.mj_model,
+            self.mj_convention,
+            self.structure,
+            (self.base, self.mj_base),
+            self.neutral(),
+            self.description.mjcf_source,
+        )
 
     @cached_property
     def _kept(self) -> dict[tuple[Hashable, ...], Any]:
@@ -283,6 +289,16 @@ class Robot:
             why = next((note.values["why"] for note in kept), None)
             raise ConfigurationError("robot", diagnose("base-is-fixed", robot=self.name, why=why))
 
+    def check_bodies(self) -> None:
+        """Checks that what moves with each joint has no negative mass or moment of inertia.
+
+        A robot that has passed is not looked at again: it does not change.
+
+        Raises:
+            ModelError: If one has; it names the joint.
+        """
+        self.once(_check_bodies)
+
     def check_foot(self, foot: str) -> str:
         """Returns the name of a foot, if it is one.
 
@@ -331,6 +347,36 @@ class Robot:
         if self.floating:
             qpos[3] = 1.0
         return qpos
+
+
+def acts_at_rest(model: mujoco.MjModel) -> bool:
+    """Tells whether a model has anything that pushes at rest, and is no weight and no motor."""
+    arrays = ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness", "tendon_stiffnesspoly")
+    return (
+        any(getattr(model, name).any() for name in (*arrays, "body_gravcomp"))
+        or bool(np.any(model.opt.wind) and (model.opt.density or model.opt.viscosity))
+        or model.nflex > 0
+        or bool((model.body_plugin >= 0).any())
+    )
+
+
+_ROUNDING = 1e-6
+"""Of a body's largest moment of inertia: so much less than nothing is rounding, also a file's."""
+
+
+def _check_bodies(robot: Robot) -> None:
+    model = robot.pin_model
+    for name, inertia in zip(list(model.names)[1:], list(model.inertias)[1:], strict=True):
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        if inertia.mass < 0 or moments[0] < -_ROUNDING * np.abs(moments).max():
+            problem = diagnose(
+                "inertial-of-no-body",
+                subject=None if name == "root_joint" else ("joint", name),
+                joint=None if name == "root_joint" else name,
+                mass=Quantity(inertia.mass, "kg"),
+                moment=Quantity(moments[0], "kg m^2"),
+            )
+            raise ModelError(robot.description.urdf_source, problem)
 
 
 _MOST_SPARE = 8

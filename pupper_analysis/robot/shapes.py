@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import coal  # comes with pin
 import mujoco
@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.robot import contact
-
-if TYPE_CHECKING:
-    from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.coordinates import MujocoConvention
+from pupper_analysis.robot.structure import Structure
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -80,24 +79,35 @@ class ContactShape:
         return coal.Convex(corners, triangles)
 
 
-def shapes_of(robot: Robot) -> tuple[ContactShape, ...]:
+def shapes_of(
+    model: mujoco.MjModel,
+    convention: MujocoConvention,
+    structure: Structure,
+    bases: tuple[str, str],
+    neutral: Array,
+    source: Path,
+) -> tuple[ContactShape, ...]:
     """Returns the shapes of a robot's moving bodies that touch anything, in MuJoCo's order.
 
-    Where a body is in its link's frame is found at zero angles, at which both models are one
-    robot.
+    Feet included. Where a body is in its link's frame is found at zero angles, at which both models
+    are one robot.
 
     Args:
-        robot: The robot.
+        model: MuJoCo's model of the MJCF.
+        convention: Its maps.
+        structure: Of the URDF's model.
+        bases: The base's link and its body.
+        neutral: (nq,) with every joint at zero.
+        source: The MJCF's file.
 
     Raises:
         ModelError: If one is a signed distance field, whose distances nothing here can tell.
     """
-    model = robot.mj_model
     data = mujoco.MjData(model)
-    robot.mj_convention.set_state(data, robot.neutral())
+    convention.set_state(data, neutral)
     mujoco.mj_kinematics(model, data)
     ground = contact.ground_geom(model)
-    carriers = _Carriers(robot)
+    carriers = _Carriers(model, structure, bases, neutral)
     paired = {int(geom) for pair in (model.pair_geom1, model.pair_geom2) for geom in pair}
     found = []
     for geom in range(model.ngeom):
@@ -114,7 +124,7 @@ def shapes_of(robot: Robot) -> tuple[ContactShape, ...]:
                 body=model.body(body).name,
                 kind=Term(kind.name.removeprefix("mjGEOM_").lower()),
             )
-            raise ModelError(robot.description.mjcf_source, problem)
+            raise ModelError(source, problem)
         link, place = carriers.link(model.body(body).name, moving)
         there = pin.SE3(data.geom_xmat[geom].reshape(3, 3), np.array(data.geom_xpos[geom]))
         hull, faces = (
@@ -146,14 +156,16 @@ class _Carriers:
         joints: {moving body: the joint that moves it}; the base's is "".
     """
 
-    def __init__(self, robot: Robot) -> None:
-        model, own = robot.mj_model, robot.structure
+    def __init__(
+        self, model: mujoco.MjModel, own: Structure, bases: tuple[str, str], neutral: Array
+    ) -> None:
+        base, mj_base = bases
         self._links, self._frames = own.links, own.model.frames
         self._data = own.model.createData()
-        pin.framesForwardKinematics(own.model, self._data, own.convention.unit_q(robot.neutral()))
+        pin.framesForwardKinematics(own.model, self._data, own.convention.unit_q(neutral))
         moving = {int(model.jnt_bodyid[model.joint(name).id]): name for name in own.joints}
-        self.joints = {int(model.body(robot.mj_base).id): ""} | moving
-        self._first = {"": robot.base}
+        self.joints = {int(model.body(mj_base).id): ""} | moving
+        self._first = {"": base}
         names = {number: name for name, number in own.joints.items()}
         for name, number in sorted(own.links.items(), key=lambda link: link[1]):
             joint = names.get(int(self._frames[number].parentJoint))
@@ -188,11 +200,11 @@ def _touch(model: mujoco.MjModel, geom: int, ground: int) -> bool:
     return bool(met) and not excluded
 
 
-def excluded_pairs(robot: Robot) -> set[frozenset[int]]:
+def excluded_pairs(model: mujoco.MjModel) -> set[frozenset[int]]:
     """Returns the pairs of bodies (ids) that the MJCF excludes from touching each other."""
     return {
         frozenset((int(signature) >> 16, int(signature) & 0xFFFF))
-        for signature in robot.mj_model.exclude_signature
+        for signature in model.exclude_signature
     }
 
 

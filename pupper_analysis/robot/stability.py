@@ -1,4 +1,8 @@
-"""Is it stable: the spectrum of one of MuJoCo's steps, with contacts and servos as they are."""
+"""Is it stable: the spectrum of one of MuJoCo's steps, with contacts and servos as they are.
+
+First the derivative of a step by the state, then its spectrum; last whether position servos alone
+are too stiff for a time step, which has a closed form.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
+from scipy.linalg import eigh
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
@@ -16,7 +21,80 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import silence_mujoco
-from pupper_analysis.robot.transition import STEP, copy_data, step_derivative
+
+STEP = 1e-7
+"""Of the centred differences (m, rad, and their rates): contacts are stiff, and curved over 1e-5;
+eigenvalues come out to 1e-9, where 1e-6 leaves as much."""
+
+_TOLERANCE = 1e-14
+"""Of the solver while differences are taken: with the usual 1e-8 it sometimes ends an iteration
+earlier on one side of a difference, and an element is off by 0.03. A copy of the model, with the
+meshes of a humanoid, takes longer than all else."""
+
+
+SLEEP = mujoco.mjtEnableBit.mjENBL_SLEEP.value
+"""``<flag sleep="enable"/>``."""
+
+
+def copy_data(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Returns data of its own at the same state.
+
+    Args:
+        model: The model.
+        data: The state.
+    """
+    state = np.empty(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION.value))
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
+    own = mujoco.MjData(model)
+    mujoco.mj_setState(model, own, state, mujoco.mjtState.mjSTATE_INTEGRATION.value)
+    mujoco.mj_forward(model, own)
+    return own
+
+
+def step_derivative(model: mujoco.MjModel, data: mujoco.MjData) -> Array:
+    """Returns the derivative of a step by the state, (2 nv + na, 2 nv + na).
+
+    Args:
+        model: The model. While this runs, the tolerance of its solver is tighter.
+        data: The state; it stays as it is.
+    """
+    size = 2 * model.nv + model.na
+    matrix, tolerance = np.zeros((size, size)), float(model.opt.tolerance)
+    flags = int(model.opt.enableflags)
+    model.opt.tolerance = min(tolerance, _TOLERANCE)
+    # What sleeps has no derivative: a change of its state wakes it, or is forgotten.
+    model.opt.enableflags = flags & ~SLEEP
+    if flags & SLEEP:
+        data = copy_data(model, data)
+    try:
+        if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4.value:  # which MuJoCo's has not
+            return _differences(model, data, matrix)
+        mujoco.mjd_transitionFD(model, data, STEP, True, matrix, None, None, None)
+    finally:
+        model.opt.tolerance, model.opt.enableflags = tolerance, flags
+    return matrix
+
+
+def _differences(model: mujoco.MjModel, data: mujoco.MjData, matrix: Array) -> Array:
+    """Fills in centred differences of whole steps."""
+    own, nv = copy_data(model, data), model.nv
+    ends = [(np.empty(model.nq), np.empty(nv), np.empty(model.na)) for _ in range(2)]
+    for column in range(len(matrix)):
+        for end, size in zip(ends, (-STEP, STEP), strict=True):
+            mujoco.mj_copyData(own, model, data)
+            change = np.zeros(len(matrix))
+            change[column] = size
+            mujoco.mj_integratePos(model, own.qpos, change[:nv], 1.0)
+            own.qvel += change[nv : 2 * nv]
+            own.act += change[2 * nv :]
+            mujoco.mj_step(model, own)
+            end[0][:], end[1][:], end[2][:] = own.qpos, own.qvel, own.act
+        moved = np.empty(nv)
+        mujoco.mj_differentiatePos(model, moved, 2 * STEP, ends[0][0], ends[1][0])
+        rates = [(ends[1][part] - ends[0][part]) / (2 * STEP) for part in (1, 2)]
+        matrix[:, column] = np.concatenate([moved, *rates])
+    return matrix
+
 
 Array = NDArray[np.float64]
 
@@ -384,3 +462,69 @@ def _most(shares: dict[str, float]) -> tuple[str, ...]:
     names = sorted(shares, key=shares.__getitem__, reverse=True)
     least = _NAMED_SHARE * shares[names[0]] if names else 0.0
     return tuple(name for name in names[:_MOST_NAMED_JOINTS] if shares[name] >= least > 0)
+
+
+_HALVINGS = 40  # of the time step, in search of a stable one: to 1e-12 of it
+
+
+@dataclass(frozen=True, eq=False)
+class ServoStability:
+    """How far servos are from the limit of stability, without contacts and force limits.
+
+    Attributes:
+        ratio: Above 1 they are beyond it.
+        shares: (nv,) how much each degree of freedom moves in the mode that is the least stable.
+        timestep: The longest stable time step (s) with these gains, the model's if that is stable.
+    """
+
+    ratio: float
+    shares: Array
+    timestep: float
+
+
+def servo_stability(
+    model: mujoco.MjModel, data: mujoco.MjData, stiffness: Array, damping: Array, implicit: Array
+) -> ServoStability | None:
+    """Tests the stability of all servos together, at a configuration.
+
+    MuJoCo's Euler step is v' = v - (M + h D)^-1 h (K x + (C + D) v), x' = x + h v', with D, the
+    damping of joints and motors, implicit, and the servos' K and C explicit. An eigenvalue leaves
+    the unit circle at -1 if x^T (h C + h^2 K / 2) x > x^T (2 M + h D) x for some x, that is, if the
+    greatest generalised eigenvalue of the two matrices exceeds 1; for one joint without stiffness
+    and D, if h kd / I > 2. The implicit integrators have C in D.
+    Source: the Jury criterion for the step's characteristic polynomial; MuJoCo documentation,
+    "Computation: Numerical integration".
+
+    Args:
+        model: The model.
+        data: After ``mj_forward``.
+        stiffness: (nv,) K of the servos (N m/rad).
+        damping: (nv,) C of the servos (N m s/rad).
+        implicit: (nv,) D (N m s/rad).
+
+    Returns:
+        The stability; None with a singular mass matrix, or absurd numbers.
+    """
+    mass = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, mass)
+    explicit, damped = damping, implicit
+    if model.opt.integrator != mujoco.mjtIntegrator.mjINT_EULER.value:
+        explicit, damped = np.zeros(model.nv), implicit + damping
+    elif model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_EULERDAMP.value:
+        explicit, damped = damping + implicit, np.zeros(model.nv)
+
+    def worst(step: float) -> tuple[float, Array]:
+        gains = np.diag(step * explicit + step**2 * stiffness / 2)
+        values, vectors = eigh(gains, 2 * mass + step * np.diag(damped))
+        return float(values[-1]), np.abs(vectors[:, -1])
+
+    step = float(model.opt.timestep)
+    try:
+        ratio, shares = worst(step)
+        low, high = (step, step) if ratio <= 1 else (0.0, step)
+        for _ in range(_HALVINGS if ratio > 1 else 0):
+            middle = (low + high) / 2
+            low, high = (middle, high) if worst(middle)[0] <= 1 else (low, middle)
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    return ServoStability(ratio, shares, low)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.robot.servo_stability import servo_stability
 from pupper_analysis.robot.servos import Servos
-from pupper_analysis.robot.stability import Mode, Stability
+from pupper_analysis.robot.stability import Mode, Stability, servo_stability
 from pupper_analysis.simulation.monitor import Watcher
 from pupper_analysis.simulation.nudge import LEFT, Nudge
 from pupper_analysis.stance.stand import Stand

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
-from pupper_analysis.robot.kinematics import Kinematics, Place
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.shapes import ContactShape, excluded_pairs
+from pupper_analysis.robot.structure import Kinematics, Place
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -213,7 +213,7 @@ class ClearanceShapes:
         """
         model, shapes = self.robot.pin_model, self.shapes
         joints = [model.getJointId(shape.joint) if shape.joint else 1 for shape in shapes]
-        excepted, able, never = excluded_pairs(self.robot), set(), set()
+        excepted, able, never = excluded_pairs(self.robot.mj_model), set(), set()
         every = [(before, index) for index in range(len(shapes)) for before in range(index)]
         links = {both: frozenset(shapes[number].link for number in both) for both in every}
         for one, other in every:

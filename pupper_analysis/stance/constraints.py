@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.kinematics import Kinematics
+from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import Clearance, ClearanceShapes
 from pupper_analysis.stance.problem import Goal
 from pupper_analysis.statics.support_polygon import margin_of_place, polygon_sides

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pupper_analysis.robot.bodies import check_bodies
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.solver import Solver
@@ -24,6 +23,6 @@ class Context:
     """
 
     def __init__(self, robot: Robot) -> None:
-        check_bodies(robot)
+        robot.check_bodies()
         self.robot, self.shapes = robot, ClearanceShapes(robot)
         self.solver = Solver(self.shapes)

@@ -1,9 +1,13 @@
-"""What the motors hold: gravity compensation of a standing, or hanging, robot."""
+"""What the motors hold: gravity compensation of a standing, or hanging, robot.
+
+And what the ground does to each foot; or why no contact forces hold it: motors, friction, or feet
+that would have to pull.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -11,18 +15,88 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.base.arguments import check_arguments
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError, Infeasibility
+from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError, Infeasibility, StaticsInfeasibleError
 from pupper_analysis.base.frozen import FrozenDict
-from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.results import Result, Tabular
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE, Balance, TangentialMetric
 from pupper_analysis.statics.contacts import Contacts, make_contacts
-from pupper_analysis.statics.foot_load import FootLoads, sliding_share
-from pupper_analysis.statics.infeasibility import explain_infeasibility
-from pupper_analysis.statics.support_polygon import margin_of_place
+from pupper_analysis.statics.support_polygon import com_margin, margin_of_place
+
+
+@dataclass(frozen=True, eq=False)
+class FootLoad(Result):
+    """What the ground does to one foot, over all its contact points.
+
+    Attributes:
+        force: (3,) in world axes (N).
+        centre_of_pressure: (3,) where the normal forces act together, in the world (m).
+        friction_utilisation: Tangential force / (friction coefficient x normal force).
+    """
+
+    force: Array
+    centre_of_pressure: Array
+    friction_utilisation: float
+
+
+def sliding_share(
+    force: Sequence[float], normal: Sequence[float], friction: float, tiny: float
+) -> float:
+    """Returns tangential force / (friction x normal force), 0 where the former is ``tiny`` (N)."""
+    (x, y, z), (a, b, c) = force, normal
+    pressing = x * a + y * b + z * c
+    tangential = math.hypot(x - pressing * a, y - pressing * b, z - pressing * c)
+    return 0.0 if tangential < tiny else tangential / (friction * pressing)
+
+
+class FootLoads(Mapping[str, FootLoad]):
+    """{foot: its load}, added up when it is asked for: who looks for torques needs none.
+
+    Args:
+        feet: {foot: its contact points that carry}.
+        normals: {contact point: (3,) out of the ground}.
+        friction: {contact point: its coefficient}.
+        forces: {contact point: (3,) of the ground, in world axes (N)}.
+        points: {contact point: (3,) in the world (m)}.
+        sliding: {contact point: see ``sliding_share``}.
+        tiny: Tangential force that counts as none (N).
+    """
+
+    def __init__(
+        self,
+        feet: Mapping[str, Sequence[str]],
+        normals: Mapping[str, Array],
+        friction: Mapping[str, float],
+        forces: Mapping[str, Array],
+        points: Mapping[str, Array],
+        sliding: Mapping[str, float],
+        tiny: float,
+    ) -> None:
+        self._feet, self._normals, self._friction = feet, normals, friction
+        self._forces, self._points, self._sliding, self._tiny = forces, points, sliding, tiny
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._feet)
+
+    def __len__(self) -> int:
+        return len(self._feet)
+
+    def __getitem__(self, foot: str) -> FootLoad:
+        own, forces, points = self._feet[foot], self._forces, self._points
+        if len(own) == 1:
+            return FootLoad(forces[own[0]], points[own[0]], self._sliding[own[0]])
+        total: Array = np.sum([forces[point] for point in own], axis=0)
+        normals = self._normals
+        pressing = np.array([max(0.0, float(forces[point] @ normals[point])) for point in own])
+        places = np.array([points[point] for point in own])
+        weights = pressing / pressing.sum() if pressing.any() else np.full(len(own), 1 / len(own))
+        least = min(self._friction[point] for point in own)
+        share = sliding_share(total.tolist(), normals[own[0]].tolist(), least, self._tiny)
+        return FootLoad(total, weights @ places, share)
+
 
 Array = NDArray[np.float64]
 
@@ -367,3 +441,54 @@ def _result(
         residual_force=math.hypot(*unbalanced[:3]),
         residual_torque=math.hypot(*unbalanced[3:]),
     )
+
+
+_NO_SLIDING = 1e4
+"""A friction coefficient that stands for a foot that cannot slide."""
+
+
+def explain_infeasibility(
+    config: Configuration,
+    point: Array,
+    problem: Balance,
+    carrying: Contacts,
+    tipping: Infeasibility,
+) -> StaticsInfeasibleError:
+    """Finds out why no forces do; see ``balance_load``."""
+    feet, friction = carrying.feet, float(carrying.friction.min())
+    points = dict(zip(feet, carrying.points(config), strict=True))
+    margin = com_margin(point, points)
+    even = carrying.metric
+    if problem.minimum_tangential(np.full(len(feet), _NO_SLIDING), even) is not None:
+        low, high = 0.0, _NO_SLIDING
+        while high - low > 1e-6 * high:
+            middle = (low * high) ** 0.5 if low > 0 else high / 2
+            if problem.minimum_tangential(np.full(len(feet), middle), even) is None:
+                low = middle
+            else:
+                high = middle
+            if high < 1e-6:
+                break
+        return StaticsInfeasibleError(
+            Infeasibility.FRICTION,
+            diagnose("friction-too-low", least=friction, needed=high),
+            margin=margin,
+            friction_needed=high,
+            feet=feet,
+        )
+    bilateral = np.linalg.lstsq(problem.base, problem.weight, rcond=1e-12)[0].reshape(-1, 3)
+    pulls = {
+        foot: float(force @ normal)
+        for foot, force, normal in zip(feet, bilateral, problem.normals, strict=True)
+        if force @ normal < 0
+    }
+    pulling = [
+        diagnose("foot-pulls", subject=("foot", foot), force=Quantity(-force, "N"))
+        for foot, force in pulls.items()
+    ]
+    if -math.inf < margin < 0:
+        outside = Quantity(-margin, "m")
+        detail = diagnose("com-outside-polygon", outside=outside, feet=feet, pulls=pulling)
+        return StaticsInfeasibleError(tipping, detail, margin=margin, feet=pulls or feet)
+    detail = diagnose("feet-would-pull", feet=pulling or feet)
+    return StaticsInfeasibleError(Infeasibility.PULL, detail, margin=margin, feet=pulls or feet)

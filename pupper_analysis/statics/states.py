@@ -20,10 +20,10 @@ from pupper_analysis.statics.equilibrium import (
     ForceDistribution,
     check_loops,
     gravity_compensation,
+    sliding_share,
     to_distribution,
     utilise,
 )
-from pupper_analysis.statics.foot_load import sliding_share
 from pupper_analysis.statics.support_polygon import com_margin
 
 Array = NDArray[np.float64]

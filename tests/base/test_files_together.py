@@ -13,8 +13,8 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
 from pupper_analysis.base.files import Writing, write_together
 from pupper_analysis.base.kinds import OWN
-from pupper_analysis.models.xml_bytes import read_document
 from pupper_analysis.tools.sync.models import as_given, stage_files
+from pupper_analysis.tools.sync.xml_bytes import read_document
 from tests.support.robots import changed, quadruped, write_parts
 
 OLD = {"a": b"old a", "b": b"old b"}

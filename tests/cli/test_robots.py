@@ -12,7 +12,7 @@ import pytest
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.cli.robots import RobotOptions, told_apart
 from pupper_analysis.prepare.convert.files import RobotFiles
-from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import model_folder
 from tests.support.commands import check_refusal, run_command
 

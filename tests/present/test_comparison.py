@@ -8,12 +8,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from pupper_analysis.present.comparison import comparison_cases, comparison_remarks
-from pupper_analysis.present.documents.comparison import SHORT, SHOWN
+from pupper_analysis.present.documents.comparison import (
+    SHORT,
+    SHOWN,
+    comparison_cases,
+    comparison_remarks,
+)
 from pupper_analysis.present.formats import write_github, write_junit
+from pupper_analysis.robot.compare import mjcf_only as extras
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.engines import EXTRAS
-from pupper_analysis.robot.compare.mjcf_only import find as extras
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from tests.support.printing import printed
 from tests.support.robots import (

@@ -17,13 +17,11 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
-from pupper_analysis.present.document import Name
+from pupper_analysis.present.document import Axis, Bar, BarPlot, Name
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import shares_of
-from pupper_analysis.present.figures.ground import ground_corners, step_corners
-from pupper_analysis.present.figures.pose import pose_figure
+from pupper_analysis.present.figures.pose import ground_corners, pose_figure, step_corners
 from pupper_analysis.present.figures.skeleton import draw_skeleton, hull_corners, nearest_edge_point
-from pupper_analysis.present.plots import Axis, Bar, BarPlot
 from pupper_analysis.present.scene import describe_scene
 from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 from tests.support.variants import load, stand_of

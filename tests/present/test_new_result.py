@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import catalogue
 from pupper_analysis.base.results import Result
 from pupper_analysis.present import documents
+from pupper_analysis.present.document import LinePlot
 from pupper_analysis.present.documents.registry import build_report, document
 from pupper_analysis.present.figures.drawing import plot_figure
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.present.markdown import write_markdown
-from pupper_analysis.present.plots import LinePlot
 from tests.support import printing
 from tests.support.html_page import Page, shown
 from tests.support.repository import ROOT
@@ -54,7 +54,7 @@ WORDS = {
 }
 IMPORTS = """
 from tests.present.test_new_result import FootWear
-from pupper_analysis.present import document as doc, plots
+from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot

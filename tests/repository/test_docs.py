@@ -50,7 +50,7 @@ def test_links_lead_somewhere() -> None:
 
 
 def test_named_modules_are_there() -> None:
-    """Of this package, as a path (``robot/feet.py``, ``stance/sag/``) or with dots."""
+    """Of this package, as a path (``robot/contact.py``, ``stance/sag/``) or with dots."""
     ignored = (ROOT / ".gitignore").read_text()
     for page in PAGES:
         for path in re.findall(r"`([a-z_]+/[a-z_/]*(?:\.py)?)`", page.read_text()):

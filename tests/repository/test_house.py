@@ -9,6 +9,7 @@ import ast
 import graphlib
 import re
 from collections.abc import Iterator
+from itertools import chain
 
 import pytest
 
@@ -24,8 +25,9 @@ def test_modules_need_no_banners() -> None:
 
 
 def imported(tree: ast.Module) -> Iterator[str]:
-    """The package's modules that a module imports when it is itself imported."""
-    for node in tree.body:
+    """The package's modules that a module imports when it is imported, or for annotations."""
+    blocks = [node.body for node in tree.body if isinstance(node, ast.If)]
+    for node in (*tree.body, *chain(*blocks)):
         if isinstance(node, ast.ImportFrom) and node.module:
             yield node.module
             yield from (f"{node.module}.{alias.name}" for alias in node.names)

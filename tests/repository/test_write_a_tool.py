@@ -64,7 +64,7 @@ def test_help_lists_it_and_imports_it_not(installed: Path, tmp_path: Path) -> No
     assert re.search(r"^  inertia +How hard is a robot to turn\?$", said, re.M)
     assert re.search(r"^  payload ", said, re.M)
     code = (
-        "import sys; from pupper_analysis.cli.lazy import list_tools; "
+        "import sys; from pupper_analysis.cli import list_tools; "
         "print('inertia' in list_tools(), 'inertia_tool' in sys.modules)"
     )
     environment = {**os.environ, "PYTHONPATH": f"{installed}{os.pathsep}{ROOT}"}

@@ -16,7 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis import cli
 from pupper_analysis.base.results import to_json
 from pupper_analysis.cli.stance_fields import TYPED, task_of
-from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.tools.live import export
 from pupper_analysis.tools.live.controls import CONTROLS, ranges_of

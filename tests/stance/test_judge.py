@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.robot.kinematics import Kinematics
+from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import evaluate_stand

@@ -27,8 +27,12 @@ from pupper_analysis.base.diagnostics.diagnostic import (
     diagnose,
     merge_diagnostics,
 )
-from pupper_analysis.base.diagnostics.templates import fill_template
-from pupper_analysis.base.diagnostics.values import UNLIMITED, Phrase, describe_bound
+from pupper_analysis.base.diagnostics.templates import (
+    UNLIMITED,
+    Phrase,
+    describe_bound,
+    fill_template,
+)
 
 __all__ = [
     "LANGUAGES",

@@ -9,12 +9,12 @@ from os import PathLike
 from typing import Any, TypeAlias
 
 from pupper_analysis.base.diagnostics.catalogue import entry
-from pupper_analysis.base.diagnostics.templates import fill_template
-from pupper_analysis.base.diagnostics.values import (
+from pupper_analysis.base.diagnostics.templates import (
     Phrase,
     Quantity,
     Term,
     Vector,
+    fill_template,
     to_unicode,
 )
 from pupper_analysis.base.frozen import FrozenDict

@@ -19,8 +19,7 @@ from pupper_analysis.models.mjcf_xml import MjcfXml
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import origin_of, set_origin
 from pupper_analysis.models.xml import to_text as urdf_text
-from pupper_analysis.models.xml_layout import put_defaults, to_text
-from pupper_analysis.models.xml_text import add_element
+from pupper_analysis.models.xml_text import add_element, put_defaults, to_text
 from pupper_analysis.prepare import drives
 from pupper_analysis.prepare.convert import equip
 from pupper_analysis.prepare.convert.conversion import ConversionDraft
@@ -37,7 +36,7 @@ from pupper_analysis.prepare.load import Feet, robot_of
 from pupper_analysis.prepare.notes import describe_span
 from pupper_analysis.prepare.passes import ground_of_urdf
 from pupper_analysis.prepare.servo_tuning import stand_gains
-from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
 

@@ -32,11 +32,11 @@ from pupper_analysis.models.stated.elements import stated_numbers, touching_geom
 from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfLink, UrdfTree
-from pupper_analysis.models.xml_layout import to_text
 from pupper_analysis.models.xml_text import (
     DIGITS,
     add_element,
     free_name,
+    to_text,
     write_numbers,
 )
 from pupper_analysis.prepare.convert.conversion import ConversionDraft

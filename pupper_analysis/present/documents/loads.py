@@ -11,7 +11,6 @@ from typing import Any
 
 from pupper_analysis.models.efforts import EffortStatement
 from pupper_analysis.present import document as doc
-from pupper_analysis.present import plots
 from pupper_analysis.present.documents.sources import page_of
 from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
@@ -130,10 +129,10 @@ def origins_text(origins: Iterable[EffortStatement | None]) -> doc.Text:
 
 def torque_plot(
     statics: GravityCompensation, simulated: Sequence[float], limits: Sequence[float]
-) -> plots.BarPlot:
+) -> doc.BarPlot:
     """Draws each motor's torque, predicted and simulated, against its limit."""
     bars = [
-        plots.Bar(
+        doc.Bar(
             doc.Name(name),
             float(statics.joint_torques[index]),
             float(simulated[index]),
@@ -141,9 +140,9 @@ def torque_plot(
         )
         for index, name in enumerate(statics.joint_names)
     ]
-    return plots.BarPlot(
+    return doc.BarPlot(
         text("motor-torques-against-their-limits"),
-        plots.Axis(text("torque"), "N m", "+.3f"),
+        doc.Axis(text("torque"), "N m", "+.3f"),
         bars,
         (
             text("predicted-by-pinocchio"),

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present import plots
 from pupper_analysis.present.documents.loads import proof_text
-from pupper_analysis.present.documents.quantities import quantity_columns
 from pupper_analysis.present.documents.sources import page_of
+from pupper_analysis.present.documents.standing import quantity_columns
 from pupper_analysis.present.words import text
 from pupper_analysis.simulation.verify import StandVerification
 
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from pupper_analysis.simulation.gain_sweep import GainSweep
 
 
-def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlot:
+def height_plot(runs: Sequence[StandVerification], task: float) -> doc.LinePlot:
     """Draws the base's height over the simulated time, with feed-forward and without.
 
     Args:
@@ -28,7 +27,7 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
         task: The height that was asked for (m).
     """
     series = [
-        plots.Series(
+        doc.Series(
             text("with-feed-forward") if run.feedforward else text("without"),
             run.time,
             1e3 * run.height,
@@ -40,12 +39,12 @@ def height_plot(runs: Sequence[StandVerification], task: float) -> plots.LinePlo
     ends = np.array([runs[0].time[0], max(run.time[-1] for run in runs)])
     asked = doc.Name(f"{1e3 * task:.1f} mm")
     series.append(
-        plots.Series(text("task"), ends, np.full(2, 1e3 * task), note=asked, reference=True)
+        doc.Series(text("task"), ends, np.full(2, 1e3 * task), note=asked, reference=True)
     )
-    return plots.LinePlot(
+    return doc.LinePlot(
         text("height-of-the-simulated-base"),
-        plots.Axis(text("time"), "s", ".2f"),
-        plots.Axis(text("base-height"), "mm", ".2f"),
+        doc.Axis(text("time"), "s", ".2f"),
+        doc.Axis(text("base-height"), "mm", ".2f"),
         series,
         text("plot-height-lost"),
     )
@@ -136,12 +135,12 @@ def _sweep_plot(sweep: GainSweep) -> Iterable[doc.Block]:
         if np.isfinite(row).any()
     ]
     if finite and len(sweep.kd) > 1:
-        yield plots.LinePlot(
+        yield doc.LinePlot(
             text("height-deviation-by-servo-gains"),
-            plots.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
-            plots.Axis(text("height-deviation"), "mm", ".4f", log=True),
+            doc.Axis(text("kd"), "N m s/rad", "g", log=bool(sweep.kd.min() > 0)),
+            doc.Axis(text("height-deviation"), "mm", ".4f", log=True),
             [
-                plots.Series(
+                doc.Series(
                     doc.Name(f"kp {kp:g} N m/rad"), sweep.kd, _positive(1e3 * row), points=True
                 )
                 for kp, row in finite

@@ -1,4 +1,4 @@
-"""What documents of stands have in common: the robot as it was loaded, its servos, the ground."""
+"""What documents of stands share: the robot as it was loaded, what is asked, the ground, units."""
 
 from __future__ import annotations
 
@@ -6,13 +6,30 @@ from collections.abc import Iterable
 
 from pupper_analysis.base.diagnostics import merge_diagnostics
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.document import Text, Words, tell
-from pupper_analysis.present.documents.quantities import quantity_columns
+from pupper_analysis.present.document import Column, Text, Words, tell
 from pupper_analysis.present.documents.sources import files_text
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.stand import Stand
+from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation
+
+
+def quantity_columns(*values: Words, of: str = "quantity") -> tuple[Column, ...]:
+    """Returns the columns of such a table.
+
+    Args:
+        *values: Of which runs or files the values are; ``value`` alone where none is given.
+        of: What each row is; a key of the catalogue.
+    """
+    named = values or (text("value"),)
+    middle = (Column(name) for name in named)
+    return (Column(text(of), left=True), *middle, Column(text("unit"), left=True))
+
+
+def task_text(task: StandTask) -> Text:
+    """Returns what is asked of a stand, as the task itself says it."""
+    return Text(str(task), lambda: task.said("zh"))
 
 
 def robot_notes(robot: Robot | None) -> tuple[Words, ...]:

@@ -16,8 +16,7 @@ from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from pupper_analysis.present.figures import style
-from pupper_analysis.present.plots import (
+from pupper_analysis.present.document import (
     Axis,
     BarPlot,
     DirectionPlot,
@@ -25,6 +24,7 @@ from pupper_analysis.present.plots import (
     Plot,
     Series,
 )
+from pupper_analysis.present.figures import style
 from pupper_analysis.present.words import in_english
 
 Array = NDArray[np.float64]

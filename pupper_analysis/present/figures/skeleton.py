@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from pupper_analysis.robot.feet import foot_site, limb_ends
+from pupper_analysis.robot.contact import foot_site, limb_ends
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

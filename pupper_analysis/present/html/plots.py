@@ -16,18 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.present.document import (
-    Name,
-    Text,
-    Words,
-    number_cell,
-)
-from pupper_analysis.present.plots import (
     Axis,
     BarPlot,
     DirectionPlot,
     LinePlot,
+    Name,
     Plot,
     Series,
+    Text,
+    Words,
+    number_cell,
 )
 from pupper_analysis.present.words import text
 

@@ -1,12 +1,19 @@
-"""Writes results as one HTML file that needs nothing else."""
+"""Writes results as one HTML file that needs nothing else.
+
+Not even to draw in space: three.js is in it, of a package that is installed. MeshCat's viewer has
+it, which PlaCo brings.
+"""
 
 from __future__ import annotations
 
+import json
+import re
 import reprlib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +29,7 @@ from pupper_analysis.present.document import (
     Block,
     Document,
     Lines,
+    Plot,
     Report,
     Table,
     Text,
@@ -29,16 +37,69 @@ from pupper_analysis.present.document import (
 )
 from pupper_analysis.present.documents.registry import build_report
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.present.html import overlay  # noqa: F401  (says how it is drawn)
-from pupper_analysis.present.html.library import installed_library
 from pupper_analysis.present.html.plots import draw_svg
 from pupper_analysis.present.html.scene import scene_of, share_meshes
-from pupper_analysis.present.plots import Plot
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 
 if TYPE_CHECKING:
     import jinja2
+
+_PACKAGE = "meshcat"
+_EXPORT = "THREE:()=>"
+"""How the bundle says that it gives three.js away, beside its own viewer."""
+
+
+@dataclass(frozen=True)
+class Library:
+    """A script with three.js in it.
+
+    Attributes:
+        script: The script, which leaves ``MeshCat.THREE`` behind; nothing in it ends a script's
+            element.
+        licence: Under which it, and all that is in it, may be passed on.
+    """
+
+    script: str
+    licence: str
+
+
+def installed_library() -> Library | None:
+    """Returns three.js, or None where no package with it is installed."""
+    found = find_spec(_PACKAGE)  # which does not import it
+    if found is None or found.origin is None:
+        return None
+    folder = Path(found.origin).parent / "viewer" / "dist"
+    try:
+        script = (folder / "main.min.js").read_text(encoding="utf-8")
+        licences = _licences(folder)
+    except (OSError, ValueError):
+        return None
+    if _EXPORT not in script:
+        return None
+    # Within a script's element "<" before these can only stand in a string or a pattern.
+    return Library(re.sub(r"(?i)<(?=/script|!--)", r"\\x3c", script), licences)
+
+
+def _licences(folder: Path) -> str:
+    """Returns the licences of the viewer, and of all that is bundled in it."""
+    texts = []
+    try:
+        own = [
+            path
+            for path in distribution(_PACKAGE).files or []
+            if path.name.upper().startswith("LICENSE")
+        ]
+        texts += [f"MeshCat\n\n{path.read_text(encoding='utf-8')}" for path in own[:1]]
+    except (PackageNotFoundError, OSError):
+        pass
+    parts = json.loads((folder / "main.min.js.THIRD_PARTY_LICENSES.json").read_text("utf-8"))
+    texts += [
+        f"{part['name']} {part['version']}\n\n{part.get('licenseText') or part['license']}"
+        for part in parts
+    ]
+    return "\n\n".join(texts).expandtabs()
+
 
 LANGUAGES = {"en": "en", "zh": "zh-Hans"}
 """The page's languages, and their names in HTML."""

@@ -15,11 +15,10 @@ from pupper_analysis.models.conversion import joint_damping
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
-from pupper_analysis.robot.compare.size import Entries
-from pupper_analysis.robot.compare.states import States
+from pupper_analysis.robot.compare.states import Entries, States
 from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.contact import foot_site
 from pupper_analysis.robot.coordinates import PinocchioConvention
-from pupper_analysis.robot.feet import foot_site
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.structure import Lent

@@ -25,10 +25,12 @@ from pupper_analysis.models.multibody import (
     with_value_of,
 )
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
-from pupper_analysis.robot.compare.differences import Difference, Effect, Stated
-from pupper_analysis.robot.compare.words import (
+from pupper_analysis.robot.compare.differences import (
     FORMATS,
+    Difference,
+    Effect,
     ModelNames,
+    Stated,
     describe_ratio,
     in_degrees,
     name_mirrored,

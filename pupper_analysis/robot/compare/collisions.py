@@ -28,9 +28,8 @@ from pupper_analysis.models.stated.mjcf import read_mjcf_model, read_shape
 from pupper_analysis.models.stated.model import Pose, RobotModel, Shape
 from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.robot.compare.differences import Difference, Effect
-from pupper_analysis.robot.compare.words import FORMATS
-from pupper_analysis.robot.feet import limb_ends
+from pupper_analysis.robot.compare.differences import FORMATS, Difference, Effect
+from pupper_analysis.robot.contact import limb_ends
 from pupper_analysis.robot.matching.match import Match
 
 Array = NDArray[np.float64]

@@ -19,19 +19,32 @@ from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Tabular
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.stated.as_mjcf import UsdAsMjcf, read_usd_as_mjcf
-from pupper_analysis.models.stated.as_urdf import UsdAsUrdf, read_usd_as_urdf
+from pupper_analysis.models.stated.as_files import (
+    UsdAsMjcf,
+    UsdAsUrdf,
+    read_usd_as_mjcf,
+    read_usd_as_urdf,
+)
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.usd_file import is_usd
-from pupper_analysis.robot.compare.armature import armature_notes, unstated_notes
-from pupper_analysis.robot.compare.attribution import EXPLAINED, align_robot, explain_differences
+from pupper_analysis.robot.compare.attribution import (
+    EXPLAINED,
+    align_robot,
+    armature_notes,
+    explain_differences,
+    unstated_notes,
+)
 from pupper_analysis.robot.compare.changes import convention_changes
 from pupper_analysis.robot.compare.collisions import compare_collisions
 from pupper_analysis.robot.compare.differences import (
     CONVENTIONS,
+    FORMATS,
     SERVO_GAINS,
     Difference,
     Explanation,
+    in_degrees,
+    number_pair,
+    with_names_of_models,
 )
 from pupper_analysis.robot.compare.engines import (
     OF_ONE_MODEL,
@@ -43,12 +56,6 @@ from pupper_analysis.robot.compare.links import mass_shares
 from pupper_analysis.robot.compare.mount import Mount, mount_of
 from pupper_analysis.robot.compare.patterns import PatternCause, find_causes
 from pupper_analysis.robot.compare.states import check_states
-from pupper_analysis.robot.compare.words import (
-    FORMATS,
-    in_degrees,
-    number_pair,
-    with_names_of_models,
-)
 from pupper_analysis.robot.matching.conventions import Conventions
 from pupper_analysis.robot.matching.match import Match, match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances

@@ -31,20 +31,28 @@ from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import from_pinocchio
 from pupper_analysis.models.xml import parse_text
-from pupper_analysis.robot.compare.backends.mujoco import mujoco_evaluation
-from pupper_analysis.robot.compare.backends.pinocchio import pinocchio_evaluation
-from pupper_analysis.robot.compare.backends.quantities import Evaluation, QuantityValues
-from pupper_analysis.robot.compare.backends.yourdfpy import yourdfpy_evaluation
-from pupper_analysis.robot.compare.mjcf_only.effect import as_it_is, without_effects
-from pupper_analysis.robot.compare.mjcf_only.find import mjcf_only_effects
-from pupper_analysis.robot.compare.mjcf_only.mimics import split_mimics
-from pupper_analysis.robot.compare.size import (
+from pupper_analysis.robot.compare.evaluations import (
+    Evaluation,
+    QuantityValues,
+    mujoco_evaluation,
+    pinocchio_evaluation,
+    yourdfpy_evaluation,
+)
+from pupper_analysis.robot.compare.mjcf_only import (
+    as_it_is,
+    mjcf_only_effects,
+    split_mimics,
+    without_effects,
+)
+from pupper_analysis.robot.compare.states import (
+    States,
     affordable_states,
+    check_states,
     is_large,
+    random_states,
     size_notes,
     some_of,
 )
-from pupper_analysis.robot.compare.states import States, check_states, random_states
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.matching.trees import Reference
 from pupper_analysis.robot.matching.urdf import Mimics, urdf_mimics

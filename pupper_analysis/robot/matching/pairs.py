@@ -1,4 +1,4 @@
-"""Which joints of two files are the same: by name, by part of it, by link, by structure."""
+"""Which joints of two files are the same: by name, by part of it, by link, by where they are."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import numpy as np
+import pinocchio as pin
 from lxml import etree
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.matching.structure import match_by_structure
+from pupper_analysis.robot.matching.alignment import with_base
+from pupper_analysis.robot.matching.conventions import quarter_turns
+from pupper_analysis.robot.matching.trees import at_zero
+from pupper_analysis.robot.matching.urdf import urdf_tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,3 +174,172 @@ def _usual(words: Sequence[tuple[str, ...]]) -> list[str]:
 
 def _words(name: str) -> tuple[str, ...]:
     return tuple(word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word) or (name,)
+
+
+_PARALLEL = 0.99  # least |cosine| between the axes of joints that may be one
+_POSITION_TOLERANCE = (
+    0.25  # greatest distance of joints that may be one, relative to the robot's size
+)
+
+
+def common_frames(
+    root: etree._Element, spec: mujoco.MjSpec, names: Mapping[str, str]
+) -> dict[str, tuple[str, str]]:
+    """Returns the frames of both: links on fixed joints, and sites or bodies without joints.
+
+    A fixed base's body is none of them: where its frame is, is a convention of its own.
+    """
+    places = {site.name for site in spec.sites if site.name}
+    base = _of_base(spec)
+    places |= {
+        body.name
+        for body in spec.bodies
+        # MuJoCo makes one body of those that nothing moves, where the file asks for it.
+        if not spec.compiler.fusestatic
+        and body.name
+        and body.name not in base
+        and not list(body.joints)
+    }
+    frames = {}
+    for joint in UrdfTree(root).joints.values():
+        link = joint.child
+        place = names.get(link, link)
+        if joint.is_fixed and place in places:
+            frames[place] = (link, place)
+    return frames
+
+
+def _of_base(spec: mujoco.MjSpec) -> set[str]:
+    """Returns the bodies that stand in the world and carry joints: a fixed base's."""
+    found, waiting = set(), list(spec.worldbody.bodies)
+    while waiting:
+        body = waiting.pop()
+        if not list(body.joints) and body.find_all(mujoco.mjtObj.mjOBJ_JOINT):
+            found.add(body.name)
+            waiting += body.bodies
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """Joints that structure matches.
+
+    Attributes:
+        pairs: {joint in the URDF: joint in the MJCF}.
+        choices: {joint in the URDF: joints in the MJCF} where it leaves a choice.
+    """
+
+    pairs: Mapping[str, str]
+    choices: Mapping[str, tuple[str, ...]]
+
+
+def match_by_structure(
+    root: etree._Element,
+    urdf: Path,
+    tree: MultibodyTree,
+    pairs: Mapping[str, str],
+) -> Guess:
+    """Matches joints without a partner by structure.
+
+    Below the same parent, with parallel axes at zero angles, each the nearest to the other. Where
+    no name is in common and the axes of the base do not match as they are, its frame may be turned
+    by quarters in one of the files; if two turns match as many joints, each its own way, nothing is
+    guessed, unless one of them alone pairs left with right by the joints' names.
+    """
+    return guess_of_trees(urdf_tree(root, urdf), tree, pairs)
+
+
+def guess_of_trees(one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]) -> Guess:
+    """Matches the joints of two trees, likewise; ``pairs`` are those that have a partner."""
+    free, rest = len(set(one.joints) - set(pairs)), len(set(two.joints) - set(pairs.values()))
+    if not free or not rest:
+        return Guess({}, {})
+    best, distance = _in_place(one, two, pairs)
+    if pairs or len(best.pairs) == min(free, rest):
+        return best
+    tried = [(best, distance)]
+    for turn in quarter_turns():
+        turned = with_base(one, pin.SE3(turn, np.zeros(3)))
+        tried.append(_in_place(turned, two, pairs))
+    tried.sort(key=lambda i: (-len(i[0].pairs), _exchanges_sides(i[0].pairs), i[1]))
+    (best, distance) = tried[0]
+    rivals = [
+        other.pairs
+        for other, apart in tried[1:]
+        if len(other.pairs) == len(best.pairs)
+        and other.pairs != best.pairs
+        and apart < 2 * distance + 1e-3
+        and not (_exchanges_sides(other.pairs) and not _exchanges_sides(best.pairs))
+    ]
+    if rivals and best.pairs:
+        every = [best.pairs, *rivals]
+        choices = {
+            name: tuple(dict.fromkeys(found[name] for found in every if name in found))
+            for name in best.pairs
+        }
+        return Guess({}, choices)
+    return best
+
+
+_SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
+
+
+def _exchanges_sides(pairs: Mapping[str, str]) -> bool:
+    """Tells whether a name that says left is paired with one that says right."""
+    sides = [
+        {_SIDES[word] for word in re.split(r"[^a-z]+", name.lower()) if word in _SIDES}
+        for pair in pairs.items()
+        for name in pair
+    ]
+    return any(
+        one and two and not one & two for one, two in zip(sides[::2], sides[1::2], strict=True)
+    )
+
+
+def _in_place(
+    one: MultibodyTree, two: MultibodyTree, pairs: Mapping[str, str]
+) -> tuple[Guess, float]:
+    """Matches the joints of two trees where they are; returns how far they are apart, too.
+
+    The distance is relative to the robot's size, and the greatest of all pairs.
+    """
+    free_one, free_two = set(one.joints) - set(pairs), set(two.joints) - set(pairs.values())
+    place_one, place_two = at_zero(one), at_zero(two)
+    size = max(float(np.linalg.norm(place[0])) for place in place_one.values())
+    partner = {one.base: two.base, **pairs}
+    guessed: dict[str, str] = {}
+    choices: dict[str, tuple[str, ...]] = {}
+    worst = 0.0
+
+    def likeness(name: str, other: str) -> float:
+        (here, axis), (there, other_axis) = place_one[name], place_two[other]
+        distance = float(np.linalg.norm(here - there))
+        parallel = abs(float(axis @ other_axis)) > _PARALLEL
+        return distance if parallel and distance < _POSITION_TOLERANCE * size else np.inf
+
+    for parent in (one.base, *one.joints):  # parents first
+        twin = partner.get(parent)
+        mine = [name for name in one.children(parent) if name in free_one]
+        theirs = [other for other in two.children(twin or "") if other in free_two]
+        if twin is None or not mine or not theirs:
+            continue
+        table = np.array([[likeness(name, other) for other in theirs] for name in mine])
+        for row, name in enumerate(mine):
+            column = int(np.argmin(table[row]))
+            least = table[row, column]
+            rivals = np.concatenate(
+                [np.delete(table[row], column), np.delete(table[:, column], row)]
+            )
+            if np.isfinite(least) and (least < 0.5 * rivals).all():
+                guessed[name] = partner[name] = theirs[column]
+                worst = max(worst, float(least) / max(size, 1e-9))
+            elif np.isfinite(least):
+                choices[name] = tuple(
+                    other for other, far in zip(theirs, table[row], strict=True) if np.isfinite(far)
+                )
+    taken = set(guessed.values())
+    left = {
+        name: tuple(other for other in others if other not in taken)
+        for name, others in choices.items()
+    }
+    return Guess(guessed, {name: others for name, others in left.items() if others}), worst

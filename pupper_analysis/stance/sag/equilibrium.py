@@ -17,7 +17,6 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, servo_gains
 from pupper_analysis.stance.sag.contact_compliance import contact_compliance
 from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
-from pupper_analysis.stance.sag.coulomb_friction import apply_coulomb_friction
 from pupper_analysis.stance.sag.rigid import rigid_slips
 from pupper_analysis.stance.sag.solution import Anchor, Solution, integrate_step
 from pupper_analysis.stance.sag.units import Units
@@ -298,10 +297,30 @@ class SagEquilibrium:
             if change > last / 2:  # to and fro between two ways to rub: half way is between them
                 share /= 2
             height = float(found.qpos[2])
-            if not apply_coulomb_friction(self, found, share):
+            if not self._apply_coulomb_friction(found, share):
                 return None
             found = self._newton(found)
         return None
+
+    def _apply_coulomb_friction(self, solution: Solution, share: float) -> bool:
+        """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
+        derivative = self.derivative(solution.qpos, self.stacked(solution))
+        height = np.zeros(len(derivative))
+        height[2] = np.sign(self.lift)
+        try:
+            effect = np.array(np.linalg.solve(derivative.T, height), float)[: self.robot.nv]
+        except np.linalg.LinAlgError:
+            return False
+        config = Configuration(self.robot, solution.qpos)
+        size = abs(self.lift)
+        joints = size * self.friction.torques(effect[6:])
+        self.joint_friction = (1 - share) * self.joint_friction + share * joints
+        for foot, force in solution.forces.items():
+            turns = self.frame @ config.frame_jacobian(self.robot.contact_frames[foot])[3:]
+            moment = size * self.friction.moment(foot, force, turns @ effect)
+            before = self.moments.get(foot, np.zeros(3))
+            self.moments[foot] = (1 - share) * before + share * moment
+        return True
 
     def _by_softer_soles(self, guess: Solution) -> Solution | None:
         """Solves with soles that give more than they do, and then less and less.

@@ -175,7 +175,7 @@ def _compared(
     meant: list[VariantSpec | RobotFiles], analyses: list[Analysis]
 ) -> list[ComparisonRow]:
     """Puts each variant beside the base model that it is made of; files have none."""
-    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.pupper.variants import VariantSpec
     from pupper_analysis.robot.joints import leg_lengths
     from pupper_analysis.tools.analyze import comparison
@@ -221,8 +221,8 @@ def _write(
 
 def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
     """Writes all figures."""
-    from pupper_analysis.present import render
     from pupper_analysis.present.figures.pose import pose_figure
+    from pupper_analysis.tools.analyze import render
     from pupper_analysis.tools.analyze.figures import gain_figure, height_figure, torque_figure
 
     for robot, analysis in zip(robots, analyses, strict=True):
@@ -242,7 +242,7 @@ def _draw(robots: list[Robot], analyses: list[Analysis], folder: Path) -> None:
 
 def _print_list(specs: list[VariantSpec]) -> None:
     from pupper_analysis.present.terminal import make_console, print_table
-    from pupper_analysis.pupper.load import load_variant
+    from pupper_analysis.pupper.variant_files import load_variant
     from pupper_analysis.tools.analyze import comparison
 
     variants = [(spec, load_variant(spec)) for spec in specs]

@@ -13,7 +13,6 @@ from pupper_analysis.present.documents.loads import (
     proof_text,
     view_block,
 )
-from pupper_analysis.present.documents.quantities import quantity_columns
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.simulated import (
     height_plot,
@@ -27,7 +26,7 @@ from pupper_analysis.present.documents.sources import (
     joint_places,
     page_of,
 )
-from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.documents.standing import quantity_columns, task_text
 from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
 from pupper_analysis.present.words import text, word
 from pupper_analysis.robot.robot import Robot

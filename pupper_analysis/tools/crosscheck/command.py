@@ -91,8 +91,8 @@ def command(
     Exit status: 0 they agree within the tolerances (a tilted base counts with --same-mount
     alone), 1 they differ, 2 bad input.
     """  # noqa: D301 - click reads the \b
-    from pupper_analysis.present import comparison as comparison_report
     from pupper_analysis.present import formats
+    from pupper_analysis.present.documents.comparison import comparison_cases, comparison_remarks
     from pupper_analysis.robot.compare.compare import compare_models
     from pupper_analysis.robot.matching.tolerances import Tolerances
 
@@ -115,7 +115,7 @@ def command(
         shared.show_results([("", comparison)], style, everything=everything)
     else:
         suite = f"{urdf.name} against {mjcf.name}"
-        remarks, cases = comparison_report.comparison_remarks, comparison_report.comparison_cases
-        click.echo(formats.for_machines(style, suite, remarks(comparison), cases(comparison)))
+        remarks, cases = comparison_remarks(comparison), comparison_cases(comparison)
+        click.echo(formats.for_machines(style, suite, remarks, cases))
     shared.write_page(report_path, comparison)
     shared.finish_command(json_path, comparison, passed=comparison.agree)

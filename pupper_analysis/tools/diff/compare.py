@@ -23,11 +23,10 @@ from pupper_analysis.models.multibody import MultibodyTree, rename_joints, to_pi
 from pupper_analysis.models.places import Place
 from pupper_analysis.robot.compare.attribution import EXPLAINED
 from pupper_analysis.robot.compare.changes import apply_changes, changes_between, convention_changes
-from pupper_analysis.robot.compare.differences import Difference, Effect, RelativeError
-from pupper_analysis.robot.compare.words import VERSIONS
+from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect, RelativeError
 from pupper_analysis.robot.matching.alignment import align_frames
 from pupper_analysis.robot.matching.conventions import find_conventions
-from pupper_analysis.robot.matching.structure import guess_of_trees
+from pupper_analysis.robot.matching.pairs import guess_of_trees
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.diff.elements import ElementDifference, changed_elements
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of

@@ -37,8 +37,7 @@ from pupper_analysis.models.stated.elements import (
 )
 from pupper_analysis.models.stated.geometry import DIRECTIONS, describe_shape, support_of
 from pupper_analysis.models.stated.model import Shape
-from pupper_analysis.robot.compare.differences import Difference, Effect
-from pupper_analysis.robot.compare.words import VERSIONS
+from pupper_analysis.robot.compare.differences import VERSIONS, Difference, Effect
 
 Array = NDArray[np.float64]
 

@@ -31,8 +31,7 @@ from pupper_analysis.models.stated.urdf import read_urdf_model
 from pupper_analysis.models.transmission import actuator_gear
 from pupper_analysis.models.urdf_file import UrdfFile
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.robot.compare.mjcf_only.effect import NamedModel
-from pupper_analysis.robot.compare.mjcf_only.find import mjcf_only_effects
+from pupper_analysis.robot.compare.mjcf_only import NamedModel, mjcf_only_effects
 from pupper_analysis.robot.matching.mjcf import drop_other_objects, list_hinges, mjcf_tree
 from pupper_analysis.robot.matching.sources import MjcfSources, Sources, UrdfSources
 from pupper_analysis.robot.matching.trees import Reference

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.present.terminal import make_console, print_document
-from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot

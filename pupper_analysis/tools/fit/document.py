@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present import plots
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
@@ -162,12 +161,12 @@ MOST_ROWS = 20
 
 def plot_joints(
     title: doc.Words,
-    axis: plots.Axis,
+    axis: doc.Axis,
     by_joint: Mapping[str, float],
     noise: Mapping[str, float],
     noise_name: doc.Words,
     scale: float = 1.0,
-) -> plots.BarPlot:
+) -> doc.BarPlot:
     """Returns what is off at each joint, beside its sensor's noise.
 
     Args:
@@ -179,11 +178,11 @@ def plot_joints(
         scale: What both are multiplied by to be in the axis's unit.
     """
     bars = [
-        plots.Bar(doc.Name(name), scale * off, scale * noise[name])
+        doc.Bar(doc.Name(name), scale * off, scale * noise[name])
         for name, off in by_joint.items()
         if math.isfinite(off)
     ]
-    return plots.BarPlot(title, axis, bars, (axis.name, noise_name, None))
+    return doc.BarPlot(title, axis, bars, (axis.name, noise_name, None))
 
 
 @build_document.register(MotionFit)
@@ -212,11 +211,11 @@ def _errors(fit: MotionFit) -> Iterator[doc.Words]:
         yield text("repeatability-unknown")
 
 
-def _joints(fit: MotionFit) -> plots.BarPlot:
+def _joints(fit: MotionFit) -> doc.BarPlot:
     """Returns what is off at each joint, and its encoder's noise."""
     return plot_joints(
         text("off-at-joints"),
-        plots.Axis(text("root-mean-square"), "mrad", ".2f"),
+        doc.Axis(text("root-mean-square"), "mrad", ".2f"),
         fit.by_joint,
         fit.encoder_noise,
         text("encoder-noise"),
@@ -280,13 +279,13 @@ def _joint_residuals(found: Sequence[JointResidual]) -> Iterator[doc.Table]:
     yield doc.Table(text("residuals-of-joints"), columns, rows, detail=True)
 
 
-def _residuals(fit: StandFit) -> plots.BarPlot:
+def _residuals(fit: StandFit) -> doc.BarPlot:
     """Returns how well each stand is explained, the worst before."""
     worst = sorted(fit.residuals.items(), key=lambda one: -one[1])
-    return plots.BarPlot(
+    return doc.BarPlot(
         text("residuals-of-stands"),
-        plots.Axis(text("residual-rms"), "sigma", ".2f"),
-        [plots.Bar(doc.Name(name), value) for name, value in worst],
+        doc.Axis(text("residual-rms"), "sigma", ".2f"),
+        [doc.Bar(doc.Name(name), value) for name, value in worst],
         (text("residual-rms"), None, None),
     )
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present import plots
 from pupper_analysis.present.documents.loads import (
     origins_text,
     torque_plot,
@@ -185,7 +184,7 @@ def _force(hold: Hold) -> doc.Table:
     return doc.Table(text("force-on-the-tool"), columns, tuple(rows), notes=notes)
 
 
-def force_plot(force: ToolForce) -> plots.LinePlot:
+def force_plot(force: ToolForce) -> doc.LinePlot:
     """Draws sections of the polytope of forces on a tool."""
     sections = (("section-x-y", force.horizontal), ("section-x-z", force.sagittal))
     series = []
@@ -194,26 +193,26 @@ def force_plot(force: ToolForce) -> plots.LinePlot:
         lengths = np.where(np.isfinite(radii), radii, np.nan)[around]
         turned = force.angles[around]
         across, up = lengths * np.cos(turned), lengths * np.sin(turned)
-        series.append(plots.Series(text(name), across, up))
-    axis = plots.Axis(text("force-along-first-axis"), "N", ".0f")
-    other = plots.Axis(text("force-along-second-axis"), "N", ".0f")
-    return plots.LinePlot(text("forces-withstood"), axis, other, series)
+        series.append(doc.Series(text(name), across, up))
+    axis = doc.Axis(text("force-along-first-axis"), "N", ".0f")
+    other = doc.Axis(text("force-along-second-axis"), "N", ".0f")
+    return doc.LinePlot(text("forces-withstood"), axis, other, series)
 
 
-def reach_plot(reach: ReachLoad) -> plots.LinePlot:
+def reach_plot(reach: ReachLoad) -> doc.LinePlot:
     """Draws what the motors hold over the reach of a tool, by its distance."""
     edges = np.linspace(0.0, float(reach.distances.max(initial=1e-9)), _RINGS + 1)
     ring = np.clip(np.digitize(reach.distances, edges) - 1, 0, _RINGS - 1)
     full = np.unique(ring)
     middle = (edges[full] + edges[full + 1]) / 2
     per_ring = [100 * reach.utilisation[ring == one] for one in full]
-    axis = plots.Axis(text("distance-from-the-first-joint"), "m", ".2f")
-    share = plots.Axis(text("utilisation"), "%", ".1f")
+    axis = doc.Axis(text("distance-from-the-first-joint"), "m", ".2f")
+    share = doc.Axis(text("utilisation"), "%", ".1f")
     lines = (
-        plots.Series(text("greatest-found"), middle, np.array([one.max() for one in per_ring])),
-        plots.Series(text("mean-of-postures"), middle, np.array([one.mean() for one in per_ring])),
+        doc.Series(text("greatest-found"), middle, np.array([one.max() for one in per_ring])),
+        doc.Series(text("mean-of-postures"), middle, np.array([one.mean() for one in per_ring])),
     )
-    return plots.LinePlot(text("utilisation-over-the-reach"), axis, share, lines)
+    return doc.LinePlot(text("utilisation-over-the-reach"), axis, share, lines)
 
 
 def _millimetres(place: NDArray[np.float64] | None, form: str) -> Iterable[doc.Cell]:

@@ -8,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from pupper_analysis.robot.at_rest import AtRest
-from pupper_analysis.robot.configuration import Configuration
+from pupper_analysis.robot.configuration import AtRest, Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import Tool, carrying_link
 
@@ -50,7 +49,7 @@ class Looks:
             most = ROUNDING * robot.total_mass * float(np.linalg.norm(robot.gravity))
             off = [self.load(qpos) - Configuration(robot, qpos).load() for qpos in postures]
             if np.abs(off).max(initial=0.0) > most:
-                self._others = AtRest.of(robot)
+                self._others = AtRest(robot)
         self.springs_alone = self._others is None
 
     def with_mass(self, tool: Tool, mass: float) -> Looks:

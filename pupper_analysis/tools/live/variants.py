@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from pupper_analysis.pupper.load import load_variant
-from pupper_analysis.pupper.scaled import Scaled
-from pupper_analysis.pupper.variants import VARIANTS, VariantSpec
+from pupper_analysis.pupper.variant_files import load_variant
+from pupper_analysis.pupper.variants import VARIANTS, Scaled, VariantSpec
 from pupper_analysis.robot.robot import Robot
 
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present import plots
 from pupper_analysis.present.documents.loads import view_block
-from pupper_analysis.present.documents.quantities import quantity_columns
 from pupper_analysis.present.documents.registry import build_document
-from pupper_analysis.present.documents.standing import robot_notes
-from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.documents.standing import quantity_columns, robot_notes, task_text
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
@@ -60,24 +57,24 @@ def path_blocks(path: StancePath, tracking: PathTracking) -> tuple[doc.Block, ..
         path: The path.
         tracking: What became of it in simulation.
     """
-    time = plots.Axis(text("time"), "s", ".2f")
+    time = doc.Axis(text("time"), "s", ".2f")
     feet = [
-        plots.Series(doc.Name(foot), path.time, path.loads[:, index])
+        doc.Series(doc.Name(foot), path.time, path.loads[:, index])
         for index, foot in enumerate(path.feet)
     ]
     return (
         _planned(path),
         _tracked(tracking),
-        plots.LinePlot(
+        doc.LinePlot(
             text("height-of-the-base-along"),
             time,
-            plots.Axis(text("base-height"), "mm", ".2f"),
-            [plots.Series(text("base-height"), path.time, 1e3 * path.qpos[:, 2])],
+            doc.Axis(text("base-height"), "mm", ".2f"),
+            [doc.Series(text("base-height"), path.time, 1e3 * path.qpos[:, 2])],
         ),
-        plots.LinePlot(
+        doc.LinePlot(
             text("load-of-the-feet-along"),
             time,
-            plots.Axis(text("load"), "N", ".2f"),
+            doc.Axis(text("load"), "N", ".2f"),
             feet,
         ),
     )

@@ -10,12 +10,14 @@ import numpy as np
 
 from pupper_analysis.base.results import Result
 from pupper_analysis.present import document as doc
-from pupper_analysis.present import plots
 from pupper_analysis.present.documents.loads import view_block
-from pupper_analysis.present.documents.quantities import quantity_columns
 from pupper_analysis.present.documents.registry import build_document, compare_results
-from pupper_analysis.present.documents.standing import ground_text, robot_notes
-from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.documents.standing import (
+    ground_text,
+    quantity_columns,
+    robot_notes,
+    task_text,
+)
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
@@ -107,7 +109,7 @@ def _table(pushed: PushedStance) -> doc.Table:
     )
 
 
-def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> plots.DirectionPlot:
+def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> doc.DirectionPlot:
     """Returns the largest pushes by direction, of one robot or several.
 
     Args:
@@ -115,7 +117,7 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> plots.Direction
         rigid: The robot whose tipping estimate is drawn too, where it has one.
     """
     series = [
-        plots.Series(
+        doc.Series(
             doc.Name(name),
             one.directions,
             one.impulses,
@@ -128,10 +130,10 @@ def push_plot(pushed: Mapping[str, PushRecovery], rigid: str) -> plots.Direction
     tips = pushed[rigid]
     if np.isfinite(tips.tipping_estimate).all():
         name = text("tipping-estimate", name=doc.Name(rigid))
-        series.append(plots.Series(name, tips.directions, tips.tipping_estimate, reference=True))
-    return plots.DirectionPlot(
+        series.append(doc.Series(name, tips.directions, tips.tipping_estimate, reference=True))
+    return doc.DirectionPlot(
         text("largest-push-that-the-stand-survives"),
-        plots.Axis(text("impulse"), "N s", ".2f"),
+        doc.Axis(text("impulse"), "N s", ".2f"),
         series,
         text("impulse-in-weakest-direction"),
     )

@@ -8,8 +8,12 @@ from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.loads import load_blocks, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.simulated import height_plot, motions_of, simulated_table
-from pupper_analysis.present.documents.standing import ground_text, robot_notes, stand_table
-from pupper_analysis.present.documents.tasks import task_text
+from pupper_analysis.present.documents.standing import (
+    ground_text,
+    robot_notes,
+    stand_table,
+    task_text,
+)
 from pupper_analysis.present.verdict import verdict_lines, verdict_word
 from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot

@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Patch, Rectangle
 
+from pupper_analysis.present.document import Plot
 from pupper_analysis.present.figures import style
 from pupper_analysis.present.html.plots import STYLES, Drawing, Mark, draw_svg
-from pupper_analysis.present.plots import Plot
 from pupper_analysis.present.words import in_english
 from pupper_analysis.tools.study.cells import spread_in, standing_designs
 from pupper_analysis.tools.study.pareto import pareto_front

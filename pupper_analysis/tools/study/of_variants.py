@@ -9,9 +9,8 @@ from typing import Any
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.pupper.named import split_word
-from pupper_analysis.pupper.scaled import Scaled
 from pupper_analysis.pupper.variant_files import describe_variant
-from pupper_analysis.pupper.variants import BASES, VariantSpec, variant_spec
+from pupper_analysis.pupper.variants import BASES, Scaled, VariantSpec, variant_spec
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.study import study

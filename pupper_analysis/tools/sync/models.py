@@ -13,17 +13,15 @@ from typing import Final
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError, OutputError
-from pupper_analysis.base.files import Writing, write_together
+from pupper_analysis.base.files import Writing, clear_left, hidden_token, write_new, write_together
 from pupper_analysis.base.inputs import read_text
 from pupper_analysis.base.kinds import EDITED
 from pupper_analysis.base.results import Result
-from pupper_analysis.base.temporary import clear_left, hidden_token, write_new
 from pupper_analysis.models.attributes import JOINT_ATTRIBUTES
 from pupper_analysis.models.git import refuse_uncommitted
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.models.xml_bytes import XmlDocument
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import SERVO_GAINS, Difference
 from pupper_analysis.robot.matching.tolerances import Tolerances
@@ -35,6 +33,7 @@ from pupper_analysis.tools.sync.plan import (
     UnwrittenCause,
     make_plan,
 )
+from pupper_analysis.tools.sync.xml_bytes import XmlDocument
 
 FINE = replace(Tolerances.strict(), gravity=Tolerances().gravity)
 """What counts as a difference, digit for digit: rounding does not; a URDF states no gravity."""

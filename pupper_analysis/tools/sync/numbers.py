@@ -24,13 +24,11 @@ from pupper_analysis.models.capsules import for_engines
 from pupper_analysis.models.conversion import inertia_of_body, joint_armature, joint_damping
 from pupper_analysis.models.mjcf import silence_mujoco, to_xml
 from pupper_analysis.models.mjcf_file import MjcfFile, mjcf_of_text, read_mjcf
-from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody
 from pupper_analysis.models.transmission import drives_of, law_of
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.models.xml import parse_text
-from pupper_analysis.models.xml_bytes import XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.matching.match import Match, match_models
@@ -44,9 +42,11 @@ from pupper_analysis.tools.sync.copies import (
     laid_out,
 )
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, Side, pair_robots
+from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.plan import Edit, edits_of
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
+from pupper_analysis.tools.sync.xml_bytes import XmlDocument, read_document
 
 Array = NDArray[np.float64]
 

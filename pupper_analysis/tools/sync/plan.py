@@ -12,19 +12,19 @@ from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.mjcf_in_place import MjcfInPlace
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
+from pupper_analysis.robot.asked_efforts import placeholders_among
 from pupper_analysis.robot.compare.attribution import align_robot
 from pupper_analysis.robot.compare.differences import LIMITS, OF_BODIES_AND_PLACES, OF_INERTIALS
-from pupper_analysis.robot.efforts import placeholders_among
 from pupper_analysis.robot.matching.match import match_models
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.tools.sync.frames import Key, MatchedRobots, pair_robots
+from pupper_analysis.tools.sync.mjcf_in_place import MjcfInPlace
 from pupper_analysis.tools.sync.mjcf_side import MjcfSide
 from pupper_analysis.tools.sync.urdf_side import UrdfSide
+from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 _OF_BOTH = tuple(one.kind for one in JOINT_ATTRIBUTES if one.in_both)
 

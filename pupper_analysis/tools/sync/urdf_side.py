@@ -14,9 +14,7 @@ from pupper_analysis.base.arrays import INERTIA_ENTRIES, inertia_entries, inerti
 from pupper_analysis.base.diagnostics import Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND, JOINT_ATTRIBUTES
 from pupper_analysis.models.multibody import TreeJoint
-from pupper_analysis.models.orientation import origin_changes
 from pupper_analysis.models.urdf_tree import UrdfJoint, UrdfTree, origin_of
-from pupper_analysis.models.xml_bytes import Element
 from pupper_analysis.models.xml_text import SAME, Digits
 from pupper_analysis.tools.sync.frames import Key, Side
 from pupper_analysis.tools.sync.inertia import (
@@ -26,6 +24,8 @@ from pupper_analysis.tools.sync.inertia import (
     turned_like,
     without_parts,
 )
+from pupper_analysis.tools.sync.orientation import origin_changes
+from pupper_analysis.tools.sync.xml_bytes import Element
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.base.results import Result
-from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot

@@ -16,8 +16,7 @@ from scipy.spatial.transform import Rotation
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.stated.model import Array
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.stated.usd import UsdModel, read_usd_model
-from pupper_analysis.models.stated.usd_mass import Origin
+from pupper_analysis.models.stated.usd import Origin, UsdModel, read_usd_model
 from pupper_analysis.models.urdf_file import read_urdf
 from pupper_analysis.models.usd_file import read_usd
 from tests.support import usd

@@ -13,14 +13,17 @@ import pytest
 from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 
+from pupper_analysis.robot.compare import mjcf_only as extras_module
 from pupper_analysis.robot.compare.attribution import explain_differences
 from pupper_analysis.robot.compare.compare import Comparison
 from pupper_analysis.robot.compare.differences import Effect
 from pupper_analysis.robot.compare.engines import EXTRAS, cross_check
-from pupper_analysis.robot.compare.mjcf_only import find as extras_module
-from pupper_analysis.robot.compare.mjcf_only.effect import as_it_is, without_effects
-from pupper_analysis.robot.compare.mjcf_only.find import mjcf_only_effects
-from pupper_analysis.robot.compare.mjcf_only.mimics import split_mimics
+from pupper_analysis.robot.compare.mjcf_only import (
+    as_it_is,
+    mjcf_only_effects,
+    split_mimics,
+    without_effects,
+)
 from pupper_analysis.robot.compare.states import random_states
 from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import Reference

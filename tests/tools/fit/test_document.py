@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from pupper_analysis.present import plots
+from pupper_analysis.present import document as doc
 from pupper_analysis.present.document import (
     Cell,
     Document,
@@ -138,7 +138,7 @@ def test_what_is_left_and_what_is_off_together_is_told_with_its_sign() -> None:
     assert "3.2 times" in told
     assert "only the ratio is told of kp knee, mass calf" in told.lower()
     assert "weigh the robot (--weight) (12.3 times narrower)" in told
-    (bars,) = (one for one in page.blocks if isinstance(one, plots.BarPlot))
+    (bars,) = (one for one in page.blocks if isinstance(one, doc.BarPlot))
     assert [bar.value for bar in bars.bars] == [1.5, 0.5]
 
 
@@ -168,7 +168,7 @@ def test_the_held_out_error_is_told_first() -> None:
     assert "to 7.00 mrad" in first
     assert "1.50 mrad" in second
     assert "12.5 s of" in third
-    (bars,) = (one for one in page.blocks if isinstance(one, plots.BarPlot))
+    (bars,) = (one for one in page.blocks if isinstance(one, doc.BarPlot))
     assert [(bar.value, bar.other) for bar in bars.bars] == [(3.0, 0.4), (1.0, 0.5)]
 
 

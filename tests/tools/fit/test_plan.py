@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from pupper_analysis.base.errors import MeasurementError
-from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.tools.fit.parameters import bodies_of, parse_prior
 from pupper_analysis.tools.fit.stands import plan

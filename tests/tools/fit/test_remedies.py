@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.stance.stand import solve_stand, stand_statics

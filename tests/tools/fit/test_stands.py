@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import (
     PupperAnalysisError,
     UnknownNameError,
 )
-from pupper_analysis.pupper.load import load_variant
+from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos, own_servos
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium

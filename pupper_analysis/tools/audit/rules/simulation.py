@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import (
 from pupper_analysis.models.stated.geometry import solid_of
 from pupper_analysis.models.stated.model import MjcfModel, Shape, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
-from pupper_analysis.robot.servo_stability import servo_stability
+from pupper_analysis.robot.stability import servo_stability
 from pupper_analysis.tools.audit.registry import Found, rule
 from pupper_analysis.tools.audit.rules.actuators import drives
 from pupper_analysis.tools.audit.rules.files import first_place

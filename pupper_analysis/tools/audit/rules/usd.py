@@ -11,8 +11,7 @@ from pupper_analysis.base.diagnostics import Quantity, Severity, diagnose
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.stated.model import HINGE, SLIDE
-from pupper_analysis.models.stated.usd import UsdModel
-from pupper_analysis.models.stated.usd_mass import BALL, WATER, Origin
+from pupper_analysis.models.stated.usd import BALL, WATER, Origin, UsdModel
 from pupper_analysis.tools.audit.registry import Found, rule
 
 CONTRADICTION = 1e-3

@@ -14,8 +14,8 @@ from matplotlib.image import imread
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
-from pupper_analysis.present import opengl, render
-from pupper_analysis.present.tiles import tiles_of
+from pupper_analysis.tools.analyze import render
+from pupper_analysis.tools.analyze.render import tiles_of
 from tests.support.variants import load, stand_of
 
 WIDTH = 420
@@ -150,7 +150,7 @@ def test_a_fresh_process_is_quiet(
     """Renders twice, in a process without a display: MuJoCo may not survive a second failure."""
     code = (
         "import sys, pupper_analysis as pa\n"
-        "from pupper_analysis.present.render import render_robot\n"
+        "from pupper_analysis.tools.analyze.render import render_robot\n"
         "robot = pa.load_variant('original')\n"
         "for _ in range(2):\n"
         "    picture = render_robot(robot, robot.home, sys.argv[1], width=300)\n"
@@ -186,8 +186,8 @@ def test_the_next_backend_is_tried(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
-    monkeypatch.setattr(opengl.platform, "system", lambda: "Linux")
-    monkeypatch.setattr(opengl, "_render_with", fail)
+    monkeypatch.setattr(render.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(render, "_render_with", fail)
     picture = render.render_variants(pairs("original"), tmp_path / "a.png", width=WIDTH)
     assert tried == ["egl", "osmesa"]
     assert picture.method == "lines"
@@ -218,8 +218,8 @@ def test_rendering_backends_depend_on_system_and_environment(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    monkeypatch.setattr(opengl.platform, "system", lambda: system)
-    assert opengl._backends() == expected
+    monkeypatch.setattr(render.platform, "system", lambda: system)
+    assert render._backends() == expected
 
 
 # ------------------------------------------------------------------------------------- errors

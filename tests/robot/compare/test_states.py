@@ -19,13 +19,13 @@ from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.robot.compare.attribution import _entries
 from pupper_analysis.robot.compare.behaviour import Behaviour
 from pupper_analysis.robot.compare.engines import URDF_MUJOCO, URDF_READ, cross_check
-from pupper_analysis.robot.compare.size import (
+from pupper_analysis.robot.compare.states import (
     MOST_IN_PINOCCHIO,
     affordable_states,
+    random_states,
     size_notes,
     some_of,
 )
-from pupper_analysis.robot.compare.states import random_states
 from pupper_analysis.robot.matching.trees import Reference, kinematic_trees
 from pupper_analysis.robot.structure import Structure
 from tests.support.cases import some

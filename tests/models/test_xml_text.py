@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from lxml import etree
 
-from pupper_analysis.models.xml_layout import to_text
+from pupper_analysis.models.xml_text import to_text
 from tests.support.commands import answer
 from tests.support.legged import quadruped
 

@@ -1,4 +1,8 @@
-"""Draws robots through OpenGL, with the light of a picture, and their shadows on the ground."""
+"""Rendered pictures of standing robots: MuJoCo off screen or, without OpenGL, line drawings.
+
+Through OpenGL with the light of a picture, and shadows on the ground; the robots are to one scale,
+in a parallel projection.
+"""
 
 from __future__ import annotations
 
@@ -12,28 +16,112 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
-from numpy.typing import NDArray
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import compile_spec
-from pupper_analysis.present.tiles import (
-    AHEAD,
-    AZIMUTH,
-    ELEVATION,
-    RIGHT,
-    SUN,
-    UP,
-    Tile,
+from pupper_analysis.present.figures.skeleton import (
+    BOX_FACES,
+    Skeleton,
+    draw_skeleton,
+    hull_corners,
 )
+from pupper_analysis.present.figures.style import save_figure
+from pupper_analysis.robot.joints import leg_lengths
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.stance.stand import Stand
 
-Array = NDArray[np.float64]
+ELEVATION, AZIMUTH = math.radians(20), math.radians(140)  # of the camera's line of sight
+AHEAD = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), 0.0])
+RIGHT = np.array([math.sin(AZIMUTH), -math.cos(AZIMUTH), 0.0])
+UP = math.sin(ELEVATION) * AHEAD + math.cos(ELEVATION) * np.array([0.0, 0.0, 1.0])
+SUN = np.array([-0.30, 0.24, -1.0])  # where the light that casts shadows goes
+_GAP = 0.09  # around a robot, in tile widths
+LABEL = 0.125  # for the text below it, in tile widths
+
+
+@dataclass(frozen=True, eq=False)
+class Tile:
+    """The part of the picture that shows one robot, in a parallel projection.
+
+    Attributes:
+        robot: The robot.
+        qpos: (nq,) where it is.
+        lines: The same as lines.
+        left: Where the tile begins (pixels from the picture's left edge).
+        top: Likewise, from its top edge.
+        width: Of the tile (pixels).
+        height: Of the tile (pixels).
+        scale: Pixels per metre.
+        centre: (2,) what is in the tile's middle: m along ``RIGHT`` and ``UP``.
+    """
+
+    robot: Robot
+    qpos: Array
+    lines: Skeleton
+    left: int
+    top: int
+    width: int
+    height: int
+    scale: float
+    centre: Array
+
+    def pixels(self, points: Array) -> Array:
+        """Returns where points (n, 3) in the world are in the picture (n, 2), y downwards."""
+        offset = self.scale * (project_points(points) - self.centre) * (1, -1)
+        middle = (self.left + self.width / 2, self.top + self.height / 2)
+        place: Array = middle + offset
+        return place
+
+
+def project_points(points: Array) -> Array:
+    """Returns points (n, 3) in the plane of the picture (n, 2) (m)."""
+    seen: Array = points @ np.array([RIGHT, UP]).T
+    return seen
+
+
+def tiles_of(poses: Sequence[tuple[Robot, Array]], width: int, columns: int) -> list[Tile]:
+    """Gives each robot a tile: all to one scale, and those of a row on one line."""
+    lines = [draw_skeleton(robot, qpos) for robot, qpos in poses]
+    low, high = np.empty((len(poses), 2)), np.empty((len(poses), 2))
+    for index, ((robot, _), line) in enumerate(zip(poses, lines, strict=True)):
+        points = line.points()
+        shadow = points - np.outer(points[:, 2] / SUN[2], SUN)
+        seen = project_points(np.concatenate([points, shadow]))
+        radius = max(robot.contact_radius.values())
+        low[index], high[index] = seen.min(axis=0) - radius, seen.max(axis=0) + radius
+    size = high - low
+    tile_width = width // columns
+    scale = (1 - 2 * _GAP) * tile_width / float(size[:, 0].max())
+    gap, label = _GAP * tile_width / scale, LABEL * tile_width / scale
+    tiles: list[Tile] = []
+    top = 0
+    for first in range(0, len(poses), columns):
+        row = range(first, min(first + columns, len(poses)))
+        extent = float(size[row, 1].max()) + 2 * gap + label
+        height = round(extent * scale)
+        for index in row:
+            across = (low[index, 0] + high[index, 0]) / 2
+            middle = np.array([across, low[index, 1] + extent / 2 - label - gap])
+            left = (index - first) * tile_width
+            tiles.append(
+                Tile(*poses[index], lines[index], left, top, tile_width, height, scale, middle)
+            )
+        top += height
+    return tiles
+
+
 Image = NDArray[np.uint8]
 GROUND = "#EEF1F5"
 _SHADOWS = ((0.18, 0.012), (0.20, 0.056))  # darkness, and blur in radii of the robot
@@ -255,3 +343,130 @@ def _shoot(
     mujoco.mjr_render(frame, scene, context)
     mujoco.mjr_readPixels(image, depth, frame, context)
     return image[::-1], depth[::-1] < 1.0
+
+
+Array = NDArray[np.float64]
+_DPI = 100
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that has been written.
+
+    Attributes:
+        path: The PNG.
+        method: Who drew it: ``egl``, ``osmesa``, ``glfw`` or ``cgl`` (OpenGL), or ``lines``.
+        note: Why it is a line drawing, if it is one.
+    """
+
+    path: Path
+    method: str
+    note: str | None
+
+
+def render_robot(robot: Robot, qpos: ArrayLike, path: str | Path, *, width: int = 1000) -> Picture:
+    """Renders one robot.
+
+    Args:
+        robot: The robot.
+        qpos: (nq,) where it is.
+        path: The PNG to write.
+        width: Of the picture (pixels).
+
+    Returns:
+        What was written. Without OpenGL it is a line drawing, and the note says why.
+
+    Raises:
+        ConfigurationError: If ``width`` is out of range.
+        OutputError: If the file cannot be written.
+    """
+    return _picture([(robot, np.array(qpos, dtype=float))], Path(path), width, columns=1)
+
+
+def render_variants(
+    robots_and_stands: Sequence[tuple[Robot, Stand]],
+    path: str | Path,
+    *,
+    width: int = 1500,
+    columns: int = 3,
+) -> Picture:
+    """Renders robots standing side by side, to one scale, with names, leg lengths and masses.
+
+    Args:
+        robots_and_stands: The robots, each with its stand.
+        path: The PNG to write.
+        width: Of the picture (pixels).
+        columns: Robots in a row.
+
+    Returns:
+        What was written. Without OpenGL it is a line drawing, and the note says why.
+
+    Raises:
+        ConfigurationError: If there is no robot, or ``width`` or ``columns`` is out of range.
+        OutputError: If the file cannot be written.
+    """
+    poses = [(robot, stand.qpos) for robot, stand in robots_and_stands]
+    return _picture(poses, Path(path), width, columns)
+
+
+def _picture(poses: Sequence[tuple[Robot, Array]], path: Path, width: int, columns: int) -> Picture:
+    if not poses:
+        raise ConfigurationError("robots_and_stands", diagnose("no-robot-to-draw"))
+    if not 200 <= width <= 4096:
+        raise ConfigurationError(
+            "width", diagnose("pixels-out-of-range", pixels=width, least=200, most=4096)
+        )
+    if columns < 1:
+        raise ConfigurationError("columns", diagnose("not-positive", value=columns))
+    tiles = tiles_of(poses, width, min(columns, len(poses)))
+    images, method, note = render_tiles(tiles)
+    width = max(tile.left + tile.width for tile in tiles)
+    height = max(tile.top + tile.height for tile in tiles)
+    figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor=GROUND)
+    canvas = figure.add_axes((0, 0, 1, 1), xlim=(0, width), ylim=(height, 0), zorder=1)
+    canvas.set_axis_off()
+    if images:
+        picture = np.full((height, width, 3), images[0][0, 0])
+        for tile, image in zip(tiles, images, strict=True):
+            picture[tile.top :, tile.left :][: tile.height, : tile.width] = image
+        figure.figimage(picture, origin="upper")
+    for tile in tiles:
+        if not images:
+            _draw_lines(canvas, tile)
+        _write_label(canvas, tile)
+    save_figure(figure, path)
+    return Picture(path, method, note)
+
+
+def _write_label(canvas: Axes, tile: Tile) -> None:
+    robot = tile.robot
+    # Letters that fit the tile, in points.
+    size = 0.03 * tile.width * 72 / _DPI
+    x, y = tile.left + tile.width / 2, tile.top + tile.height - (LABEL + 0.02) * tile.width
+    legs = sum(length or 0.0 for length in leg_lengths(robot))
+    numbers = f"legs {1e3 * legs:.0f} mm, mass {robot.total_mass:.2f} kg"
+    below = y + 2.0 * size * _DPI / 72
+    common: dict[str, Any] = {"ha": "center", "va": "top", "parse_math": False}
+    canvas.text(x, y, robot.name, size=1.35 * size, weight="bold", color="#1F2937", **common)
+    canvas.text(x, below, numbers, size=size, color="#4B5563", **common)
+
+
+def _draw_lines(canvas: Axes, tile: Tile) -> None:
+    """Draws a robot as lines, in the projection of the rendered picture."""
+    lines = tile.lines
+    thick = 0.035 * tile.width * 72 / _DPI
+    legs = np.array([leg[[0, -1]] for leg in lines.legs.values()])
+    feet = hull_corners(legs[:, -1])
+    ground = tile.pixels(np.column_stack([feet, np.zeros(len(feet))]))
+    canvas.fill(*ground.T, color="#DDE2E9", zorder=1)
+    for leg in lines.legs.values():
+        # The camera is on the right: the legs of that side hide the base, it hides the others.
+        near = leg[0, 1] < legs[:, 0, 1].mean()
+        order, colour = (4, "#374151") if near else (2, "#9CA3AF")
+        seen = tile.pixels(leg).T
+        canvas.plot(*seen, color=colour, lw=thick, solid_capstyle="round", zorder=order)
+        canvas.plot(*seen[:, -1:], "o", color="#111827", ms=2 * thick, zorder=order)
+    for box in lines.boxes:
+        for face in BOX_FACES:
+            corners = tile.pixels(box[list(face)]).T
+            canvas.fill(*corners, fc="#F3C453", ec="#7A5300", alpha=0.6, lw=thick / 10, zorder=3)

@@ -11,12 +11,12 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.orientation import AngleUnits, orientation_change, stated_rotation
 from pupper_analysis.models.packages import existing_file
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.models.xml_bytes import Element, XmlDocument, read_document
 from pupper_analysis.models.xml_text import Digits
+from pupper_analysis.tools.sync.orientation import AngleUnits, orientation_change, stated_rotation
+from pupper_analysis.tools.sync.xml_bytes import Element, XmlDocument, read_document
 
 Array = NDArray[np.float64]
 

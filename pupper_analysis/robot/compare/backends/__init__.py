@@ -1,1 +1,0 @@
-"""Backend evaluations: one quantity, many backends (Pinocchio, MuJoCo, yourdfpy)."""

@@ -1,0 +1,560 @@
+"""What acts on a robot in MuJoCo and has no words in a URDF: springs, tendons, fluid, loops.
+
+A URDF states a tree of bodies, and damping and friction of its joints. MuJoCo's smooth dynamics
+have more terms: passive forces (``qfrc_spring``, ``qfrc_damper``, ``qfrc_gravcomp``,
+``qfrc_fluid``, and those of flexes and plugins), inertia through tendons and motors, and equality
+constraints. Here they are found in a compiled model, one by one, each with the numbers that have
+to be zero for it to be gone. Nothing rests on the list being complete: who uses it switches all of
+it off, and compares what is left with a model that has none of it.
+
+Source: MuJoCo documentation, "Computation: Passive forces" and "Constraint model: Equality"; the
+arrays are those of ``mjModel``.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from pupper_analysis.base.diagnostics import (
+    Diagnostic,
+    Quantity,
+    Term,
+    Vector,
+    diagnose,
+)
+from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.transmission import actuator_gear, is_at_one_joint
+from pupper_analysis.robot.matching.trees import Reference
+from pupper_analysis.robot.matching.urdf import Mimics
+
+Slot = tuple[str, int | slice]
+"""An array of ``mjModel`` (or a number of its ``opt``), and which of its rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class MjcfOnlyEffect:
+    """An element of an MJCF that a URDF cannot state.
+
+    Attributes:
+        kind: ``spring``, ``damping polynomial``, ``gravity compensation``, ``dry friction`` (of the
+            free joint), ``tendon``, ``fluid``, ``actuator``, ``equality``, ``flex``, ``plugin`` or
+            ``flag``.
+        element: The joint, body, tendon ... by name; ``#3`` where it has none.
+        value: Its numbers.
+        unit: Of the numbers, where they have one in common.
+        diagnostic: What it is, with its numbers.
+        slots: What has to be zero for it to be gone; none if it does not act on the unconstrained
+            robot, or cannot be taken away.
+    """
+
+    kind: str
+    element: str
+    value: object
+    unit: str
+    diagnostic: Diagnostic
+    slots: tuple[Slot, ...] = field(default=())
+
+    def switch(self, model: mujoco.MjModel, like: mujoco.MjModel | None) -> None:
+        """Takes it away in a model (of `as_it_is`), in place; or takes another's numbers again."""
+        for name, where in self.slots:
+            if name.startswith("opt."):
+                option = name.removeprefix("opt.")
+                setattr(model.opt, option, 0.0 if like is None else getattr(like.opt, option))
+            else:
+                getattr(model, name)[where] = 0 if like is None else getattr(like, name)[where]
+
+
+def as_it_is(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Returns a copy whose ``mj_forward`` gives the accelerations that the motors do not make.
+
+    All that acts is left as it is; but no contact, joint or tendon limit, or dry friction acts, and
+    the motors' control does not (their inertia and damping, the gravity compensation that goes
+    through them, and what a DC motor does without a command, do). The integrator is set to Euler,
+    for ``discrete`` would give accelerations that depend on the timestep.
+    """
+    result = copy.copy(model)
+    for bit in (DISABLE.mjDSBL_CONTACT, DISABLE.mjDSBL_LIMIT, DISABLE.mjDSBL_FRICTIONLOSS):
+        result.opt.disableflags |= bit.value
+    result.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
+    # MuJoCo takes a com within 1e-6 m of its body's frame for the frame itself; not here.
+    result.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE.value
+    # By groups: mjDSBL_ACTUATION would take away the gravity compensation of actuatorgravcomp, too.
+    passive = [acts_without_command(model, motor) for motor in range(model.nactuator)]
+    result.actuator_group[:] = np.where(passive, 1, 0)
+    result.opt.disableactuator = 1
+    return result
+
+
+def acts_without_command(model: mujoco.MjModel, motor: int) -> bool:
+    """Says whether a motor is a DC motor without a controller: its back-EMF brakes all the same."""
+    dc = model.actuator_gaintype[motor] == mujoco.mjtGain.mjGAIN_DCMOTOR.value
+    # Its inputs are a sum of 1 and 2 (setpoints of a controller), 4, 8 and 16 (none).
+    controlled = bool(model.actuator_ctrlspec[motor] & 3)
+    group = int(model.actuator_group[motor])
+    switched_off = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
+    return bool(dc) and not controlled and not switched_off
+
+
+def without_effects(model: mujoco.MjModel, effects: Iterable[MjcfOnlyEffect]) -> mujoco.MjModel:
+    """Returns ``as_it_is(model)`` with some effects taken away."""
+    result = as_it_is(model)
+    for effect in effects:
+        effect.switch(result, None)
+    return result
+
+
+DISABLE = mujoco.mjtDisableBit
+
+
+class NamedModel:
+    """One reference, and what asking it takes: its names, units and switches."""
+
+    def __init__(self, reference: Reference) -> None:
+        self.reference, self.model, self.names = reference, reference.model, reference.names
+        self.bodies = reference.bodies()
+
+    def off(self, bit: mujoco.mjtDisableBit) -> bool:
+        """Says whether the file switches a term of the dynamics off."""
+        return bool(self.model.opt.disableflags & bit.value)
+
+    def name(self, kind: str, index: int) -> str:
+        """An element's name, or its number: ``#3``."""
+        what = getattr(mujoco.mjtObj, f"mjOBJ_{kind.upper()}").value
+        return mujoco.mj_id2name(self.names, what, index) or f"#{index}"
+
+    def joint_name(self, joint: int) -> str:
+        """A joint's name; the base's for its free joint."""
+        if self.model.jnt_type[joint] == JointKind.FREE:
+            return self.reference.base
+        return self.name("joint", joint)
+
+    def unit(self, joint: int) -> tuple[str, str]:
+        """The units of a joint's force and coordinate."""
+        slides = self.model.jnt_type[joint] == JointKind.SLIDE
+        return ("N", "m") if slides else ("N m", "rad")
+
+
+def find_springs(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields the springs of the robot's joints."""
+    model = scene.model
+    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_SPRING) else ():
+        linear, higher = float(model.jnt_stiffness[joint]), model.jnt_stiffnesspoly[joint]
+        if not (linear or higher.any()):
+            continue
+        force, length = scene.unit(joint)
+        name = scene.joint_name(joint)
+        value: dict[str, object] = {"stiffness": linear}
+        free = model.jnt_type[joint] == JointKind.FREE
+        if higher.any():
+            value["polynomial"] = [float(each) for each in higher]
+        if not free:
+            value["rest"] = float(model.qpos_spring[model.jnt_qposadr[joint]])
+        if model.jnt_springyield[joint]:
+            value["yield"] = float(model.jnt_springyield[joint])
+        told = diagnose(
+            "spring-of-the-mjcf-alone",
+            subject=("joint", name),
+            stiffness=Quantity(linear, f"{force}/{length}"),
+            higher=Vector(tuple(higher.tolist()), "1") if higher.any() else None,
+            rest=None if free else Quantity(value["rest"], length),  # type: ignore[arg-type]
+            free=free,
+            yielding=value.get("yield"),
+        )
+        yield MjcfOnlyEffect(
+            "spring",
+            name,
+            value,
+            f"{force}/{length}",
+            told,
+            (("jnt_stiffness", joint), ("jnt_stiffnesspoly", joint)),
+        )
+
+
+def find_damping_polynomials(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields damping in higher powers of a joint's speed."""
+    model = scene.model
+    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_DAMPER) else ():
+        first = int(model.jnt_dofadr[joint])
+        free = model.jnt_type[joint] == JointKind.FREE
+        dofs = slice(first, first + (6 if free else 1))
+        if model.dof_dampingpoly[dofs].any():
+            values = [float(each) for each in model.dof_dampingpoly[first]]
+            name = scene.joint_name(joint)
+            powers = Vector(tuple(values), "1")
+            told = diagnose("damping-in-higher-powers", subject=("joint", name), powers=powers)
+            slots = (("dof_dampingpoly", dofs),)
+            yield MjcfOnlyEffect("damping polynomial", name, values, "", told, slots)
+
+
+def find_gravity_compensation(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields the bodies whose weight is (partly) carried by nothing."""
+    model = scene.model
+    for body in sorted(scene.bodies):
+        share = float(model.body_gravcomp[body])
+        if share and model.body_mass[body] and model.body_weldid[body]:
+            name = scene.name("body", body)
+            told = diagnose(
+                "gravity-compensation-of-the-mjcf-alone",
+                subject=("body", name),
+                share=Quantity(share, "1"),
+            )
+            slots = (("body_gravcomp", body),)
+            yield MjcfOnlyEffect("gravity compensation", name, share, "", told, slots)
+
+
+def free_joint_friction(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields dry friction of the robot's free joint, which a default class may give it."""
+    model = scene.model
+    for joint in scene.reference.joints() if not scene.off(DISABLE.mjDSBL_FRICTIONLOSS) else ():
+        value = float(model.dof_frictionloss[model.jnt_dofadr[joint]])
+        if model.jnt_type[joint] == JointKind.FREE and value:
+            name = scene.joint_name(joint)
+            friction = Quantity(value, "N and N m")
+            told = diagnose("free-joint-friction", subject=("body", name), friction=friction)
+            yield MjcfOnlyEffect("dry friction", name, value, "", told)
+
+
+def find_tendons(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields the tendons that pull at the robot, as far as they act without command."""
+    model = scene.model
+    for tendon in range(model.ntendon):
+        if not wrapped_bodies(scene, tendon) & scene.bodies:
+            continue
+        force, length = _tendon_units(scene, tendon)
+        value, terms, acts = _tendon_terms(scene, tendon, force, length)
+        if not value:
+            continue
+        name = scene.name("tendon", tendon)
+        arrays = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature")
+        slots = tuple((f"tendon_{array}", tendon) for array in arrays) if acts else ()
+        told = diagnose("tendon-of-the-mjcf-alone", subject=("tendon", name), terms=terms)
+        yield MjcfOnlyEffect("tendon", name, value, "", told, slots)
+
+
+def _tendon_terms(
+    scene: NamedModel, tendon: int, force: str, length: str
+) -> tuple[dict[str, object], list[Diagnostic], bool]:
+    """A tendon's numbers, told too, and whether it acts without limits and friction."""
+    model = scene.model
+    value: dict[str, object] = {}
+    terms = []
+    inertia = "kg" if length == "m" else "kg m^2"
+    for kind, unit, switch in (
+        ("stiffness", f"{force}/{length}", DISABLE.mjDSBL_SPRING),
+        ("damping", f"{force} s/{length}", DISABLE.mjDSBL_DAMPER),
+        ("armature", inertia, None),
+        ("frictionloss", force, None),
+    ):
+        linear = float(getattr(model, f"tendon_{kind}")[tendon])
+        powers = getattr(model, f"tendon_{kind}poly", np.zeros((model.ntendon, 1)))[tendon]
+        if not (linear or powers.any()) or (switch is not None and scene.off(switch)):
+            continue
+        value[kind] = linear if not powers.any() else [linear, *map(float, powers)]
+        rest = None
+        if kind == "stiffness":
+            value["rest"] = [float(each) for each in model.tendon_lengthspring[tendon]]
+            rest = Vector(tuple(model.tendon_lengthspring[tendon]), length)
+        terms.append(
+            diagnose(
+                "tendon-term",
+                what=Term(kind),
+                value=Quantity(linear, unit),
+                higher=Vector(tuple(powers), "1") if powers.any() else None,
+                rest=rest,
+            )
+        )
+    acts = bool(value.keys() & {"stiffness", "damping", "armature"})
+    if model.tendon_limited[tendon]:
+        value["range"] = [float(each) for each in model.tendon_range[tendon]]
+        kept = Vector(tuple(model.tendon_range[tendon]), length)
+        terms.append(diagnose("tendon-range", range=kept))
+    return value, terms, acts
+
+
+def wrapped_bodies(scene: NamedModel, tendon: int) -> set[int]:
+    """The bodies that a tendon pulls at."""
+    model = scene.model
+    wrap = mujoco.mjtWrap
+    bodies = set()
+    first = int(model.tendon_adr[tendon])
+    for index in range(first, first + int(model.tendon_num[tendon])):
+        kind, other = int(model.wrap_type[index]), int(model.wrap_objid[index])
+        if kind == wrap.mjWRAP_JOINT.value:
+            bodies.add(int(model.jnt_bodyid[other]))
+        elif kind == wrap.mjWRAP_SITE.value:
+            bodies.add(int(model.site_bodyid[other]))
+        elif kind in (wrap.mjWRAP_SPHERE.value, wrap.mjWRAP_CYLINDER.value):
+            bodies.add(int(model.geom_bodyid[other]))
+    return bodies
+
+
+def _tendon_units(scene: NamedModel, tendon: int) -> tuple[str, str]:
+    """The units of a tendon's force and length; a fixed one adds up its joints' coordinates."""
+    model, first = scene.model, int(scene.model.tendon_adr[tendon])
+    if model.wrap_type[first] != mujoco.mjtWrap.mjWRAP_JOINT.value:
+        return "N", "m"
+    joints = model.wrap_objid[first : first + int(model.tendon_num[tendon])]
+    units = {scene.unit(int(joint)) for joint in joints}
+    return units.pop() if len(units) == 1 else ("", "unit of its length")
+
+
+def find_actuators(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Inertia and damping of motors; at one joint, the linear ones count as the joint's."""
+    model = scene.model
+    for motor in range(model.nactuator):
+        if not _drives(scene, motor) & scene.bodies:
+            continue
+        at_joint = is_at_one_joint(model, motor)
+        armature = 0.0 if at_joint else float(model.actuator_armature[motor])
+        damping = 0.0 if at_joint else float(model.actuator_damping[motor])
+        higher = model.actuator_dampingpoly[motor]
+        if scene.off(DISABLE.mjDSBL_DAMPER):
+            damping, higher = 0.0, np.zeros_like(higher)
+        value: dict[str, object] = {}
+        slots: list[Slot] = []
+        for word, number in (("armature", armature), ("damping", damping)):
+            if number:
+                value[word] = number
+                slots.append((f"actuator_{word}", motor))
+        if higher.any():
+            value["damping polynomial"] = [float(each) for each in higher]
+            slots.append(("actuator_dampingpoly", motor))
+        name = scene.name("actuator", motor)
+        if acts_without_command(model, motor) and not scene.off(DISABLE.mjDSBL_ACTUATION):
+            told = diagnose("dc-motor-of-the-mjcf-alone", subject=("actuator", name))
+            group = ("actuator_group", motor)  # 0 is off in `as_it_is`
+            yield MjcfOnlyEffect("actuator", name, "DC motor", "", told, (group,))
+        if value:
+            told = diagnose(
+                "actuator-terms-of-the-mjcf-alone",
+                subject=("actuator", name),
+                armature=value.get("armature"),
+                damping=value.get("damping"),
+                higher=Vector(tuple(higher), "1") if higher.any() else None,
+                gear=Vector(tuple(actuator_gear(model, motor)), "1"),
+            )
+            yield MjcfOnlyEffect("actuator", name, value, "", told, tuple(slots))
+
+
+def _drives(scene: NamedModel, motor: int) -> set[int]:
+    """The bodies that a motor acts on."""
+    model = scene.model
+    kind, (target, other) = int(model.actuator_trntype[motor]), model.actuator_trnid[motor]
+    transmission = mujoco.mjtTrn
+    if kind in (transmission.mjTRN_JOINT.value, transmission.mjTRN_JOINTINPARENT.value):
+        return {int(model.jnt_bodyid[target])}
+    if kind == transmission.mjTRN_TENDON.value:
+        return wrapped_bodies(scene, int(target))
+    if kind == transmission.mjTRN_BODY.value:
+        return {int(target)}
+    sites = [int(site) for site in (target, other) if 0 <= site < model.nsite]
+    return {int(model.site_bodyid[site]) for site in sites}
+
+
+EQUALITY = mujoco.mjtEq
+
+
+def split_mimics(
+    found: Sequence[MjcfOnlyEffect], reference: Reference, mimics: Mimics, tolerance: float
+) -> tuple[list[MjcfOnlyEffect], list[str]]:
+    """Tells which joint equalities say the same as a URDF's ``<mimic>``, and are no effects.
+
+    Both state q = m q_other + c. MuJoCo's polynomial is of the coordinates less their ``qpos0``:
+    q - q0 = a0 + a1 (q_other - q0_other), so that m = a1 and c = a0 + q0 - a1 q0_other.
+
+    Args:
+        found: The effects of the reference.
+        reference: The MJCF.
+        mimics: The URDF's, by the reference's names.
+        tolerance: How far offsets (rad or m), and multipliers relative to 1, may differ.
+
+    Returns:
+        The effects that are the URDF's, too; and the joints whose mimic no equality states.
+    """
+    model = reference.model
+    same: list[MjcfOnlyEffect] = []
+    left = dict(mimics)
+    for effect in found:
+        if effect.kind != "equality":
+            continue
+        index = int(effect.slots[0][1])  # type: ignore[arg-type]
+        data, ids = model.eq_data[index], (model.eq_obj1id[index], model.eq_obj2id[index])
+        if model.eq_type[index] != EQUALITY.mjEQ_JOINT.value or min(ids) < 0 or data[2:5].any():
+            continue
+        one, two = (reference.names.joint(int(joint)).name for joint in ids)
+        rest = [float(model.qpos0[model.jnt_qposadr[joint]]) for joint in ids]
+        slope = float(data[1])
+        offset = float(data[0]) + rest[0] - slope * rest[1]
+        said = [(one, (two, slope, offset))]
+        if slope:
+            said.append((two, (one, 1 / slope, -offset / slope)))  # the same, read backwards
+        for joint, (other, multiplier, constant) in said:
+            leader, wanted, shift = left.get(joint, ("", 0.0, 0.0))
+            near = abs(multiplier - wanted) <= tolerance * max(1.0, abs(wanted))
+            if leader == other and near and abs(constant - shift) <= tolerance:
+                same.append(effect)
+                del left[joint]
+                break
+    return same, list(left)
+
+
+def find_fluid(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields the medium, if it has density or viscosity."""
+    option = scene.model.opt
+    if option.density or option.viscosity:
+        wind = [float(each) for each in option.wind]
+        value = {"density": option.density, "viscosity": option.viscosity, "wind": wind}
+        told = diagnose(
+            "fluid-of-the-mjcf-alone",
+            density=Quantity(option.density, "kg/m^3"),
+            viscosity=Quantity(option.viscosity, "Pa s"),
+            wind=Vector(tuple(wind), "m/s"),
+        )
+        slots: tuple[Slot, ...] = (("opt.density", 0), ("opt.viscosity", 0))
+        yield MjcfOnlyEffect("fluid", "option", value, "", told, slots)
+
+
+def find_equalities(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields the equality constraints that are on at the start and hold the robot."""
+    model = scene.model
+    if scene.off(DISABLE.mjDSBL_CONSTRAINT) or scene.off(DISABLE.mjDSBL_EQUALITY):
+        return
+    for index in range(model.neq):
+        if not model.eq_active0[index]:
+            continue
+        ends = _ends(scene, index)
+        bodies = [_end_bodies(scene, what, target) for what, target in ends]
+        if not any(end is None or end & scene.bodies for end in bodies):
+            continue  # of other objects of the scene
+        name = scene.name("equality", index)
+        kind = EQUALITY(int(model.eq_type[index])).name.removeprefix("mjEQ_").lower()
+        one, two = (_end_name(scene, *end) for end in ends)
+        subject = ("equality", name)
+        yield MjcfOnlyEffect(
+            "equality",
+            name,
+            [float(each) for each in model.eq_data[index]],
+            "",
+            diagnose(
+                "equality-of-the-mjcf-alone", subject=subject, kind=Term(kind), one=one, two=two
+            ),
+            (("eq_active0", index),),
+        )
+
+
+def _ends(scene: NamedModel, index: int) -> list[tuple[mujoco.mjtObj, int]]:
+    """The kinds and ids of the two objects of an equality; -1 where it has one only."""
+    model = scene.model
+    what = _EQUALITY_OBJECTS.get(int(model.eq_type[index])) or mujoco.mjtObj(
+        int(model.eq_objtype[index])
+    )
+    return [(what, int(model.eq_obj1id[index])), (what, int(model.eq_obj2id[index]))]
+
+
+def _end_bodies(scene: NamedModel, what: mujoco.mjtObj, target: int) -> set[int] | None:
+    """The bodies that an equality holds at one end; None where it is not known."""
+    model, kinds = scene.model, mujoco.mjtObj
+    if target < 0:
+        return set()
+    if what == kinds.mjOBJ_TENDON:
+        return wrapped_bodies(scene, target)
+    if what == kinds.mjOBJ_FLEX:
+        return flex_bodies(model, target)
+    carrier = {
+        kinds.mjOBJ_BODY: np.arange(model.nbody),
+        kinds.mjOBJ_JOINT: model.jnt_bodyid,
+        kinds.mjOBJ_SITE: model.site_bodyid,
+        kinds.mjOBJ_GEOM: model.geom_bodyid,
+    }.get(what)
+    return None if carrier is None else {int(carrier[target])}
+
+
+def _end_name(scene: NamedModel, what: mujoco.mjtObj, target: int) -> Diagnostic | Term:
+    """An end's kind and name."""
+    if target < 0:
+        return Term("a constant")
+    name = mujoco.mj_id2name(scene.names, what.value, target) or f"#{target}"
+    return diagnose("element", subject=(what.name.removeprefix("mjOBJ_").lower(), name))
+
+
+def flex_bodies(model: mujoco.MjModel, flex: int) -> set[int]:
+    """Returns the bodies that carry a flex."""
+    found = set[int]()
+    for kind in ("vert", "node"):
+        first = int(getattr(model, f"flex_{kind}adr")[flex])
+        count = int(getattr(model, f"flex_{kind}num")[flex])
+        found |= set(map(int, getattr(model, f"flex_{kind}bodyid")[first : first + count]))
+    return found
+
+
+def find_flexes(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Yields the deformable bodies, as one, if they are fixed to the robot."""
+    model = scene.model
+    if not model.nflex:
+        return
+    touched = {int(body) for body in (*model.flex_vertbodyid, *model.flex_nodebodyid)}
+    everything = slice(None)
+    arrays = ("stiffness", "bending", "damping", "edgestiffness", "edgedamping")
+    filled = [f"flex_{array}" for array in arrays if getattr(model, f"flex_{array}").any()]
+    if touched & scene.bodies:
+        name = scene.name("flex", 0)
+        told = diagnose("flex-of-the-mjcf-alone", subject=("flex", name))
+        slots = tuple((array, everything) for array in filled)
+        yield MjcfOnlyEffect("flex", name, model.nflex, "", told, slots)
+
+
+def find_plugins(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """Plugins of bodies; they cannot be switched off in a compiled model."""
+    for body in sorted(scene.bodies):
+        if scene.model.body_plugin[body] >= 0:
+            name = scene.name("body", body)
+            told = diagnose("plugin-of-the-mjcf-alone", subject=("body", name))
+            yield MjcfOnlyEffect("plugin", name, int(scene.model.body_plugin[body]), "", told)
+
+
+def find_flags(scene: NamedModel) -> Iterator[MjcfOnlyEffect]:
+    """What the file states and switches off again; springs and damping are 0 then."""
+    for bit, word, what in _FLAGS:
+        if scene.off(bit):
+            told = diagnose("flag-of-the-mjcf-alone", subject=("flag", word), what=Term(what))
+            yield MjcfOnlyEffect("flag", word, "disable", "", told)
+
+
+# MuJoCo's eq_objtype is for constraints that take bodies or sites.
+_EQUALITY_OBJECTS = {
+    EQUALITY.mjEQ_JOINT.value: mujoco.mjtObj.mjOBJ_JOINT,
+    EQUALITY.mjEQ_TENDON.value: mujoco.mjtObj.mjOBJ_TENDON,
+    EQUALITY.mjEQ_FLEX.value: mujoco.mjtObj.mjOBJ_FLEX,
+    EQUALITY.mjEQ_FLEXVERT.value: mujoco.mjtObj.mjOBJ_FLEX,
+    EQUALITY.mjEQ_FLEXSTRAIN.value: mujoco.mjtObj.mjOBJ_FLEX,
+}
+
+_FLAGS = (
+    (DISABLE.mjDSBL_LIMIT, "limit", "no joint limit acts"),
+    (DISABLE.mjDSBL_FRICTIONLOSS, "frictionloss", "no dry friction acts"),
+    (DISABLE.mjDSBL_CONSTRAINT, "constraint", "no limit, dry friction or contact acts"),
+    (DISABLE.mjDSBL_ACTUATION, "actuation", "no motor acts"),
+)
+
+
+def mjcf_only_effects(reference: Reference) -> list[MjcfOnlyEffect]:
+    """Finds all that acts on the robot and that a URDF cannot state."""
+    scene = NamedModel(reference)
+    return [
+        *find_springs(scene),
+        *find_damping_polynomials(scene),
+        *find_gravity_compensation(scene),
+        *free_joint_friction(scene),
+        *find_tendons(scene),
+        *find_actuators(scene),
+        *find_fluid(scene),
+        *find_equalities(scene),
+        *find_flexes(scene),
+        *find_plugins(scene),
+        *find_flags(scene),
+    ]

@@ -1,0 +1,867 @@
+"""One slip that explains many differences: units, an Euler sequence, left for right, a lost tensor.
+
+Each is tried out: the slip is undone, and what is gone of the differences is what it explains.
+
+Links that one file lacks, or that weigh a multiple, hide in the folded bodies that differ. Masses
+and moments add up, so the difference of two folded bodies is that of their links. A slip is undone,
+link by link; it is a cause only if nothing of the body's differences is left then.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import partial
+from itertools import combinations, islice, product
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.results import Result
+from pupper_analysis.models.efforts import gear_left_out
+from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
+from pupper_analysis.models.xml import MAX_NUMBER
+from pupper_analysis.robot.compare.changes import body_changes, changes_between
+from pupper_analysis.robot.compare.differences import OF_INERTIALS, Difference
+from pupper_analysis.robot.compare.links import (
+    ComparedLink,
+    Links,
+    body_moments,
+    fold_bodies,
+    from_moments,
+    mjcf_links,
+    urdf_links,
+)
+from pupper_analysis.robot.matching.alignment import align_frames, in_body_frame
+from pupper_analysis.robot.matching.tolerances import Tolerances
+from pupper_analysis.robot.matching.trees import kinematic_trees
+from pupper_analysis.robot.robot import Robot
+
+Array = NDArray[np.float64]
+Key = tuple[str, str]
+"""The kind and the element of a difference."""
+
+
+@dataclass(frozen=True, eq=False)
+class PatternCase:
+    """Two trees that differ.
+
+    Attributes:
+        robot: The robot.
+        first: The URDF's tree.
+        raw: The MJCF's, as it is.
+        second: The MJCF's, in the URDF's link frames.
+        keys: The differences.
+        tolerances: What counts as one.
+        urdf: The links of which the URDF's bodies are made, in the frames of ``first``.
+        mjcf: Those of the MJCF's, in the frames of ``second``.
+        taken: Those that a cause explains already.
+    """
+
+    robot: Robot
+    first: MultibodyTree
+    raw: MultibodyTree
+    second: MultibodyTree
+    keys: Sequence[Key]
+    tolerances: Tolerances
+    urdf: Links
+    mjcf: Links
+    taken: Collection[Key] = ()
+
+    @property
+    def open(self) -> list[Key]:
+        """The differences that no cause explains yet."""
+        return [key for key in self.keys if key not in self.taken]
+
+    def left(self, second: MultibodyTree, only: Collection[str] | None = None) -> set[Key]:
+        """Returns the differences to another tree in place of the MJCF's.
+
+        Args:
+            second: The other tree.
+            only: The joints that are compared, with what they carry; by default all and the base.
+        """
+        first = self.first if only is None else self.first.part(only)
+        try:
+            both = align_frames(second, first, self.tolerances).values
+            found = {(c.kind, c.element) for c in changes_between(first, both, self.tolerances)}
+        except (ValueError, KeyError):  # not the same joints any more
+            return set(self.keys)
+        return found
+
+    def masses_apart(self, exchange: Mapping[str, str]) -> int:
+        """Returns how many masses differ where bodies are exchanged; no frame's place matters."""
+        pairs = [*exchange.items(), *((two, one) for one, two in exchange.items())]
+        masses = [(self.first.bodies[a].mass, self.raw.bodies[b].mass) for a, b in pairs]
+        greatest = self.tolerances.mass
+        return sum(abs(two - one) > greatest * max(abs(one), abs(two)) for one, two in masses)
+
+    def gone(self, second: MultibodyTree) -> set[Key]:
+        """Returns the differences that another tree in place of the MJCF's does not have.
+
+        None if it has others instead, or if most of them are left.
+        """
+        left = self.left(second)
+        gone = set(self.keys) - left
+        return gone if not left - set(self.keys) and len(gone) > 1 else set()
+
+
+@dataclass(frozen=True, eq=False)
+class PatternFinding:
+    """A slip that explains differences.
+
+    Attributes:
+        kind: A cause's.
+        diagnostic: What it is, with its numbers.
+        explained: The differences.
+        undone: What is left to explain when it is undone, for those that look afterwards.
+    """
+
+    kind: str
+    diagnostic: Diagnostic
+    explained: set[Key]
+    undone: PatternCase | None = None
+
+
+Found = Iterator[PatternFinding]
+
+
+_SEQUENCES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
+
+
+def other_angles(case: PatternCase) -> Found:
+    """Finds another eulerseq, or degrees for radians, that ends differences."""
+    if not {"rotation", "axis", "lower limit", "upper limit", "zero", "base frame"} & {
+        kind for kind, _ in case.keys
+    }:
+        return
+    spec = case.robot.description.mjcf
+    said = "".join(
+        chr(letter) if isinstance(letter, int) else letter for letter in (spec.compiler.eulerseq)
+    )
+    tries: list[tuple[tuple[str, str, str], Callable[[mujoco.MjSpec], None]]] = []
+    if _has_euler(spec):
+        for order in (*_SEQUENCES, *(sequence.upper() for sequence in _SEQUENCES)):
+            if order != said:
+                tries.append((("eulerseq", order, said), partial(_set_sequence, order=order)))
+    degree = bool(spec.compiler.degree)
+    unit, other_unit = ("degree", "radian") if degree else ("radian", "degree")
+    if _has_euler(spec) or {"lower limit", "upper limit"} & {kind for kind, _ in case.keys}:
+        tries.append((("angle", other_unit, unit), partial(_set_degree, degree=not degree)))
+    best: tuple[tuple[str, str, str], set[Key]] = (("", "", ""), set())
+    for setting, change in tries:
+        other = spec.copy()
+        change(other)
+        try:
+            model = other.compile()
+        except (ValueError, RuntimeError):
+            continue
+        tree = kinematic_trees(replace(case.robot, mj_model=model))[1]
+        gone = case.gone(replace(tree, gravity=case.first.gravity))
+        if len(gone) > len(best[1]):
+            best = (setting, gone)
+    (attribute, value, stated), gone = best
+    turned = [key for key in case.keys if key[0] in ("rotation", "axis")]
+    limits = [key for key in case.keys if key[0] in ("lower limit", "upper limit")]
+    concerned = turned or limits
+    if concerned and sum(key in gone for key in concerned) >= 0.6 * len(concerned):
+        yield PatternFinding(
+            "angles",
+            diagnose(
+                "angles-meant-otherwise",
+                attribute=attribute,
+                value=value,
+                stated=stated,
+                count=len(gone),
+                total=len(case.keys),
+            ),
+            gone,
+        )
+
+
+def _has_euler(spec: mujoco.MjSpec) -> bool:
+    kind = mujoco.mjtOrientation.mjORIENTATION_EULER
+    return any(body.alt.type == kind or body.ialt.type == kind for body in spec.bodies)
+
+
+def _set_sequence(spec: mujoco.MjSpec, order: str) -> None:
+    spec.compiler.eulerseq = list(order)
+
+
+def _set_degree(spec: mujoco.MjSpec, degree: bool) -> None:
+    spec.compiler.degree = degree
+
+
+def find_exchanged(case: PatternCase) -> Found:
+    """Finds limbs whose names are exchanged."""
+    tops = case.first.children(case.first.base)
+    limbs = {top: [top, *case.first.below(top)] for top in tops}
+    concerned = {
+        case.first.frames[element][0] if kind == "frame" else element for kind, element in case.keys
+    }
+    shaken = [top for top, names in limbs.items() if concerned & set(names)]
+    pairs: list[tuple[str, str]] = []
+    second, gone = case.raw, set[Key]()
+    tries = ((a, b) for a, b in combinations(shaken, 2) if len(limbs[a]) == len(limbs[b]))
+    for one, two in islice(tries, _EXCHANGES):
+        if any({one, two} & set(pair) for pair in pairs):
+            continue
+        own = {*limbs[one], *limbs[two]}
+        exchange = dict(zip(limbs[one], limbs[two], strict=True))
+        carried = own | {frame for name in own for frame in case.first.carried_by(name)}
+        before = {key for key in case.keys if key[1] in carried}
+        if case.masses_apart(exchange) > _STAY * len(before):
+            continue  # these alone are too many of those that would stay
+        both = replace(second.part(own), frames=second.frames)
+        left = case.left(_renamed(both, exchange), [*limbs[one], *limbs[two]])
+        own = carried
+        after = {key for key in left if key[1] in own}
+        if len(before) > 1 and len(after) <= _STAY * len(before):
+            pairs.append((one, two))
+            second, gone = _renamed(second, exchange), gone | (before - after)
+    if pairs:
+        limbs_told = [diagnose("limbs-of-a-pair", one=one, two=two) for one, two in pairs]
+        yield PatternFinding(
+            "exchanged",
+            diagnose("limbs-exchanged", pairs=limbs_told, count=len(gone), total=len(case.keys)),
+            gone,
+        )
+
+
+_STAY = 0.2
+"""Share of the differences of two limbs that may stay where they are exchanged."""
+
+_EXCHANGES = 300
+"""Pairs of limbs that are tried: all of 24 limbs and more than any robot of limbs has."""
+
+
+def _renamed(values: MultibodyTree, names: Mapping[str, str]) -> MultibodyTree:
+    """Exchanges joints of a tree, with all that they move."""
+    new = {**names, **{two: one for one, two in names.items()}}
+    joints = {
+        new.get(name, name): replace(joint, parent=new.get(joint.parent, joint.parent))
+        for name, joint in values.joints.items()
+    }
+    return replace(
+        values,
+        joints=joints,
+        bodies={new.get(name, name): body for name, body in values.bodies.items()},
+        frames={
+            frame: (new.get(owner, owner), place) for frame, (owner, place) in values.frames.items()
+        },
+    )
+
+
+_MASS = {
+    1e3: ("g", "kg"),
+    1e-3: ("kg", "g"),
+    2.20462: ("pounds", "kg"),
+    0.453592: ("kg", "pounds"),
+}
+_ANGLE = {math.degrees(1.0): ("degrees", "radians")}
+_LENGTH = {1e3: ("mm", "m"), 1e2: ("cm", "m"), 39.3701: ("inches", "m")}
+_INERTIA = {
+    1e3: ("g m^2", "kg m^2"),
+    1e4: ("kg cm^2", "kg m^2"),
+    1e6: ("kg mm^2", "kg m^2"),
+    1e7: ("g cm^2", "kg m^2"),
+    1e9: ("g mm^2", "kg m^2"),
+}
+
+
+def other_units(case: PatternCase) -> Found:
+    """Finds masses, lengths or inertias that are all the same multiple of the other file's."""
+    first, raw = case.first, case.raw
+    bodies = [(one, raw.bodies[name]) for name, one in first.bodies.items() if one.mass]
+    masses = _factor([(np.array([a.mass]), np.array([b.mass])) for a, b in bodies])
+    inertias = _factor(
+        [(a.inertia, case.second.bodies[n].inertia) for n, a in first.bodies.items()]
+    )
+    places = [(one.position, raw.joints[name].position) for name, one in first.joints.items()]
+    lengths = _factor(places)
+    hinges = [(one, raw.joints[name]) for name, one in first.joints.items() if not one.slides]
+    bounds = [tuple(np.array([j.lower, j.upper]) for j in pair) for pair in hinges]
+    limits = _factor((a, b) for a, b in bounds if np.abs([a, b]).max() <= MAX_NUMBER)
+    for what, factor, units, kinds in (
+        ("limits", limits, _ANGLE, ("lower limit", "upper limit")),
+        ("masses", masses, _MASS, ("mass",)),
+        ("lengths", lengths, _LENGTH, ("position", "com", "frame")),
+        ("inertias", inertias, _INERTIA, ("inertia",)),
+    ):
+        if factor is None:
+            continue
+        yield PatternFinding(
+            "units",
+            diagnose("all-scaled", what=Term(what), factor=factor, guess=_unit(factor, units)),
+            {key for key in case.keys if key[0] in kinds},
+        )
+
+
+def _factor(pairs: Iterable[tuple[Array, Array]]) -> float | None:
+    """Returns the one factor between all pairs of arrays; None if there is none, or it is 1."""
+    ratios = []
+    for one, two in pairs:
+        size = float(np.linalg.norm(one))
+        if size < 1e-12:
+            continue
+        ratio = float(np.sum(one * two)) / size**2
+        if float(np.linalg.norm(two - ratio * one)) > 1e-3 * abs(ratio) * size:
+            return None
+        ratios.append(ratio)
+    if len(ratios) < 2 or min(ratios) <= 0 or max(ratios) > 1.001 * min(ratios):
+        return None
+    factor = float(np.median(ratios))
+    return None if math.isclose(factor, 1.0, rel_tol=1e-2) else factor
+
+
+def _unit(factor: float, units: Mapping[float, tuple[str, str]]) -> Diagnostic | None:
+    for size, (meant, right) in units.items():
+        for file, times in (("MJCF", size), ("URDF", 1 / size)):
+            if math.isclose(factor, times, rel_tol=2e-3):
+                return diagnose("guess-unit", meant=Term(meant), right=Term(right), file=file)
+    decimal = math.isclose(abs(math.log10(factor)), 1, abs_tol=1e-3)
+    return diagnose("guess-decimal-point") if decimal else None
+
+
+def before_gears(case: PatternCase) -> Found:
+    """Finds efforts that are the MJCF's once they are multiplied by the gears there."""
+    model = case.robot.mj_model
+    found: dict[tuple[float, float], list[str]] = defaultdict(list)
+    for kind, name in case.open:
+        if kind == "effort":
+            effort = case.first.joints[name].effort
+            gear = gear_left_out(model, model.joint(name).id, effort)
+            if gear is not None:
+                found[effort, gear].append(name)
+    if not found:
+        return
+    efforts = [
+        diagnose("effort-times-gear", effort=effort, gear=gear, product=effort * gear, joints=names)
+        for (effort, gear), names in found.items()
+    ]
+    joints = [name for names in found.values() for name in names]
+    yield PatternFinding(
+        "gears",
+        diagnose("efforts-before-gears", count=len(joints), efforts=efforts),
+        {("effort", name) for name in joints},
+    )
+
+
+_LEAST_DROPPED = 4  # bodies that have their coms in their links' origins by no accident
+
+_ORIGIN = 1e-9  # m: a com that is nearer to its link's origin is there
+
+
+def dropped_products(case: PatternCase, lacking: str) -> Found:
+    """Finds that one file has no products of inertia at all.
+
+    They are dropped in the other file, in each link's own axes or, had they been folded before, in
+    those of the body that carries it: then the two are alike.
+
+    Args:
+        case: The two trees.
+        lacking: The file that is to have none, ``URDF`` or ``MJCF``.
+    """
+    if sum(kind == "inertia" for kind, _ in case.open) < 2:
+        return
+    bare, full = (case.urdf, case.mjcf) if lacking == "URDF" else (case.mjcf, case.urdf)
+    tree, other = (case.second, case.first) if lacking == "URDF" else (case.first, case.second)
+    if not all(_is_diagonal(_own(link)) for links in bare.values() for link in links):
+        return
+    in_links = {
+        name: tuple(_without_products(link) for link in links) for name, links in full.items()
+    }
+    of_links = {
+        name: fold_bodies(*(link.body for link in in_links.get(name, ()))) for name in tree.bodies
+    }
+    of_folds = {
+        name: replace(body, inertia=_diagonal(body.inertia)) for name, body in tree.bodies.items()
+    }
+    for bodies, links in ((of_links, in_links), (of_folds, full)):
+        left = {
+            (change.kind, name)
+            for name, body in bodies.items()
+            for change in body_changes(name, body, other.bodies[name], case.tolerances)
+            if change.kind == "inertia"
+        }
+        gone = {key for key in case.open if key[0] == "inertia"} - left
+        if len(gone) > 1 and left <= set(case.keys):
+            count = sum(not _is_diagonal(_own(link)) for group in full.values() for link in group)
+            mended = replace(tree, bodies=bodies)
+            undone = (
+                replace(case, second=mended, mjcf=links)
+                if lacking == "URDF"
+                else replace(case, first=mended, urdf=links)
+            )
+            yield PatternFinding(
+                "products",
+                diagnose("products-of-inertia-dropped", file=lacking, count=count),
+                gone,
+                undone,
+            )
+            return
+
+
+def _own(link: ComparedLink) -> Array:
+    """Returns the inertia of a link in its own axes."""
+    return link.axes.T @ link.body.inertia @ link.axes
+
+
+def _without_products(link: ComparedLink) -> ComparedLink:
+    bare = link.axes @ _diagonal(_own(link)) @ link.axes.T
+    return replace(link, body=replace(link.body, inertia=bare))
+
+
+def _diagonal(inertia: Array) -> Array:
+    return np.diag(np.diag(inertia))
+
+
+def _is_diagonal(inertia: Array) -> bool:
+    off = inertia - _diagonal(inertia)
+    return float(np.abs(off).max()) <= 1e-9 * max(float(np.abs(inertia).max()), 1e-300)
+
+
+def dropped_coms(words: str, one: MultibodyTree, keys: Sequence[Key]) -> Found:
+    """Finds that one file has the coms of many bodies where their links' origins are.
+
+    Args:
+        words: What the file is called.
+        one: Its tree, in its own link frames.
+        keys: The differences.
+    """
+    names = [
+        element
+        for kind, element in keys
+        if kind == "com" and float(np.linalg.norm(one.bodies[element].com)) < _ORIGIN
+    ]
+    if len(names) >= _LEAST_DROPPED:
+        yield PatternFinding(
+            "coms",
+            diagnose("coms-dropped", file=words, count=len(names), bodies=names),
+            {("com", name) for name in names},
+        )
+
+
+def find_dropped(case: PatternCase) -> Found:
+    """Finds what one file has left out of its inertials."""
+    trees_of = (("URDF", case.first), ("MJCF", case.raw))
+    for words, own in trees_of:
+        yield from dropped_products(case, words)
+        yield from dropped_coms(words, own, case.keys)
+
+
+_MOST_SUBSET_LINKS = 12
+"""Links of one body of which every subset is tried: 4096 of them, in a millisecond."""
+
+_MOST_RESIDUAL = 0.02
+"""Share of a body's difference that may be left where a slip is undone.
+
+Files of 5 to 6 digits leave some thousandths of a link that is a hundredth of its body. A wrong set
+of links leaves about as much as it takes away.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Slip:
+    """What is wrong with some links of one body, and what is gone if it is undone.
+
+    Attributes:
+        mover: The joint that moves the body, or the base.
+        links: The links.
+        lacks: The file that lacks them, ``URDF`` or ``MJCF``; empty if they weigh a multiple.
+        factor: What they weigh in the MJCF, relative to the URDF.
+        inertia: Whether their inertias are that multiple, too.
+    """
+
+    mover: str
+    links: tuple[ComparedLink, ...]
+    lacks: str
+    factor: float = 0.0
+    inertia: bool = False
+
+
+def other_links(case: PatternCase) -> Found:
+    """Finds links that one file lacks, or that weigh another multiple, as many as alike at once."""
+    differ = dict.fromkeys(name for kind, name in case.open if kind in OF_INERTIALS)
+    if not differ:
+        return
+    slips = [slip for name in differ if (slip := _slip(case, name)) is not None]
+    groups: dict[tuple[str, float, bool], list[_Slip]] = defaultdict(list)
+    for slip in slips:
+        groups[slip.lacks, float(f"{slip.factor:.3g}"), slip.inertia].append(slip)
+    for (lacks, *_), group in groups.items():
+        movers = {slip.mover for slip in group}
+        explained = {key for key in case.open if key[0] in OF_INERTIALS and key[1] in movers}
+        if lacks:
+            file = case.urdf if lacks == "MJCF" else case.mjcf
+            known = [link.name for links in file.values() for link in links]
+            yield PatternFinding("links", _lacking(group, known), explained)
+        else:
+            yield PatternFinding("scaled links", _scaled(group), explained)
+
+
+def _slip(case: PatternCase, name: str) -> _Slip | None:
+    """Returns the one slip that explains how a body differs, if any does."""
+    one, two = case.first.bodies[name], case.second.bodies[name]
+    apart = body_moments(one) - body_moments(two)
+    if not one.mass or not two.mass or not apart[0]:
+        return None
+    lacks, links = ("MJCF", case.urdf) if apart[0] > 0 else ("URDF", case.mjcf)
+    own = [link for link in links.get(name, ()) if link.body.mass <= 1.01 * abs(apart[0])]
+    if len(own) < len(links.get(name, ())):  # a body of which all links are gone is another thing
+        for chosen in _subsets(own, abs(apart[0])):
+            extra = sum((body_moments(link.body) for link in chosen), start=np.zeros(10))
+            less = from_moments(body_moments(one if lacks == "MJCF" else two) - extra)
+            if _is_it(case, name, less, two if lacks == "MJCF" else one, extra, apart):
+                return _Slip(name, chosen, lacks)
+    kinds = {kind for kind, element in case.open if element == name}
+    alone = len(case.urdf.get(name, ())) == len(case.mjcf.get(name, ())) == 1
+    if alone and not kinds & {"com", "inertia"} and not _power(two.mass / one.mass):
+        return None  # one number of one link: the difference says it all
+    # What another cause explains of the inertia says nothing of the link's.
+    both = (False,) if ("inertia", name) in case.taken else (True, False)
+    for link, inertia in product(case.urdf.get(name, ()), both):
+        factor = 1.0 - float(apart[0]) / link.body.mass
+        if factor <= 0:
+            continue
+        changed = TreeBody(
+            factor * link.body.mass,
+            link.body.com,
+            (factor if inertia else 1.0) * link.body.inertia,
+        )
+        extra = body_moments(link.body) - body_moments(changed)
+        if _is_it(case, name, from_moments(body_moments(one) - extra), two, extra, apart):
+            return _Slip(name, (link,), "", factor, inertia)
+    return None
+
+
+def _subsets(links: Sequence[ComparedLink], mass: float) -> Iterator[tuple[ComparedLink, ...]]:
+    """Yields sets of links of a mass, the smallest first; of many links those alike in name."""
+    if len(links) > _MOST_SUBSET_LINKS:
+        named = {link.name: link for link in links}
+        alike = [[named[name] for name in names] for names in by_pattern(list(named)).values()]
+        tries = [*alike, *([link] for link in links), list(links)]
+    else:
+        masses = np.array([link.body.mass for link in links])
+        choices = np.array(list(product((False, True), repeat=len(links))))
+        near = np.abs(choices @ masses - mass) <= 1.5 * _MOST_RESIDUAL * mass if len(links) else []
+        tries = [
+            [link for link, taken in zip(links, choice, strict=True) if taken]
+            for choice in choices[near]
+        ]
+    for chosen in sorted(tries, key=len):
+        if chosen:
+            yield tuple(chosen)
+
+
+def _is_it(
+    case: PatternCase, name: str, one: TreeBody, two: TreeBody, extra: Array, apart: Array
+) -> bool:
+    """Tells whether two bodies are the same, and what was undone is what they differed by.
+
+    But for an inertia that another cause explains already: what is left of it says nothing.
+    """
+    taken = {kind for kind, element in case.taken if element == name}
+    changes = {change.kind for change in body_changes(name, one, two, case.tolerances)}
+    if not one.mass > 0 or changes - taken:
+        return False
+    scale = _scale(case.first.bodies[name], case.second.bodies[name])
+    if "inertia" in taken:
+        scale[4:] = math.inf
+    extra = extra if float(extra[0] * apart[0]) >= 0 else -extra
+    left, whole = (float(np.linalg.norm(each / scale)) for each in (apart - extra, apart))
+    return left <= _MOST_RESIDUAL * whole
+
+
+def _scale(one: TreeBody, two: TreeBody) -> Array:
+    """Returns what moments are weighed by (10,): lengths by a body's radius of gyration."""
+    mass = max(one.mass, two.mass)
+    turning = max(float(np.trace(body.inertia)) for body in (one, two))
+    far = max(float(np.linalg.norm(body.com)) for body in (one, two))
+    length = max(math.sqrt(max(turning, 0.0) / mass), far, 1e-6)
+    return np.array([1.0, *(length,) * 3, *(length**2,) * 6])
+
+
+def _lacking(slips: Sequence[_Slip], known: Sequence[str]) -> Diagnostic:
+    """Says which links a file lacks, those of one name pattern at once.
+
+    Args:
+        slips: What is wrong.
+        known: All links with mass of the other file.
+    """
+    links = {link.name: link.body.mass for slip in slips for link in slip.links}
+    other = "URDF" if slips[0].lacks == "MJCF" else "MJCF"
+    groups = sorted(
+        by_pattern(list(links)).items(), key=lambda group: -sum(links[name] for name in group[1])
+    )
+    told = []
+    for pattern, names in groups:
+        masses = [links[name] for name in names]
+        every = sum(fnmatchcase(name, pattern) for name in known)
+        alike = len(names) > 1 and math.isclose(min(masses), max(masses), rel_tol=1e-6)
+        told.append(
+            diagnose(
+                "links-of-a-pattern",
+                pattern=pattern,
+                count=len(names) if len(names) > 1 else None,
+                every=every if every > len(names) > 1 else None,
+                mass=Quantity(masses[0] if alike else sum(masses), "kg"),
+                each=alike,
+            )
+        )
+    mass = Quantity(sum(links.values()), "kg")
+    return diagnose("links-lacking", lacks=slips[0].lacks, has=other, mass=mass, links=told)
+
+
+def _scaled(slips: Sequence[_Slip]) -> Diagnostic:
+    """Says which links weigh a multiple in the MJCF."""
+    factor = float(f"{slips[0].factor:.6g}")
+    links = [
+        diagnose(
+            "mass-of-a-link",
+            subject=("link", link.name),
+            urdf=Quantity(link.body.mass, "kg"),
+            mjcf=Quantity(slip.factor * link.body.mass, "kg"),
+        )
+        for slip in slips
+        for link in slip.links
+    ]
+    power = _power(factor)
+    guess = None
+    if power:
+        grams = abs(power) == _GRAMS
+        guess = diagnose("guess-grams-for-kilograms" if grams else "guess-decimal-point")
+    inertia = slips[0].inertia
+    return diagnose("links-scaled", links=links, factor=factor, inertia=inertia, guess=guess)
+
+
+_GRAMS = 3  # powers of ten between g and kg
+
+
+def _power(factor: float) -> int:
+    """Returns which power of ten a factor is; 0 if it is none, or 1."""
+    power = math.log10(factor)
+    return round(power) if math.isclose(power, round(power), abs_tol=1e-3) else 0
+
+
+def by_pattern(names: Sequence[str]) -> dict[str, list[str]]:
+    """Returns {``*_rotor`` or ``sensor_*``, or a name by itself: the names}, the largest first."""
+    left, found = list(names), dict[str, list[str]]()
+    while left:
+        alike: dict[str, list[str]] = defaultdict(list)
+        for name in left:
+            for place in (match.start() for match in re.finditer(r"[^A-Za-z0-9]", name)):
+                alike[f"*{name[place:]}"].append(name)
+                alike[f"{name[: place + 1]}*"].append(name)
+        pattern, group = max(
+            alike.items(), key=lambda each: (len(each[1]), len(each[0])), default=("", [])
+        )
+        if len(group) < 2:
+            return found | {name: [name] for name in left}
+        found[pattern] = group
+        left = [name for name in left if name not in group]
+    return found
+
+
+_LEAST_INERTIALS = 4  # bodies that are told in one line
+
+_OTHER_BODYS_MASS = 0.1
+"""How far a mass is off, at least, that is taken for another body's: not a screw more or less."""
+
+_PLACEHOLDER = 1e-3
+"""Share of the other's mass below which a body is there for the sake of the joint alone."""
+
+
+def other_inertials(case: PatternCase) -> Found:
+    """Finds bodies of which nothing is the other file's."""
+    kinds = ("mass", "com", "inertia")
+    others = []
+    for name, one in case.first.bodies.items():
+        two = case.second.bodies[name]
+        if not {(kind, name) for kind in kinds} <= set(case.open):
+            continue
+        if one.mass and two.mass and abs(two.mass - one.mass) >= _OTHER_BODYS_MASS * one.mass:
+            others.append(name)
+    if len(others) >= _LEAST_INERTIALS:
+        yield PatternFinding(
+            "inertial",
+            diagnose("inertials-of-another-robot", count=len(others), bodies=others),
+            {(kind, name) for kind in kinds for name in others},
+        )
+        return
+    for name in others:
+        one, two = case.first.bodies[name], case.second.bodies[name]
+        twin = next(
+            (
+                body.link or other
+                for other, body in case.first.bodies.items()
+                if other != name
+                and math.isclose(body.mass, two.mass, rel_tol=case.tolerances.mass)
+                and np.allclose(body.com, two.com, atol=case.tolerances.com)
+            ),
+            None,
+        )
+        if min(one.mass, two.mass) < _PLACEHOLDER * max(one.mass, two.mass):
+            guess = diagnose("guess-placeholder")
+        elif twin:
+            guess = diagnose("guess-inertial-of-another-body", body=twin)
+        else:
+            guess = diagnose("guess-another-version")
+        yield PatternFinding(
+            "inertial",
+            diagnose(
+                "inertial-of-another",
+                subject=("link", one.link or name),
+                urdf=Quantity(one.mass, "kg"),
+                mjcf=Quantity(two.mass, "kg"),
+                guess=guess,
+            ),
+            {(kind, name) for kind in kinds},
+        )
+
+
+_PARALLEL = 1e-9  # sine of an angle
+
+_MOST_MOVED_JOINTS = 20
+"""Joints elsewhere of which no single one is looked at: it is another robot, and each look takes as
+long as a comparison."""
+
+
+def other_lines(case: PatternCase) -> Found:
+    """Finds joints whose axis alone is elsewhere.
+
+    A body is drawn from its joint on: if that is moved, com, children and frames all are at other
+    places as seen from it, though none of them has moved in the robot.
+    """
+    names = [element for kind, element in case.keys if kind == "position"]
+    for name in names if len(names) <= _MOST_MOVED_JOINTS else ():
+        moved = with_line_of(case.second, case.first, name)
+        gone = case.gone(moved)
+        if ("position", name) not in gone:
+            continue
+        away, angle = _apart(case.first.joints[name], case.second.joints[name])
+        yield PatternFinding(
+            "line",
+            diagnose(
+                "axis-elsewhere",
+                subject=("joint", name),
+                distance=Quantity(away, "m") if away > case.tolerances.position else None,
+                angle=Quantity(angle, "rad") if angle > case.tolerances.axis else None,
+            ),
+            gone,
+        )
+
+
+def with_line_of(values: MultibodyTree, other: MultibodyTree, name: str) -> MultibodyTree:
+    """Returns a robot in which a joint turns about another's axis; its body stays at zero.
+
+    Args:
+        values: The robot.
+        other: A robot with that joint, in the same frame of the parent's.
+        name: The joint.
+    """
+    mine, new = values.joints[name], other.joints[name]
+    put = new.placement.actInv(mine.placement)
+    joint = replace(mine, position=new.position, rotation=new.rotation, axis=new.axis)
+    turned = in_body_frame(values, name, np.array(put.rotation), np.array(put.translation))
+    return replace(turned, joints={**turned.joints, name: joint})
+
+
+def _apart(one: TreeJoint, two: TreeJoint) -> tuple[float, float]:
+    """Returns the distance (m) of two joints' axes, and the angle (rad) between them.
+
+    In the frame of the parent, at zero; an axis of the opposite sign is the same line.
+    """
+    first, second = one.rotation @ one.axis, two.rotation @ two.axis
+    between, across = two.position - one.position, np.cross(first, second)
+    sine = float(np.linalg.norm(across))
+    if sine > _PARALLEL:
+        away = abs(float(between @ across)) / sine
+    else:
+        away = float(np.linalg.norm(np.cross(between, first)))
+    return away, float(np.arctan2(sine, abs(float(first @ second))))
+
+
+@dataclass(frozen=True, eq=False)
+class PatternCause(Result):
+    """One slip that explains several differences.
+
+    Attributes:
+        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
+            ``scaled links``, ``inertial`` or ``line``.
+        diagnostic: What it is, with its numbers.
+        differences: Which of the differences it explains, by number, from 0.
+    """
+
+    kind: str
+    diagnostic: Diagnostic
+    differences: tuple[int, ...]
+
+    @property
+    def message(self) -> str:
+        """What it is, in plain words."""
+        return str(self.diagnostic)
+
+    @property
+    def leads(self) -> bool:
+        """Whether it is told before all else.
+
+        So are efforts of another place on the drive: the dynamics do not feel them, but whatever is
+        said of what the motors hold is false by the gear.
+        """
+        return self.kind == "gears"
+
+
+def find_causes(
+    robot: Robot,
+    second: MultibodyTree,
+    differences: Sequence[Difference],
+    tolerances: Tolerances,
+) -> tuple[PatternCause, ...]:
+    """Finds slips that explain several differences each.
+
+    Args:
+        robot: The robot.
+        second: The MJCF's tree, in the URDF's link frames.
+        differences: All differences.
+        tolerances: What counts as one.
+    """
+    if len(differences) < 2:
+        return ()
+    first, raw = kinematic_trees(robot)
+    keys = [(each.kind, each.element) for each in differences]
+    bodies = any(kind in OF_INERTIALS for kind, _ in keys)
+    urdf = urdf_links(robot) if bodies else {}
+    mjcf = mjcf_links(robot, raw, second) if bodies else {}
+    raw = replace(raw, gravity=first.gravity)
+    case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf)
+    found: list[PatternCause] = []
+    taken: set[int] = set()
+    for look in _LOOKS:
+        for each in look(replace(case, taken={keys[n] for n in taken})):
+            numbers = tuple(
+                n for n, key in enumerate(keys) if key in each.explained and n not in taken
+            )
+            if len(numbers) > 1:
+                taken |= set(numbers)
+                found.append(PatternCause(each.kind, each.diagnostic, numbers))
+                case = each.undone or case
+    return tuple(sorted(found, key=lambda cause: (not cause.leads, cause.differences)))
+
+
+_LOOKS = (
+    other_angles,
+    find_exchanged,
+    other_units,
+    before_gears,
+    find_dropped,
+    other_links,
+    other_inertials,
+    other_lines,
+)
+"""From what explains most at once to what explains a single body."""
