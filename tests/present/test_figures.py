@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from matplotlib.patches import Rectangle
 
 import pupper_analysis as pa
 from pupper_analysis.base.errors import ConfigurationError, OutputError
-from pupper_analysis.present.document import Axis, Bar, BarPlot, Name
 from pupper_analysis.present.figures import style
-from pupper_analysis.present.figures.drawing import shares_of
 from pupper_analysis.present.figures.pose import ground_corners, pose_figure, step_corners
 from pupper_analysis.present.figures.skeleton import draw_skeleton, hull_corners, nearest_edge_point
 from pupper_analysis.present.scene import describe_scene
@@ -143,15 +142,6 @@ def test_the_margin_is_drawn_to_the_nearest_edge(name: str) -> None:
     assert np.linalg.norm(nearest - com) == pytest.approx(statics.com_margin, abs=1e-12)
 
 
-def test_shares_of_a_bar_are_of_its_limit() -> None:
-    values = zip((-1.0, 1.0, 1.0, 1.0, 1.0), (2.0, 4.0, 0.0, np.inf, None), strict=True)
-    bars = [Bar(Name("m"), value, -0.5 * value, limit) for value, limit in values]
-    named = (Name("value"), Name("other"), Name("limit"))
-    value, other = shares_of(BarPlot(Name("t"), Axis(Name("a"), "N m", "g"), bars, named))
-    np.testing.assert_allclose(value, (50, 25, 0, 0, 0))
-    np.testing.assert_allclose(other, (25, 12.5, 0, 0, 0))
-
-
 # ------------------------------------------------------------------------------------- figures
 
 
@@ -204,10 +194,10 @@ def test_a_failed_run_is_marked(monkeypatch: pytest.MonkeyPatch) -> None:
     failed = other(analysis, sagging=SimpleNamespace(**fields))
     for shown, count in ((analysis, len(analysis.sagging.failures) > 0), (failed, 1)):
         figure = drawn(monkeypatch, height_figure, [shown])
-        texts = [t.get_text() for t in figure.axes[0].get_legend().get_texts()]
+        texts = [t.get_text() for t in figure.legends[0].get_texts()]
         assert sum(text.endswith("mm, fails") for text in texts) == count
-        marks = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
-        assert len(marks) == count
+        crosses = [line for line in figure.axes[0].lines if line.get_linewidth() == 2.0]
+        assert len(crosses) == 2 * count
 
 
 @pytest.mark.parametrize("draw", PANELS, ids=lambda draw: draw.__name__)
@@ -228,32 +218,36 @@ def test_a_figure_without_robots_is_refused(
         draw([], tmp_path / "figure.png")
 
 
-def test_torque_figure_draws_both_torques(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_figure_draws_each_torque_beside_the_other_and_its_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the units of the drawing: bars from zero, and ticks where the others are."""
     analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, torque_figure, [analysis])
-    predicted, simulated, limit = (np.asarray(line.get_xdata()) for line in figure.axes[0].lines)
-    for shown, torques in (
-        (predicted, analysis.statics.joint_torques),
-        (simulated, analysis.verification.joint_torques),
-    ):
-        share = 100 * np.abs(torques) / load("v3").effort_limits
-        np.testing.assert_allclose(shown, np.maximum(share, 0.1))
-    assert set(limit) == {100}
-    both = np.abs([analysis.statics.joint_torques, analysis.verification.joint_torques]).max(axis=0)
-    shares = both / load("v3").effort_limits
-    (mark,) = figure.axes[0].texts
-    most = int(mark.xy[1])
-    assert shares[most] > 0.999 * shares.max()
-    assert mark.get_text() == f"{both[most]:.3f} N m"
+    axes = drawn(monkeypatch, torque_figure, [analysis]).axes[0]
+    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    predicted = analysis.statics.joint_torques
+    assert len(bars) == len(predicted)
+    unit = np.array([bar.get_width() for bar in bars]) / np.abs(predicted)
+    scale = unit[np.abs(predicted).argmax()]
+    np.testing.assert_allclose(unit[np.abs(predicted) > 0.01], scale, rtol=1e-6)
+    ticks = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines
+             if line.get_linewidth() == 2.0]  # fmt: skip
+    zero = max(bars, key=lambda bar: bar.get_width() if predicted[bars.index(bar)] > 0 else 0)
+    simulated = analysis.verification.joint_torques
+    np.testing.assert_allclose(ticks, zero.get_x() + scale * simulated, rtol=1e-6)
 
 
-def test_height_figure_draws_task_and_runs_in_mm(monkeypatch: pytest.MonkeyPatch) -> None:
-    analysis = analysis_of("v3")
-    figure = drawn(monkeypatch, height_figure, [analysis])
-    run, sagging, task = (np.asarray(line.get_ydata()) for line in figure.axes[0].lines)
-    assert set(task) == {1e3 * load("v3").stand_height}
-    np.testing.assert_allclose(run, 1e3 * analysis.verification.height)
-    np.testing.assert_allclose(sagging, 1e3 * analysis.sagging.height)
+def test_height_figure_has_its_lines_where_the_page_has_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The task is level, and above what sags without feed-forward (downwards grows)."""
+    figure = drawn(monkeypatch, height_figure, [analysis_of("v3")])
+    lines = [np.asarray(line.get_ydata()) for line in figure.axes[0].lines
+             if line.get_linewidth() == 1.3]  # fmt: skip
+    run, sagging, task = lines
+    assert np.ptp(task) == 0
+    assert abs(run[-1] - task[0]) < 0.5 * abs(sagging[-1] - task[0])
+    assert sagging[-1] > task[0]
 
 
 def test_gain_figure_marks_what_fell_and_what_is_not_stable(

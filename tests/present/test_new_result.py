@@ -19,7 +19,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.present import documents
 from pupper_analysis.present.document import LinePlot
 from pupper_analysis.present.documents.registry import build_report, document
-from pupper_analysis.present.figures.drawing import plot_figure
+from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.present.markdown import write_markdown
 from tests.support import printing
@@ -104,6 +104,6 @@ def test_one_builder_shows_it_everywhere(wear: FootWear, tmp_path: Path) -> None
 
 def test_the_plot_of_a_new_result_is_a_figure_too(wear: FootWear, tmp_path: Path) -> None:
     (plot,) = (one for one in document(wear).blocks if isinstance(one, LinePlot))
-    plot_figure(plot, tmp_path / "wear.png")
+    write_plots([plot], tmp_path / "wear.png")
     drawn = imread(tmp_path / "wear.png")[..., :3].min(axis=-1) < 0.9
     assert 0.01 < drawn.mean() < 0.5

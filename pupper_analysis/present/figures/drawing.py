@@ -1,10 +1,8 @@
-"""Plots drawn by matplotlib: of each description what belongs into one pair of axes."""
+"""Plots drawn by matplotlib: mark by mark what a page draws as SVG."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -12,218 +10,141 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.projections.polar import PolarAxes
-from matplotlib.ticker import FixedLocator, MaxNLocator, NullFormatter, NullLocator
-from numpy.typing import NDArray
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
-from pupper_analysis.present.document import (
-    Axis,
-    BarPlot,
-    DirectionPlot,
-    LinePlot,
-    Plot,
-    Series,
-)
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.present.document import Plot, Words
 from pupper_analysis.present.figures import style
+from pupper_analysis.present.html.plots import Drawing, Mark, draw_svg
 from pupper_analysis.present.words import in_english
 
-Array = NDArray[np.float64]
-
-LEAST_SHARE = 0.1
-"""Percent of a limit, where the axis of bars with limits begins."""
-
-_FAILS: dict[str, Any] = {
-    "color": style.BLACK,
-    "marker": "X",
-    "ms": 9,
-    "mec": "white",
-    "ls": "",
-    "zorder": 5,
-    "clip_on": False,
+_COLOURS = {
+    **{f"s{index}": colour for index, colour in enumerate(style.COLOURS)},
+    "bar": style.SKY,
+    "other": style.BLACK,
+    "limit": style.RED,
+    "cross": style.RED,
+    "axis": style.GREY,
+    "grid": style.GRID,
+    "empty": "0.93",
 }
-_VALUE: dict[str, Any] = {
-    "color": style.BLUE,
-    "marker": "o",
-    "ls": "",
-    "mfc": "white",
-    "mew": 1.6,
-    "ms": 7,
-}
-_OUTLIER_STYLE: dict[str, Any] = {
-    "color": style.BLACK,
-    "marker": "x",
-    "ls": "",
-    "mew": 1.3,
-    "ms": 4.5,
-}
-_REFERENCE: dict[str, Any] = {"color": style.BLACK, "ls": ":", "lw": 1.4, "zorder": 3}
-_DIRECTIONS = {0: "0°\nforward", 90: "90°\nleft", 180: "180°\nback", 270: "270°\nright"}
+"""{class of the page's style sheet: colour}."""
+
+_DASHES = {"s1": (0, (8, 3)), "s2": (0, (2, 3)), "s3": (0, (12, 3, 2, 3)), "s4": (0, (5, 2)),
+           "s5": (0, (1, 2)), "limit": (0, (3, 2))}  # fmt: skip
+_WIDTHS = {"limit": 1.6, "other": 2.0, "cross": 2.0}
+_SIDES = {"start": "left", "middle": "center", "end": "right"}
+
+_LETTERS = 12.0
+"""Height of words in a page's drawings (CSS pixels)."""
+
+_COLUMNS = 2
+"""Panels beside each other: of three the words could not be read."""
 
 
-@singledispatch
-def draw_plot(plot: Plot, _: Axes) -> list[Artist]:
-    """Draws a plot.
+def write_plots(
+    plots: Sequence[Plot],
+    path: str | Path,
+    *,
+    title: Words | None = None,
+    names: Sequence[str] = (),
+    notes: Sequence[Artist] = (),
+) -> None:
+    """Writes plots as panels of one figure, two in a row.
 
     Args:
-        plot: What is drawn.
-        _: The axes to draw in; those of directions are polar.
-
-    Returns:
-        What a legend shows of it.
-
-    Raises:
-        TypeError: If nobody has said how such a plot is drawn.
-    """
-    raise TypeError(f"no drawing of {type(plot).__name__}")
-
-
-def plot_figure(plot: Plot, path: str | Path) -> None:
-    """Draws one plot as a figure of its own.
-
-    Args:
-        plot: What is drawn.
+        plots: What is drawn.
         path: The PNG to write.
+        title: Over all; the first plot's by default.
+        names: Over each; by default the plots' own titles, where there are several.
+        notes: What the legend has besides.
 
     Raises:
+        ConfigurationError: If there is nothing to draw.
         OutputError: If the file cannot be written.
     """
-    figure = style.page_figure(in_english(plot.title), 3.4, layout="constrained")
-    polar = isinstance(plot, DirectionPlot)
-    axes = figure.add_subplot(projection="polar" if polar else None)
-    handles = draw_plot(plot, axes)
-    if not polar:
-        style.title_panel(axes, "")
-    if handles:
-        style.put_legend(figure, handles)
+    if not plots:
+        raise ConfigurationError("plots", diagnose("no-robot-to-draw"))
+    drawings = [draw_svg(plot) for plot in plots]
+    columns = min(len(plots), _COLUMNS)
+    rows = [drawings[at : at + columns] for at in range(0, len(drawings), columns)]
+    heights = [max(one.height / one.width for one in row) for row in rows]
+    legends = [_legend(drawing) for drawing in drawings]
+    shared = {name: kind for name, kind in legends[0].items()
+              if all(one.get(name) == kind for one in legends)}  # fmt: skip
+    legend = [*(_handle(name, kind) for name, kind in shared.items()), *notes]
+    across = style.WIDTH / columns
+    # A legend has a line for every two of its entries, which may be long.
+    room = 0.45 + 0.45 * len(rows) * bool(names or len(plots) > 1) + 0.09 * len(legend)
+    figure = style.page_figure(
+        in_english(title or plots[0].title), across * sum(heights) + room, layout="constrained"
+    )
+    grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
+    said = names or [in_english(one.title) if len(plots) > 1 else "" for one in drawings]
+    for index, (drawing, name) in enumerate(zip(drawings, said, strict=True)):
+        axes = figure.add_subplot(grid[divmod(index, columns)])
+        size = _LETTERS * 72 * across / drawing.width
+        _draw(drawing, axes, size)
+        style.title_panel(axes, name)
+        own = [_handle(*one) for one in legends[index].items() if one[0] not in shared]
+        if own:
+            axes.legend(handles=own, loc="upper center", bbox_to_anchor=(0.5, 0.0), fontsize=size,
+                        ncols=2, frameon=False)  # fmt: skip
+    if legend:
+        style.put_legend(figure, legend, columns=2)
     style.save_figure(figure, path)
 
 
-def axis_label(axis: Axis) -> str:
-    """Returns what an axis says: the quantity and its unit."""
-    return f"{in_english(axis.name)} ({axis.unit})" if axis.unit else in_english(axis.name)
+def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
+    """Draws a page's drawing into axes, whose unit is the page's."""
+    axes.set(xlim=(0, drawing.width), ylim=(drawing.height, 0), aspect="equal", anchor="N")
+    axes.set_axis_off()
+    for mark in drawing.marks:
+        kind = mark["class"].split()[-1]
+        match mark["tag"]:
+            case "rect":
+                place, sides = (mark["x"], mark["y"]), (mark["width"], mark["height"])
+                fill, opacity = mark.get("fill") or _COLOURS[kind], mark.get("opacity", 1.0)
+                axes.add_patch(Rectangle(place, *sides, color=fill, alpha=opacity, lw=0))
+            case "line":
+                axes.plot([mark["x1"], mark["x2"]], [mark["y1"], mark["y2"]], **_line(kind, 0.7))
+            case "polyline" if kind != "unseen":
+                look = {"color": mark["stroke"]} if "stroke" in mark else {}
+                axes.plot(*np.array(mark["points"]).T, **(_line(kind, 1.3) | look))
+            case "polygon":
+                look = {"ec": _COLOURS[kind], "fill": False, "ls": _DASHES.get(kind, "-")}
+                axes.add_patch(Polygon(mark["points"], lw=1.3, **look))
+            case "circle":
+                fill = kind != "grid"
+                place, radius = (mark["cx"], mark["cy"]), mark["r"]
+                axes.add_patch(Circle(place, radius, color=_COLOURS[kind], fill=fill, lw=0.7))
+            case "text":
+                _write(mark, axes, size)
 
 
-def looks_of(series: Sequence[Series]) -> list[dict[str, Any]]:
-    """Returns how each line looks: what others are compared with is dotted, all others differ."""
-    found: list[dict[str, Any]] = []
-    count = 0
-    for one in series:
-        found.append(_REFERENCE if one.reference else style.LOOKS[count % len(style.LOOKS)])
-        count += not one.reference
-    return found
+def _line(kind: str, width: float) -> dict[str, Any]:
+    colour = _COLOURS.get(kind, style.GREY)
+    return {"color": colour, "ls": _DASHES.get(kind, "-"), "lw": _WIDTHS.get(kind, width)}
 
 
-@draw_plot.register
-def _lines(plot: LinePlot, axes: Axes) -> list[Artist]:
-    handles: list[Artist] = []
-    looks = looks_of(plot.series)
-    for one, look in zip(plot.series, looks, strict=True):
-        x, y = (np.asarray(values, dtype=float) for values in (one.x, one.y))
-        every = None if one.points or one.reference else (0.1, 0.2)
-        axes.plot(x, y, **look, markevery=every)
-        if one.fails:
-            end = np.flatnonzero(np.isfinite(x) & np.isfinite(y))[-1]
-            axes.plot(x[end], y[end], **_FAILS)
-        handles.append(Line2D([], [], **look, label=in_english(one.name)))
-    if plot.x.log:
-        axes.set_xscale("log")
-    if plot.y.log:
-        axes.set_yscale("log")
-    axes.grid(color=style.GRID, lw=0.6)
-    axes.set_xlabel(axis_label(plot.x), size=style.FONT, parse_math=False)
-    axes.set_ylabel(axis_label(plot.y), size=style.FONT, parse_math=False)
-    if any(one.fails for one in plot.series):
-        handles.append(Line2D([], [], **_FAILS, label="fails"))
-    if plot.note is not None:
-        handles.append(Line2D([], [], ls="", label=in_english(plot.note)))
-    return handles
+def _write(mark: Mark, axes: Axes, size: float) -> None:
+    said = in_english(mark["words"]) + (f" ({mark['unit']})" if mark["unit"] else "")
+    turned = 90.0 if "transform" in mark else 0.0
+    axes.text(mark["x"], mark["y"], said, ha=_SIDES[mark["anchor"]], rotation=turned,
+              size=size, parse_math=False)  # fmt: skip
 
 
-def shares_of(plot: BarPlot) -> tuple[Array, Array]:
-    """Returns the bars' values and what is marked beside them, in percent of the limits.
-
-    0 where there is no limit.
-    """
-    limits = np.array([math.nan if bar.limit is None else bar.limit for bar in plot.bars])
-    values = np.array([[bar.value, bar.other or 0.0] for bar in plot.bars], dtype=float).T
-    known = (limits > 0) & np.isfinite(limits)
-    shares = np.where(known, 100 * np.abs(values) / np.where(known, limits, 1.0), 0.0)
-    return shares[0], shares[1]
+def _legend(drawing: Drawing) -> dict[str, str]:
+    """Returns {what is said: class of the page's style sheet}; of a note it is empty."""
+    found = {in_english(words): kind for words, kind in drawing.legend}
+    return found if drawing.note is None else {**found, in_english(drawing.note): ""}
 
 
-@draw_plot.register
-def _bars(plot: BarPlot, axes: Axes) -> list[Artist]:
-    """Draws values in percent of their limits, along a logarithm: 0.2 % and 30 % can be read."""
-    places = np.arange(len(plot.bars))
-    value, other = shares_of(plot)
-    greatest = np.fmax(value, other)
-    axes.hlines(places, LEAST_SHARE, greatest.clip(LEAST_SHARE), color="#C9CED6", lw=1)
-    axes.plot(value.clip(LEAST_SHARE), places, **_VALUE, clip_on=False, zorder=3)
-    axes.plot(other.clip(LEAST_SHARE), places, **_OUTLIER_STYLE, clip_on=False, zorder=4)
-    axes.axvline(100, color=style.RED, lw=2)
-    _mark_greatest(axes, plot, greatest)
-    axes.set_xscale("log")
-    axes.set_xlim(LEAST_SHARE, 200)
-    axes.xaxis.set_major_locator(FixedLocator((0.1, 1, 10, 100)))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(style.plain_numbers)
-    axes.grid(axis="x", color=style.GRID, lw=0.6)
-    axes.set_axisbelow(True)
-    axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.set_yticks(places, [in_english(bar.name) for bar in plot.bars], parse_math=False)
-    said = ["" if words is None else in_english(words) for words in plot.legend]
-    name, limit = in_english(plot.axis.name), said[2]
-    axes.set_xlabel(f"{name} / {limit} (%)", size=style.FONT, parse_math=False)
-    return [
-        Line2D([], [], **_VALUE, label=said[0]),
-        Line2D([], [], **_OUTLIER_STYLE, label=said[1]),
-        Line2D([], [], color=style.RED, lw=2, label=said[2]),
-    ]
-
-
-def _mark_greatest(axes: Axes, plot: BarPlot, percents: Array) -> None:
-    """Writes the value of the bar that is nearest to its limit beside its point."""
-    most = int(np.argmax(percents > 0.999 * percents.max()))
-    left = percents[most] < 5
-    axes.annotate(
-        f"{abs(plot.bars[most].value):.3f} {plot.axis.unit}",
-        (max(percents[most], LEAST_SHARE), most),
-        (7 if left else -7, 0),
-        textcoords="offset points",
-        size=style.FONT,
-        ha="left" if left else "right",
-        va="center",
-        zorder=5,
-        bbox={"fc": "white", "ec": "none", "pad": 0.5},
-    )
-
-
-@draw_plot.register
-def _directions(plot: DirectionPlot, axes: Axes) -> list[Artist]:
-    assert isinstance(axes, PolarAxes)
-    axes.set_theta_zero_location("N")  # forward is up; angles grow to the left, as about z
-    handles: list[Artist] = []
-    for one, look in zip(plot.series, looks_of(plot.series), strict=True):
-        angles, values = (np.asarray(numbers, dtype=float) for numbers in (one.x, one.y))
-        around = [np.append(numbers, numbers[0]) for numbers in (angles, values)]
-        axes.plot(*around, **look)
-        if one.marked is not None:
-            filled = {**look, "mfc": look["color"], "ms": 6.5, "zorder": 4}
-            axes.plot(angles[one.marked], values[one.marked], **filled)
-        note = "" if one.note is None else f": {in_english(one.note)}"
-        handles.append(Line2D([], [], label=f"{in_english(one.name)}{note}", **look))
-    shown = range(0, 360, 30)
-    names = [_DIRECTIONS.get(angle, f"{angle}°") for angle in shown]
-    axes.set_xticks(np.radians(list(shown)), names)
-    axes.tick_params(axis="x", labelsize=style.FONT, pad=3)
-    axes.set_ylim(0, None)
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=(1, 2, 5, 10)))
-    axes.yaxis.set_major_formatter(NullFormatter())
-    for value in axes.get_yticks():
-        if 0 < value < 0.98 * axes.get_ylim()[1]:
-            place = (np.radians(-15), value)
-            box = {"fc": "white", "ec": "none", "pad": 0.6}
-            said = f"{value:g} {plot.axis.unit}"
-            axes.text(*place, said, size=style.FONT, ha="center", zorder=5, bbox=box)
-    axes.grid(color="#D5D9DF", lw=0.6)
-    return handles
+def _handle(name: str, kind: str) -> Artist:
+    """Returns what a legend shows of a class of the page's style sheet, or of a colour."""
+    if not kind:
+        return Line2D([], [], ls="", label=name)
+    if kind in _DASHES or kind == "s0" or kind == "other":
+        return Line2D([], [], label=name, **_line(kind, 1.3))
+    return Patch(color=_COLOURS.get(kind, kind), label=name)

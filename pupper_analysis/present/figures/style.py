@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
-from pupper_analysis.base.diagnostics import diagnose
-from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import GENERATOR, PICTURE
 
@@ -34,37 +31,8 @@ BLUE, ORANGE, GREEN, RED, SKY, BLACK, GREY = (
 GRID = "#E3E6EB"
 COLOURS = (BLUE, RED, GREEN, ORANGE, SKY, BLACK)
 
-LOOKS: tuple[dict[str, Any], ...] = tuple(
-    {"color": colour, "marker": marker, "ls": line, "lw": 1.5, "ms": 4.5, "mfc": "white"}
-    for colour, marker, line in zip(
-        (BLUE, RED, GREEN, BLACK, ORANGE, SKY, GREY),
-        ("o", "s", "^", "D", "v", "P", "X"),
-        ("-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), "-", (0, (5, 1.5)), (0, (3, 1, 1, 1)), "-"),
-        strict=True,
-    )
-)
-"""Of lines over one another: told apart by marker and line as well, in black and white too."""
-
-plain_numbers = FuncFormatter(lambda value, _: f"{value:g}")
-
 WIDTH = 178 / 25.4
 """A page's text (inch)."""
-
-COLUMNS = 3
-
-
-def panels_of(
-    analyses: Sequence[object], title: str, row_height: float
-) -> tuple[Figure, list[Axes]]:
-    """Returns a figure with one panel (of ``row_height`` inches) per robot, in rows of three."""
-    if not analyses:
-        raise ConfigurationError("analyses", diagnose("no-robot-to-draw"))
-    columns = min(COLUMNS, len(analyses))
-    rows = -(-len(analyses) // columns)
-    figure = page_figure(title, rows * row_height + 0.75, layout="constrained")
-    grid = figure.add_gridspec(rows, columns)
-    panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
-    return figure, panels
 
 
 def page_figure(
@@ -92,12 +60,12 @@ _CROWDED_LEGEND = 8
 """Entries of a legend that need less room between them to stand in one line."""
 
 
-def put_legend(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Puts a legend in one line under a figure."""
+def put_legend(figure: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
+    """Puts a legend under a figure, in one line or in columns."""
     figure.legend(
         handles=list(handles),
         loc="outside lower center" if figure.get_layout_engine() else "lower center",
-        ncols=len(handles),
+        ncols=columns or len(handles),
         fontsize=FONT,
         frameon=False,
         handletextpad=0.5,

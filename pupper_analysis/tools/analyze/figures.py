@@ -7,31 +7,34 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.loads import torque_plot
 from pupper_analysis.present.documents.simulated import deviation_table, height_plot
 from pupper_analysis.present.figures import style
-from pupper_analysis.present.figures.drawing import draw_plot, looks_of
-from pupper_analysis.present.words import in_english
+from pupper_analysis.present.figures.drawing import write_plots
+from pupper_analysis.present.words import in_english, text
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.analyze.analysis import Analysis
+
+_COLUMNS = 3
+"""Panels beside each other."""
 
 _ROOMY = 12
 """Columns of cells across a page in which five digits stand apart at the usual size."""
 
 
 def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
-    """Draws what every motor holds, in percent of its effort limit: one panel per robot.
-
-    The axis is logarithmic, so that motors at 0.2 % and at 30 % can both be read.
+    """Draws what every motor holds, beside its effort limit: one panel per robot.
 
     Args:
         analyses: The robots; ``statics``, ``verification`` and ``joints`` are drawn.
@@ -41,24 +44,14 @@ def torque_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    rows = max((len(analysis.joints) for analysis in analyses), default=0)
-    title = "Motor torques of the stand (at the left edge: up to 0.1 % of the limit)"
-    figure, panels = style.panels_of(analyses, title, 0.16 * rows + 0.62)
-    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
-        limits = [joint.effort for joint in analysis.joints]
-        handles = draw_plot(
-            torque_plot(analysis.statics, analysis.verification.joint_torques.tolist(), limits),
-            axes,
-        )
+    plots, names = [], []
+    for one in analyses:
+        limits = [joint.effort for joint in one.joints]
+        simulated = one.verification.joint_torques.tolist()
+        plots.append(torque_plot(one.statics, simulated, limits))
         low, high = min(limits), max(limits)
-        span = f"{low:g}" + (f" to {high:g}" if high > low else "")
-        style.title_panel(axes, f"{analysis.name}: limit {span} N m")
-        _label_outside(axes, index, len(analyses), y=True)
-        names = [joint.name for joint in analysis.joints]
-        if index % style.COLUMNS and names == [one.name for one in analyses[index - 1].joints]:
-            axes.set_yticklabels([])
-    style.put_legend(figure, handles)
-    style.save_figure(figure, path)
+        names.append(f"{one.name}: limit {low:g}{f' to {high:g}' if high > low else ''} N m")
+    write_plots(plots, path, title=text("motor-torques-against-their-limits"), names=names)
 
 
 def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -72,42 +65,10 @@ def height_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         ConfigurationError: If there is no robot.
         OutputError: If the file cannot be written.
     """
-    figure, panels = style.panels_of(analyses, "Height of the simulated base", 1.75)
-    named: dict[object, Artist] = {}
-    for index, (axes, analysis) in enumerate(zip(panels, analyses, strict=True)):
-        runs = (analysis.verification, analysis.sagging)
-        plot = height_plot(runs, float(analysis.stand.qpos[2]))
-        named.update({handle.get_label(): handle for handle in draw_plot(plot, axes)})
-        task = next(one for one in plot.series if one.reference)
-        heights = np.concatenate([np.asarray(one.y, dtype=float) for one in plot.series])
-        low, high = float(np.nanmin(heights)), float(np.nanmax(heights))
-        span = max(high - low, 1.0)
-        axes.set_ylim(high - 1.3 * span, high + 0.1 * span)
-        axes.set_xlim(0, max(run.time[-1] for run in runs))
-        told = [
-            Line2D([], [], **look, label=in_english(one.note))
-            for one, look in zip(plot.series, looks_of(plot.series), strict=True)
-            if one.note is not None and not one.reference
-        ]
-        axes.legend(
-            handles=told,
-            loc="lower right",
-            ncols=2,
-            fontsize=style.FONT,
-            handlelength=0.8,  # wider, the two stick out of one of three panels
-            handletextpad=0.3,
-            columnspacing=0.4,
-            borderaxespad=0.1,
-            frameon=False,
-            borderpad=0.1,
-        )
-        said = "" if task.note is None else f" {in_english(task.note)}"
-        style.title_panel(axes, f"{analysis.name}: {in_english(task.name)}{said}")
-        _label_outside(axes, index, len(analyses))
-    if plot.note is not None:  # stands last
-        named["note"] = named.pop(in_english(plot.note))
-    style.put_legend(figure, list(named.values()))
-    style.save_figure(figure, path)
+    plots = [
+        height_plot((one.verification, one.sagging), float(one.stand.qpos[2])) for one in analyses
+    ]
+    write_plots(plots, path, names=[one.name for one in analyses])
 
 
 def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
@@ -123,7 +84,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     """
     rows = max((len(analysis.sweep.kp) for analysis in analyses), default=0)
     title = "Gain sweep: standard deviation of the height in the last second"
-    figure, panels = style.panels_of(analyses, title, 0.26 * rows + 0.65)
+    figure, panels = _panels(analyses, title, 0.26 * rows + 0.65)
     tables = [deviation_table(analysis.sweep) for analysis in analyses]
     shown = [_values(table) for table in tables]
     known = np.concatenate([values[values > 0] for values in shown])
@@ -134,7 +95,7 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
             shown[index].clip(low), norm=norm, cmap="cividis", aspect="auto", origin="lower"
         )
         sweep = analysis.sweep
-        columns = len(sweep.kd) * min(style.COLUMNS, len(analyses))
+        columns = len(sweep.kd) * min(_COLUMNS, len(analyses))
         _write_cells(axes, tables[index], norm, style.FONT * min(1.0, _ROOMY / columns))
         style.title_panel(axes, analysis.name)
         axes.set_xticks(range(len(sweep.kd)), [f"{value:g}" for value in sweep.kd])
@@ -144,13 +105,13 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
         axes.set_ylabel("kp (N m/rad)", size=style.FONT)
         _label_outside(axes, index, len(analyses))
     colours = figure.colorbar(
-        image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // style.COLUMNS)
+        image, ax=panels, shrink=0.9, pad=0.015, aspect=20 * -(-len(panels) // _COLUMNS)
     )
     colours.set_label("deviation (mm)", size=style.FONT)
     colours.ax.tick_params(labelsize=style.FONT, which="both")
     colours.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     colours.ax.yaxis.set_minor_locator(NullLocator())
-    colours.ax.yaxis.set_major_formatter(style.plain_numbers)
+    colours.ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     disturbance = f"vertical disturbance of {sweep.amplitude:g} N at {sweep.frequency:g} Hz"
     named = [
         Patch(fill=False, edgecolor=style.RED, lw=2, label="no stable rest"),
@@ -161,11 +122,23 @@ def gain_figure(analyses: Sequence[Analysis], path: str | Path) -> None:
     style.save_figure(figure, path)
 
 
-def _label_outside(axes: Axes, index: int, count: int, *, y: bool = False) -> None:
+def _panels(analyses: Sequence[object], title: str, row_height: float) -> tuple[Figure, list[Axes]]:
+    """Returns a figure with one panel (of ``row_height`` inches) per robot, in rows of three."""
+    if not analyses:
+        raise ConfigurationError("analyses", diagnose("no-robot-to-draw"))
+    columns = min(_COLUMNS, len(analyses))
+    rows = -(-len(analyses) // columns)
+    figure = style.page_figure(title, rows * row_height + 0.75, layout="constrained")
+    grid = figure.add_gridspec(rows, columns)
+    panels = [figure.add_subplot(grid[divmod(index, columns)]) for index in range(len(analyses))]
+    return figure, panels
+
+
+def _label_outside(axes: Axes, index: int, count: int) -> None:
     """Takes off what axes say that those below say too, or those on the left."""
-    if index + style.COLUMNS < count:
+    if index + _COLUMNS < count:
         axes.set_xlabel("")
-    if index % style.COLUMNS and not y:
+    if index % _COLUMNS:
         axes.set_ylabel("")
 
 

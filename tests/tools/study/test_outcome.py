@@ -10,11 +10,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 from scipy import stats
 
 import pupper_analysis as pa
 from pupper_analysis.present.documents.registry import build_report
+from pupper_analysis.present.figures import style
+from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.study import figures
@@ -157,11 +160,12 @@ def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
     assert (found.counts[1] / found.designs[1]).tolist() == [0.5] * 4
     for name, given in (("panels", both), ("mean", many), ("plain", table)):
         plots = mean_plots(given, "x", "y", "m", ["x", "y", "z"])
-        figures.write_plots(plots, tmp_path / f"{name}.png")
+        write_plots(plots, tmp_path / f"{name}.png")
     panels, mean, plain = (imread(tmp_path / f"{n}.png") for n in ("panels", "mean", "plain"))
     assert panels.shape[1] >= plain.shape[1]
-    black = [int((one[..., :3].max(axis=2) < 0.1).sum()) for one in (mean, plain)]
-    assert black[0] > black[1] + 100  # lines across
+    grey = to_rgb(style.GREY)
+    lines = [int((np.abs(one[..., :3] - grey).max(axis=2) < 0.02).sum()) for one in (mean, plain)]
+    assert lines[0] > lines[1] + 100  # across the cells
     with pytest.raises(pa.ConfigurationError, match="no 'z'; there are x, y, m"):
         mean_plots(table, "x", "z", "m")
     with pytest.raises(pa.ConfigurationError, match="it is empty"):
