@@ -321,16 +321,6 @@ def test_warnings_are_no_pass_without_more() -> None:
     assert "✓" not in text
 
 
-def test_any_other_result_shows_its_fields() -> None:
-    limit = pa.stance.reachable_heights(load("v3"))
-    page = Page(written({"heights": limit}))
-    rows = page.tables()[type(limit).__name__]
-    assert float(next(r for r in rows if r["field"] == "low")["value"]) == pytest.approx(
-        limit.low, rel=1e-5
-    )
-    assert all(row["meaning and unit"] for row in rows)
-
-
 # What nobody's names can do
 
 

@@ -21,6 +21,7 @@ from pupper_analysis.tools.best.document import best_document
 from pupper_analysis.tools.best.search import Objective
 from pupper_analysis.tools.path.document import path_document
 from pupper_analysis.tools.payload.document import payload_document
+from pupper_analysis.tools.payload.limit import PayloadLimit
 from pupper_analysis.tools.push.document import push_document
 from pupper_analysis.tools.stand.document import stance_document
 from tests.support import printing
@@ -115,9 +116,11 @@ def test_a_stance_that_fails() -> None:
 
 
 def test_the_best_payload_is_rounded_down_in_kilograms() -> None:
+    limit = object.__new__(PayloadLimit)  # whose document is found by its type
+    vars(limit).update({**vars(loaded()), **loaded().bounds, "binding": "servos"})
     best = Stub(
         objective=Objective.PAYLOAD, value=2.349, nominal_value=1.118, evaluations=5,
-        coordinates={"yaw": math.radians(-3.3)}, active=(), payload=loaded(),
+        coordinates={"yaw": math.radians(-3.3)}, active=(), payload=limit,
     )  # fmt: skip
     study: Any = Stub(best=best, stance=stance(), passed=True)
     text = " ".join(printed(best_document(study)))

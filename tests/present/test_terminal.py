@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from rich.cells import cell_len
 
-import pupper_analysis as pa
 from pupper_analysis.present.document import (
     Column,
     Document,
@@ -25,7 +24,6 @@ from tests.support.commands import run_command
 from tests.support.printing import printed
 from tests.support.repository import ROOT
 from tests.support.stubs import problem
-from tests.support.variants import load, stand_of
 
 
 def table(columns: int, rows: int = 12, letters: int = 7, **options: bool) -> Table:
@@ -152,9 +150,3 @@ def test_nothing_is_confirmed_where_data_goes_to_standard_output(
     assert out.startswith("{")
     assert err.startswith("OK")
     assert "written" not in out + err
-
-
-def test_any_result_without_a_builder_shows_its_fields() -> None:
-    lines = printed(pa.stance.stand_statics(load("v3"), stand_of("v3"))).splitlines()
-    assert lines[0] == "GravityCompensation"
-    assert any(line.startswith("joint_torques") for line in lines)

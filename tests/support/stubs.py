@@ -299,7 +299,7 @@ def loaded(*unlimited: str) -> Any:
         "stance": none,
         "simulation": none,
     }
-    trial = Stub(mass=1.177, duration=12.0, failure=None)
+    trial = Stub(mass=1.177, duration=12.0, failure=None, held=True)
     beyond = Stub(mass=1.305, duration=12.0, failure=Failure.TIPPING, time=3.456, where=("FL",))
     return Stub(
         name="stub",

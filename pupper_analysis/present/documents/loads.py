@@ -32,6 +32,13 @@ def utilisation_cell(share: float, limit: float = math.inf) -> doc.Number:
     return doc.Number(f"{100 * share:.1f}", 100 * share, mark, min(share, 1.0))
 
 
+def mass_text(mass: float) -> doc.Words:
+    """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
+    if math.isinf(mass):
+        return text("no-limit")
+    return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
+
+
 def proof_text(verification: StandVerification) -> doc.Text:
     """Returns how predicted torques and forces are verified."""
     return text(

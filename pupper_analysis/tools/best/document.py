@@ -6,13 +6,13 @@ import math
 from dataclasses import replace
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.documents.registry import build_document
+from pupper_analysis.present.documents.loads import mass_text
+from pupper_analysis.present.documents.registry import build_document, document
 from pupper_analysis.present.documents.standing import quantity_columns
 from pupper_analysis.present.words import text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.best.best import BestStance, BestStudy
 from pupper_analysis.tools.best.search import Objective
-from pupper_analysis.tools.payload.document import mass_text, payload_document, payload_table
 from pupper_analysis.tools.stand.document import stance_document
 
 _WHAT = {
@@ -30,8 +30,8 @@ def best_document(study: BestStudy, robot: Robot | None = None) -> doc.Document:
     told: tuple[doc.Words, ...] = (_search(study.best), *found.told)
     failures, verdict = found.failures, found.verdict
     if study.best.payload is not None:
-        loaded = payload_document(study.best.payload)
-        blocks = (payload_table(study.best.payload), *blocks)
+        loaded = document(study.best.payload)
+        blocks = (*(block for block in loaded.blocks if isinstance(block, doc.Table)), *blocks)
         # The stance of both is the same, and told once.
         told += tuple(line for line in loaded.told if line not in found.told)
         failures += loaded.failures

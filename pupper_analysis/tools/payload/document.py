@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from pupper_analysis.present import document as doc
-from pupper_analysis.present.documents.loads import view_block
+from pupper_analysis.present.documents.loads import mass_text, view_block
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.standing import ground_text, robot_notes, task_text
 from pupper_analysis.present.verdict import verdict_lines, verdict_of_files
@@ -88,13 +88,6 @@ _BOUNDS = {
     "servos": "servos-stiffness",
     "simulation": "payload-nudged",
 }
-
-
-def mass_text(mass: float) -> doc.Words:
-    """Returns a mass that can be borne (kg), rounded down: what is told is borne."""
-    if math.isinf(mass):
-        return text("no-limit")
-    return doc.Name(f"{math.floor(100 * mass) / 100:.2f} kg")
 
 
 def _then(bound: Bound) -> doc.Words:
