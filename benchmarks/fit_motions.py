@@ -30,8 +30,7 @@ import pupper_analysis as pa
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import Gains, model_with_servos, servo_gains
-from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.measurements.log_files import read_log
+from pupper_analysis.tools.fit.measurements.log import Log, read_log
 from pupper_analysis.tools.fit.motions.fit import begin_motion, fit_motion
 from pupper_analysis.tools.fit.motions.rollouts import MovingBodies
 from pupper_analysis.tools.fit.parameters import bodies_of

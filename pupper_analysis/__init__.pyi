@@ -50,7 +50,7 @@ from .tools.best.best import best_stance as best_stance
 from .tools.convert.model import convert_model as convert_model
 from .tools.diff.compare import diff_models as diff_models
 from .tools.fit.fit import fit as fit
-from .tools.fit.measurements.log_files import read_log as read_log
+from .tools.fit.measurements.log import read_log as read_log
 from .tools.fit.measurements.stands import read_stands as read_stands
 from .tools.hold.hold import hold_posture as hold_posture
 from .tools.payload.limit import payload_limit as payload_limit

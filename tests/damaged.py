@@ -41,7 +41,7 @@ from pupper_analysis.prepare.convert.mesh_files import (
 from pupper_analysis.robot.matching.match import read_mapping
 from pupper_analysis.tools.check.config import read_config
 from pupper_analysis.tools.check.remarks import read_baseline
-from pupper_analysis.tools.fit.measurements.log_files import read_log
+from pupper_analysis.tools.fit.measurements.log import read_log
 from pupper_analysis.tools.fit.measurements.stands import read_stands
 from pupper_analysis.tools.study.of_variants import Study
 from pupper_analysis.tools.study.store import Store

@@ -238,7 +238,7 @@ def _write(robot: Robot, meant: str | VariantSpec | RobotFiles, found: Fit, fold
 
 def _read_logs(paths: tuple[Path, ...], topics: tuple[str, ...], joints: str | None) -> list[Log]:
     """Reads logs, of bags the topics that are said."""
-    from pupper_analysis.tools.fit.measurements.log_files import read_log
+    from pupper_analysis.tools.fit.measurements.log import read_log
 
     said = dict(shared.parse_assignment("--topic", one) for one in topics)
     names = joints.split(",") if joints else ()

@@ -16,8 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from pupper_analysis.base.errors import ConfigurationError, MeasurementError, MissingPackageError
 from pupper_analysis.tools.fit.measurements import bags
-from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.measurements.log_files import read_log
+from pupper_analysis.tools.fit.measurements.log import Log, read_log
 
 STATE, CONTROLLER = "sensor_msgs/msg/JointState", "control_msgs/msg/JointTrajectoryControllerState"
 TRAJECTORY, ARRAY = "trajectory_msgs/msg/JointTrajectory", "std_msgs/msg/Float64MultiArray"

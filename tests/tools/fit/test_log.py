@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from pupper_analysis.base.errors import MeasurementError, UnknownNameError
-from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.measurements.log_files import read_log
+from pupper_analysis.tools.fit.measurements.log import Log, read_log
 from pupper_analysis.tools.fit.measurements.log_quality import find_quantum, inspect_log
 from tests.support.arm import arm
 

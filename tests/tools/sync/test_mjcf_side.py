@@ -10,7 +10,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.efforts import effort_limit
-from tests.support.robots import mjcf_text, quadruped, urdf_text, write
+from tests.support.robots import changed, mjcf_text, quadruped, urdf_text, write
 
 MOTORS = {
     "control": '<motor joint="hip1" gear="3" ctrllimited="true" ctrlrange="-5 5"/>',
@@ -37,3 +37,23 @@ def test_the_torque_behind_a_gear_is_the_urdfs(tmp_path: Path, kind: str) -> Non
 def _limit(path: Path) -> float:
     model = mujoco.MjModel.from_xml_path(str(path))
     return float(effort_limit(model, model.joint("hip1").id))
+
+
+# ------------ A mass is written into the body that has one, also where that has no joint of its own
+
+
+def test_the_body_that_weighs_is_changed(tmp_path: Path) -> None:
+    """The joint's own body is empty; what it carries without a joint has all of its mass."""
+    robot = quadruped()
+    head, rest = mjcf_text(robot).split('<body name="thigh1"', 1)
+    rest, count = re.subn("(<inertial [^>]*/>)", r'<body name="core">\1</body>', rest, count=1)
+    assert count == 1
+    heavier = urdf_text(changed(robot, "thigh1", mass=1.25))
+    files = write(tmp_path, heavier, f'{head}<body name="thigh1"{rest}')
+    result = pa.sync_models(files.urdf, files.mjcf, take="urdf")
+    assert result.agree
+    ((edit),) = result.edits
+    assert (edit.attribute, edit.new) == ("mass", "1.25")
+    model = mujoco.MjModel.from_xml_path(str(files.mjcf))
+    assert model.body("core").mass[0] == pytest.approx(1.25)
+    assert model.body("thigh1").mass[0] == 0
