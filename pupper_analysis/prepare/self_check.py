@@ -321,6 +321,8 @@ def _own_run_explained(robot: Robot) -> OwnRun | None:
     model = robot.once(raw_model)
     if run is None or not run.fails or model is None:
         return run
+    if run.worst is not None and run.worst.told_away:
+        return run  # its ctrl is of another pose, and on the way there any change may let it stand
     bare = Bare.of(model, robot)
 
     def tried(changed: mujoco.MjModel) -> float | None:

@@ -106,7 +106,10 @@ def own_motion(
     ground: float,
     advance: Callable[[mujoco.MjData, float], object],
 ) -> tuple[BodyMotion, mujoco.MjData]:
-    """Simulates a keyframe, nudged, for ``own_seconds``.
+    """Simulates a keyframe for ``own_seconds``: nudged, nudged the other way, and not at all.
+
+    What a drop leaves on an edge between two falls, or a fall and a stand, goes to one of them by a
+    nudge of one sign, and to the other by one of the other: the first run that collapses counts.
 
     Args:
         model: MuJoCo's model.
@@ -118,17 +121,20 @@ def own_motion(
     Returns:
         What became of the robot, and the data at the end.
     """
-    data, seconds = copy.copy(start), own_seconds(model)
-    data.qvel[:] += nudge_velocity(model)
-    before = _placed(model, start)
-    diverged = False
-    try:
-        advance(data, seconds)
-    except mujoco.FatalError:  # a contact of shapes without directions, say
-        diverged = True
-    kept = _height_to_keep(model, start, data, base, ground)
-    moved = body_moved(model, before, data, base, seconds, kept)
-    return replace(moved, diverged=moved.diverged or diverged), data
+    seconds, before, runs = own_seconds(model), _placed(model, start), []
+    for sign in (1.0, -1.0, 0.0):
+        data, diverged = copy.copy(start), False
+        data.qvel[:] += sign * nudge_velocity(model)
+        try:
+            advance(data, seconds)
+        except mujoco.FatalError:  # a contact of shapes without directions, say
+            diverged = True
+        kept = _height_to_keep(model, start, data, base, ground)
+        moved = body_moved(model, before, data, base, seconds, kept)
+        runs.append((replace(moved, diverged=moved.diverged or diverged), data))
+        if runs[-1][0].collapses:
+            return runs[-1]
+    return runs[0]
 
 
 def held_motion(
