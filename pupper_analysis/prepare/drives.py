@@ -25,7 +25,9 @@ from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.spec_tree import SpecTree
 from pupper_analysis.models.transmission import Drive, MadeServo, drive_of
 from pupper_analysis.prepare import notes, start
+from pupper_analysis.prepare.bare import published_model
 from pupper_analysis.prepare.notes import describe_span
+from pupper_analysis.prepare.own_run import rests_by_itself
 from pupper_analysis.prepare.servo_tuning import FINER, held_gains, suggested_gains
 from pupper_analysis.prepare.visuals import take_visuals_of
 from pupper_analysis.robot.build import rebuild_robot
@@ -43,6 +45,14 @@ _SAGS = (0.02, 0.05, 0.1)
 """What the suggested stiffness lets the joint that holds most give way in the nominal stand (rad),
 the first with which it comes to rest. Stiffer servos hold the shape better, and shake on contacts
 that are not as stiff; softer ones let a biped's ankles tip over."""
+
+_LIGHT = 0.25
+"""Part of the usual damping that is tried where a file's time step stands: what a step takes of the
+speed is bounded, and of a light leg it is all (a random tripod's: at kd 130 N m s/rad it shakes at
+2 ms, at 25 not)."""
+
+_SAGS_OF_LIGHT = (0.02, 0.035, 0.05)
+"""What ``_SAGS`` is, with so little damping."""
 
 _BRIEF = 2.0
 """Simulated time after which what holds exactly as computed has done so for a second (s)."""
@@ -71,17 +81,18 @@ def with_motors(robot: Robot) -> Robot:
 
 
 def add_position_servos(
-    robot: Robot, stand: Stand, original: mujoco.MjSpec
+    robot: Robot, stand: Stand, original: MjcfFile
 ) -> tuple[Robot, Array, Array, int]:
     """Gives the joints without a position servo one, with which the robot comes to rest in a stand.
 
     Of those with which it does, the first with which it is then as predicted: light feet on stiff
-    servos may come to rest against each other, in friction, with other torques.
+    servos may come to rest against each other, in friction, with other torques. And of those the
+    first with which its MJCF does so too, as it is: at its own time step, on its own shapes.
 
     Args:
         robot: The robot.
         stand: Its stand.
-        original: The spec of its file, which says whether it is compiled with what is only seen.
+        original: Its file, which says whether it is compiled with what is only seen.
 
     Returns:
         The robot, with the stiffest servos tried if it comes to rest with none; the stiffness (nu,)
@@ -95,13 +106,18 @@ def add_position_servos(
     def built(parts: int, kp: Array, kd: Array) -> Robot:
         timestep = float(robot.description.mjcf.option.timestep) / parts
         given = robot.description.given(*servos_of(robot, kp, kd, timestep))
-        take_visuals_of(given.mjcf, original)
+        take_visuals_of(given.mjcf, original.spec)
         return rebuild_robot(robot, mjcf=given.mjcf, added=given.added, efforts=stated)
 
-    candidates = [
-        (parts, *_kept(robot, own, *suggested_gains(robot, stand, torques, sag, parts)))
-        for parts, sag in itertools.product(FINER, _SAGS)
-    ]
+    light = (
+        [] if original.of_urdf else list(itertools.product(FINER[:1], _SAGS_OF_LIGHT, (_LIGHT,)))
+    )
+    usual = list(itertools.product(FINER, _SAGS, (1.0,)))
+    candidates = []
+    for parts, sag, part in [*usual[: len(_SAGS)], *light, *usual[len(_SAGS) :]]:
+        gains = suggested_gains(robot, stand, torques, sag, parts, part)
+        candidates.append((parts, *_kept(robot, own, *gains)))
+    file = None if original.of_urdf else published_model(original, robot)
 
     timestep = float(robot.mj_model.opt.timestep)
     first_tried = robot.description.given(*servos_of(robot, *candidates[0][1:], timestep))
@@ -126,13 +142,19 @@ def add_position_servos(
             if all(rests(number, fed=way) for way in sorted(ways)):
                 yield candidate
 
-    resting = None
+    resting = good = None
     for parts, kp, kd in first(False, True):
+        if good and parts > 1:
+            break  # of the file's step there are no more
         resting = resting or (parts, kp, kd)
-        if _as_predicted(trial, stand, kp, kd):
-            return built(parts, kp, kd), kp, kd, 2
+        if not _as_predicted(trial, stand, kp, kd):
+            continue
+        good = good or (parts, kp, kd)
+        made = built(parts, kp, kd)
+        if parts > 1 or file is None or rests_by_itself(file, _driven(made, kp, kd, original)):
+            return made, kp, kd, 2
     fed = None if resting else next(first(True), None)
-    parts, kp, kd = resting or fed or candidates[0]
+    parts, kp, kd = good or resting or fed or candidates[0]
     return built(parts, kp, kd), kp, kd, 2 if resting else int(fed is not None)
 
 
@@ -141,7 +163,7 @@ def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnos
     stand = start.first_stand(robot)
     if stand is None:
         return robot, []
-    built, kp, kd, rests = add_position_servos(robot, stand, mjcf.spec)
+    built, kp, kd, rests = add_position_servos(robot, stand, mjcf)
     made, told = _tell_made(robot, built, mjcf, kp, kd)
     if not rests:
         told.append(diagnose("no-servos-bring-it-to-rest"))
@@ -211,15 +233,23 @@ def _tell_made(
         kp: (nu,) their stiffness (N m/rad).
         kd: (nu,) their damping (N m s/rad).
     """
-    own, idle, model, made = own_servos(robot), following_joints(robot), mjcf.model, []
-    for index, name in enumerate(robot.joint_names):
-        if name not in own and index not in idle:
-            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-            what = Drive.NONE if joint < 0 else drive_of(model, joint)
+    known = _driven(built, kp, kd, mjcf)
+    made = known.description.made_servos
+    own = robot.nu - len(made) - len(following_joints(robot))
+    return known, [*notes.made_servos(made, own, built.mj_model.opt.timestep)]
+
+
+def _driven(built: Robot, kp: Array, kd: Array, mjcf: MjcfFile) -> Robot:
+    """Returns a robot with servos that were added to its file, which knows them."""
+    added = {each.joint for each in built.description.added if isinstance(each, Servo)}
+    made = []
+    for index, name in enumerate(built.joint_names):
+        if name in added:
+            joint = mujoco.mj_name2id(mjcf.model, mujoco.mjtObj.mjOBJ_JOINT, name)
+            what = Drive.NONE if joint < 0 else drive_of(mjcf.model, joint)
             made.append(MadeServo(name, float(kp[index]), float(kd[index]), what))
-    told = [*notes.made_servos(made, len(own), built.mj_model.opt.timestep)]
     described = replace(built.description, made_servos=tuple(made))
-    return replace(built, description=described), told
+    return replace(built, description=described)
 
 
 def suggest_servos(robot: Robot, stand: Stand) -> Diagnostic | None:

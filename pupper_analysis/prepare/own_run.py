@@ -109,16 +109,17 @@ def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
         return error.cause
     # Servos and time step were chosen for shapes that may be others: the step is as short as the
     # file's own shapes need, of which MuJoCo's contact may have more points.
-    steps = [model.opt.timestep / parts for parts in FINER]
-    at_rest = (step for step in steps if _rests(model, robot, step))
-    model.opt.timestep = next(at_rest, steps[0]) if robot.floating and robot.feet else steps[0]
+    step = float(model.opt.timestep)
+    for parts in FINER if robot.floating and robot.feet else ():
+        model.opt.timestep = step / parts
+        if rests_by_itself(model, robot):
+            return model
+    model.opt.timestep = step
     return model
 
 
-def _rests(model: mujoco.MjModel, robot: Robot, timestep: float) -> bool:
+def rests_by_itself(model: mujoco.MjModel, robot: Robot) -> bool:
     """Tells whether a file, held at the angles of its nominal stand, is still in a while."""
-    model = copy.copy(model)
-    model.opt.timestep = timestep
     bare = Bare.of(model, robot)
     data = place_published(bare, robot, robot.home)
     if data is None:

@@ -158,7 +158,7 @@ class Requirement:
 
 
 def suggested_gains(
-    robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1
+    robot: Robot, stand: Stand, torques: Array, sag: float, parts: int = 1, damping: float = 1.0
 ) -> Gains:
     """Returns gains to try on a robot that stands: to two digits, as they are typed.
 
@@ -168,13 +168,14 @@ def suggested_gains(
         torques: (nu,) what holds it (N m).
         sag: What the joint that holds most gives way (rad).
         parts: Into which the model's time step is divided.
+        damping: Part of the usual damping.
 
     Returns:
         kp (nu,) (N m/rad), kd (nu,) (N m s/rad).
     """
     required = Requirement.of_stand(robot, stand.qpos, torques, parts=parts)
     kp = np.array([_two_digits(value) for value in required.stiffness(sag)])
-    return kp, np.array([_two_digits(value) for value in _DAMPING_TIME * kp])
+    return kp, np.array([_two_digits(value) for value in damping * _DAMPING_TIME * kp])
 
 
 def stand_gains(

@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.self_check import published_nominal
 from pupper_analysis.robot.servos import model_with_servos
+from pupper_analysis.simulation.verdict import VerdictCode
+from pupper_analysis.tools.stand.stance import study_stance
 from tests.support.legged import quadruped
+from tests.support.random_legged import drawn, written
 
 
 def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> None:
@@ -30,3 +34,19 @@ def test_servos_instead_of_geared_motors_hold_as_predicted(tmp_path: Path) -> No
     for run in published.runs:
         assert abs(run.height_error) < 1e-8
         assert run.torque_error < 1e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [701, 708])
+def test_servos_are_made_for_the_files_own_time_step(tmp_path: Path, seed: int) -> None:
+    """At 2 ms 701's file shook on the servos that stood at 1 ms, kp 2700 and kd 130."""
+    robot = pa.load_robot(written(drawn(seed), tmp_path).mjcf)
+    assert robot.published is not None
+    assert robot.published.file is not None
+    assert robot.mj_model.opt.timestep == robot.published.file.model.opt.timestep == 2e-3
+    verdict = study_stance(robot, pa.StandTask()).verdict
+    assert verdict.code is VerdictCode.HOLDS_ON_ADDED_SERVOS
+    assert verdict.published is not None
+    assert not verdict.published.differs
+    assert verdict.own is not None
+    assert not verdict.own.falls
