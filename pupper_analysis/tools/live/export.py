@@ -1,17 +1,13 @@
-"""A page's stance for elsewhere: as Python, as a command, as JSON, as CSV, as a link."""
+"""A page's stance for elsewhere: as Python, as a command, as a file of options, as a link."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 from urllib.parse import quote
 
-from pupper_analysis.base.results import to_json
 from pupper_analysis.stance.fields import Field
-from pupper_analysis.tools.live.model import Answer, PredictedSag
 from pupper_analysis.tools.live.state import (
     SHOWN,
     LiveSource,
@@ -140,40 +136,6 @@ def _typed(field: Field, value: Any) -> str:
     if isinstance(value, tuple):
         return ",".join(p if isinstance(p, str) else repr(p) for p in in_si(field, value))
     return value if isinstance(value, str) else repr(in_si(field, value))
-
-
-def write_answer(source: LiveSource, answer: Answer, sag: PredictedSag | None) -> str:
-    """Returns all that is known of a stance."""
-    content: dict[str, Any] = {
-        "robot": source.python(answer.state.scales()),
-        "state": str(answer.state),
-        "task": answer.task,
-        "stand": answer.stand,
-        "statics": answer.statics,
-        "settled": sag.settled if sag else None,
-        "refusal": str(answer.refusal) if answer.refusal else None,
-    }
-    return to_json(content) + "\n"
-
-
-def write_table(answer: Answer) -> str:
-    """Returns the joints as CSV: angles (rad), torques and limits (N m), utilisation."""
-    assert answer.robot is not None
-    assert answer.stand is not None
-    assert answer.statics is not None
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["joint", "position_rad", "torque_nm", "limit_nm", "utilisation"])
-    rows = zip(
-        answer.robot.joint_names,
-        answer.stand.joint_positions(answer.robot).tolist(),
-        answer.statics.joint_torques.tolist(),
-        answer.robot.effort_limits.tolist(),
-        answer.statics.motor_utilisation.tolist(),
-        strict=True,
-    )
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def write_link(address: str, state: State, language: str = "en") -> str:

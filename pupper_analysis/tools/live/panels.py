@@ -169,8 +169,6 @@ class Panels:
         for label, name in (
             (say("save-the-stance"), "stance.toml"),
             (say("save-the-python"), "stance.py"),
-            (say("save-all-as-json"), "stance.json"),
-            (say("save-the-torques-as-csv"), "torques.csv"),
         ):
             button = gui.add_button(label)
             button.on_click(lambda _, n=name: self._save(n))
@@ -181,17 +179,14 @@ class Panels:
 
     def _save(self, name: str) -> None:
         """Sends a file to the browser, of the stance that is shown."""
-        answer, sag = self._acts.export()
-        source = self._model.source
-        if answer is None or (answer.statics is None and name not in ("stance.py", "stance.toml")):
+        answer, _ = self._acts.export()
+        if answer is None:
             self.notify("nothing-to-save", self.say("there-is-no-stance"))
             return
-        content = {
-            "stance.toml": lambda: export.write_stance_file(answer.state),
-            "stance.py": lambda: export.write_python(source, answer.state),
-            "stance.json": lambda: export.write_answer(source, answer, sag),
-            "torques.csv": lambda: export.write_table(answer),
-        }[name]()
+        if name.endswith(".toml"):
+            content = export.write_stance_file(answer.state)
+        else:
+            content = export.write_python(self._model.source, answer.state)
         self._client.send_file_download(name, content.encode(), save_immediately=True)
 
     def like(self, other: Panels) -> None:

@@ -306,14 +306,6 @@ def test_exports_make_the_same_stand(kind: str, tmp_path: Path) -> None:
     saved = json.loads((tmp_path / "stance.json").read_text())
     assert saved["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
 
-    whole = json.loads(export.write_answer(source, found, predict_sag(found)))
-    assert whole["stand"]["qpos"] == pytest.approx(qpos, abs=1e-12)
-    assert parse_state(whole["state"]) == state
-    rows = [line.split(",") for line in export.write_table(found).splitlines()]
-    assert rows[0] == ["joint", "position_rad", "torque_nm", "limit_nm", "utilisation"]
-    assert [float(row[2]) for row in rows[1:]] == pytest.approx(torques, abs=1e-12)
-    assert [row[0] for row in rows[1:]] == list(found.robot.joint_names if found.robot else ())
-
 
 def test_the_usual_state_is_exported_in_few_words() -> None:
     source = LiveVariants(pa.VARIANTS["v3-heavy"])

@@ -346,18 +346,19 @@ def test_feet_are_lifted_and_stand_on_steps_one_by_one(page: Open) -> None:
         assert f">{torque:+.4f}<" in page.numbers
 
 
-def test_what_does_not_stand_is_not_simulated_nor_saved(page: Open) -> None:
+def test_what_does_not_stand_is_not_simulated_and_what_is_shown_is_saved(page: Open) -> None:
+    page.session._answer = None
+    page.session._panels._save("stance.toml")
+    assert page.browser.told[-1][0] == "Nothing to save"
     page.ask(State(height=500.0))
     wait_for(lambda: "Out of reach" in page.numbers, "it is in reach")
     page.session.simulate()
     assert "no stance" in page.result
-    page.session._panels._save("torques.csv")
-    assert page.browser.told[-1][0] == "Nothing to save"
     page.ask(State())
     wait_for(lambda: "in balance" in page.numbers, "it does not stand")
-    for name in ("torques.csv", "stance.json", "stance.py"):
+    for name in ("stance.toml", "stance.py"):
         page.session._panels._save(name)
-    assert set(page.browser.saved) == {"torques.csv", "stance.json", "stance.py"}
+    assert set(page.browser.saved) == {"stance.toml", "stance.py"}
 
 
 def test_a_typed_state_is_taken_or_refused(page: Open) -> None:
