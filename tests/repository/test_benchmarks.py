@@ -5,9 +5,7 @@ from __future__ import annotations
 import csv
 import subprocess
 import sys
-import time
 from pathlib import Path
-from typing import Any
 
 import orjson
 import pytest
@@ -71,67 +69,6 @@ def test_what_is_not_exact_is_noticed() -> None:
     assert measure.measured(job(1e-10), 1, 0.0).exact
     assert not measure.measured(job(1e-8), 1, 0.0).exact
     assert not measure.measured(job(float("nan")), 1, 0.0).exact
-
-
-def test_jobs_take_turns() -> None:
-    order: list[str] = []
-    jobs = [lambda name=name: order.append(name) for name in "abc"]  # type: ignore[misc]
-    times = measure.take_turns(jobs, 60, 0.0)
-    assert [len(taken) for taken in times] == [60, 60, 60]
-    turns = ["".join(order[place : place + 3]) for place in range(0, len(order), 3)]
-    assert len(turns) == 61  # once more, before it counts
-    assert all(sorted(turn) == ["a", "b", "c"] for turn in turns)
-    # Nobody always comes after the same other.
-    assert len(set(turns)) == 6
-
-
-def test_each_time_is_its_own_jobs() -> None:
-    lasting = {"short": 0.0, "long": 2e-3}
-    jobs = [lambda name=name: time.sleep(lasting[name]) for name in lasting]  # type: ignore[misc]
-    short, long = measure.take_turns(jobs, 20, 0.0)
-    assert min(long) >= lasting["long"]
-    assert min(short) < lasting["long"]
-
-
-ROW = measure.Row(
-    name="a job",
-    ours=2e-3,
-    accuracy="1e-10 m",
-    exact=True,
-    bare=("an engine", 0.5e-3),
-    goal=2.0,
-    peers={"a peer": (3.21, "4e-05 N")},
-    calls=7,
-)
-
-
-def test_a_row_has_every_number_in_its_column() -> None:
-    cells = dict(zip(benchmarks.TABLE, benchmarks.cells(ROW), strict=True))
-    assert cells == {
-        "job": "a job",
-        "ours": "2 ms",
-        "bare engine": "an engine 500 µs",
-        "ratio": "4.00",
-        "goal": "2.00",
-        "peers": "a peer 3.21 s (4e-05 N)",
-        "accuracy reached": "1e-10 m",
-    }
-
-
-def test_changes_since_another_run() -> None:
-    def ran(ours: float, bare: float, placo: str) -> dict[str, Any]:
-        row = {"name": "a job", "ours": ours, "bare": ["an engine", bare]}
-        setting = {"versions": {"placo": placo}, "processor": "one", "cores": 2}
-        return {"jobs": [row], "setting": setting}
-
-    new = ran(1e-3, 0.5e-3, "2")
-    new["jobs"].append({"name": "another", "ours": 4.0, "bare": None})
-    told = benchmarks.changes(new, ran(4e-3, 1e-3, "1"))
-    assert told[1:] == [
-        ("a job", "4 ms", "1 ms", "-75%", "4.00", "2.00"),
-        ("another", "-", "4 s", "new", "-", "-"),
-        ("version of placo", "1", "2", "", "", ""),
-    ]
 
 
 def test_the_tutorials_grid_misses_by_what_it_says() -> None:

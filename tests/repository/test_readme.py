@@ -157,13 +157,6 @@ def test_the_tutorial_goes_as_it_says(checkout: Path) -> None:
         run_snippet(page, checkout)
 
 
-def test_the_readme_has_six_commands_and_a_table_of_them() -> None:
-    named = [line.split()[1] for line in shell(ROOT / "README.md") if line.startswith("pupper-")]
-    six = [name for name in named if not name.startswith("-")]
-    assert len(six) == 6
-    assert re.findall(r"^\| \[`([a-z]+)`\]", README, re.M) == six
-
-
 @pytest.mark.parametrize(
     "what", [f"scripts/{name}.py" for name in ("analyze_variant", "stand_pupper", "view_pupper")]
 )
