@@ -14,9 +14,13 @@ from lxml import etree
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.arrays import plain_state
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.models import flat
 from pupper_analysis.models.lenient import put_ground
-from pupper_analysis.models.missing import leave_out_missing
+from pupper_analysis.models.missing import (
+    compile_with_shells,
+    leave_out_missing,
+    put_shells,
+    taken_as_shells,
+)
 from pupper_analysis.models.mjcf import (
     compile_spec,
     no_number,
@@ -245,10 +249,10 @@ def mjcf_from(path: Path, root: etree._Element) -> MjcfFile:
     model, refused, as_it_is = None, None, None
     try:
         # Another spec, for compiling changes it; and no copy, which lacks what is dangling.
-        model, shells, said = flat.compile_with_shells(lambda: _spec(tree, index)[0])
+        model, shells, said = compile_with_shells(lambda: _spec(tree, index)[0])
         if shells:
-            flat.put_shells(spec, shells)
-            notes.append(flat.taken_as_shells(shells))
+            put_shells(spec, shells)
+            notes.append(taken_as_shells(shells))
             as_it_is = _not_compiled(tree, index, ValueError(said))
     except _MUJOCO_ERRORS as error:
         refused = _not_compiled(tree, index, error)

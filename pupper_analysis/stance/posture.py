@@ -14,7 +14,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, UnknownNameError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.posture import check_in_range, joint_unit, named_positions
+from pupper_analysis.robot.joints import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from pupper_analysis.base.diagnostics import Quantity, Vector, diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.frozen import FrozenDict, freeze_arrays
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.posture import check_in_range, placed_joints
+from pupper_analysis.robot.joints import check_in_range, placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.footholds import place_feet, sink_feet
 from pupper_analysis.stance.task import StandTask

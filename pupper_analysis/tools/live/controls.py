@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import Term, term
 from pupper_analysis.base.diagnostics.templates import fill_template
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.present.formats import escape_control
-from pupper_analysis.robot.posture import free_joints, named_positions
+from pupper_analysis.robot.joints import free_joints, named_positions
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.robot.tool import split_place

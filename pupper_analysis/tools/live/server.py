@@ -13,7 +13,7 @@ from collections.abc import Callable, Hashable
 from typing import Any
 
 from pupper_analysis.base.errors import PupperAnalysisError
-from pupper_analysis.robot.posture import placed_joints
+from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.tools.live import viser_parts
 from pupper_analysis.tools.live.door import Door
 from pupper_analysis.tools.live.model import Model

@@ -18,7 +18,7 @@ from pupper_analysis.base.errors import (
     StaticsInfeasibleError,
 )
 from pupper_analysis.robot.configuration import Configuration
-from pupper_analysis.robot.posture import placed_joints
+from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS
 from pupper_analysis.stance.stand import Stand, solve_stand

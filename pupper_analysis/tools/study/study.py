@@ -22,7 +22,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, StudyError, VariantError
 from pupper_analysis.base.inputs import is_input, read_toml
 from pupper_analysis.base.results import Result
-from pupper_analysis.robot.posture import placed_joints
+from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tool import check_point, find_place, split_place
 from pupper_analysis.stance.task import StandTask
