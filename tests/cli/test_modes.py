@@ -71,7 +71,7 @@ def calls(patch: pytest.MonkeyPatch) -> _Calls:
         f"{of_fit}.stands.plan.plan_stands": "a plan",
         f"{of_fit}.stands.plan.write_plan": None,
         f"{of_fit}.measurements.stands.read_stands": "stands",
-        f"{of_fit}.measurements.log_files.read_log": "a log",
+        f"{of_fit}.measurements.log.read_log": "a log",
         "pupper_analysis.tools.analyze.command._print_list": None,
         "pupper_analysis.tools.audit.command._list_rules": None,
         "pupper_analysis.tools.check.command._begin": None,
