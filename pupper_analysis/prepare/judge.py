@@ -5,6 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
 from pupper_analysis.prepare.self_check import as_published_held, as_published_in, own_run_explained
 from pupper_analysis.robot.alike import limbs_without_feet
@@ -66,6 +67,7 @@ def judge(
         remarks=(
             *limbs_without_feet(robot),
             *robot.description.replaced_soles(),
+            *_made_up(robot),
             *efforts_nobody_meant(robot),
             *import_refused(robot),
         ),
@@ -106,8 +108,29 @@ def judge_held(
         own=own_run_held(robot, posture.qpos),
         published=as_published_held(robot, posture.qpos, bare.joint_torques),
         converted=robot.description.converted,
-        remarks=(*efforts_nobody_meant(robot), *import_refused(robot)),
+        remarks=(*_made_up(robot), *efforts_nobody_meant(robot), *import_refused(robot)),
     )
+
+
+_BEARING = {
+    *("mass-given", "inertia-repaired", "meshes-left", "files-missing"),
+    *("flat-shape-left", "shape-left", "empty-shape-left"),
+}
+"""Codes of what is made up for on loading, and is an error of the file: an audit's errors that let
+a robot be simulated."""
+
+
+def _made_up(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Tells which errors of a robot's files its verdict rests on."""
+    loaded = as_loaded(robot)
+    told = [note for note in loaded.notes if note.code in _BEARING]
+    own, model = loaded.joint_names, loaded.mj_model
+    driving = [
+        name for name in own if model.dof_damping[model.jnt_dofadr[model.joint(name).id]] < 0
+    ]
+    if driving:
+        told.insert(0, diagnose("joints-damped-negatively", joints=driving))
+    return (diagnose("rests-on-made-up", told=told),) if told else ()
 
 
 @check_arguments

@@ -131,7 +131,10 @@ class UrdfBodies:
         if link.inertial is not None and body.tag != "worldbody":
             _add_inertial(body, link.inertial)
         for kind, shape, geometry in link.shapes:
-            if geometry is not None:
+            if geometry is None:
+                subject = "link", link.name
+                self.notes.append(diagnose("empty-shape-left", subject=subject, tag=kind))
+            else:
                 self._add_shape(body, link.name, kind, shape, geometry)
         for joint in self._tree.below.get(link.name, ()):
             xyz, rpy = _origin(joint.element)

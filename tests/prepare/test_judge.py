@@ -1,0 +1,86 @@
+"""What an audit calls an error stops a robot on loading, or stands in every verdict of it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.present.verdict import in_words, verdict_clauses
+from pupper_analysis.tools.hold.hold import hold_posture
+from tests.prepare.test_imported import four_legs, verdict_of
+
+Slip = Callable[[str], str]
+
+
+def _shape(geometry: str) -> Slip:
+    shape = f'<link name="trunk"><collision><geometry>{geometry}</geometry></collision>'
+    return lambda text: text.replace('<link name="trunk">', shape)
+
+
+def _stated(word: str, value: str) -> Slip:
+    """States another number of FL_thigh's inertial."""
+    found = re.compile(rf'(<link name="FL_thigh">.*?{word}=")[^"]*', re.DOTALL)
+    return lambda text: found.sub(rf"\g<1>{value}", text, count=1)
+
+
+# The slip, and what of it stands in the verdict; none where the robot is refused.
+SLIPS: dict[str, tuple[Slip, str | None]] = {
+    "mass-not-positive": (_stated("mass value", "-0.5"), "FL_thigh' had no mass"),
+    "triangle-inequality": (_stated("ixx", "0.02"), "inertia of link 'FL_thigh' was repaired"),
+    "inertia-not-positive-definite": (
+        _stated("ixx", "-0.002"),
+        "inertia of link 'FL_thigh' was repaired",
+    ),
+    "range-empty": (
+        lambda text: text.replace('lower="-0.8" upper="0.8"', 'lower="0.8" upper="-0.8"', 1),
+        None,
+    ),
+    "geometry-empty": (_shape(""), "the <collision> of link 'trunk' has no shape"),
+    "mesh-unreadable": (_shape('<mesh filename="bad.stl"/>'), "mesh file left out"),
+    "value-impossible": (
+        lambda text: text.replace("<limit", '<dynamics damping="-1"/><limit', 1),
+        "damping is negative, and drives what it is to slow down, at FL_roll",
+    ),
+}
+
+
+def slipped(folder: Path, slip: Slip) -> Path:
+    urdf = four_legs(folder)
+    (folder / "bad.stl").write_text("no mesh")
+    text = urdf.read_text()
+    changed = slip(text)
+    assert changed != text
+    urdf.write_text(changed)
+    return urdf
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rule", SLIPS)
+def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule: str) -> None:
+    slip, told = SLIPS[rule]
+    urdf = slipped(tmp_path, slip)
+    errors = {found.rule for found in pa.audit_model(urdf).findings if found.severity == "error"}
+    assert errors == {rule}
+    if told is None:
+        with pytest.raises(pa.PupperAnalysisError, match=r"lower limit 0\.8 is above"):
+            verdict_of(pa.load_robot(urdf))
+        return
+    verdict = verdict_of(pa.load_robot(urdf))
+    said = in_words(verdict)
+    assert "on files with errors (audit lists them): " in said
+    assert told in said
+
+
+def test_a_sound_file_has_no_such_line(tmp_path: Path) -> None:
+    verdict = verdict_of(pa.load_robot(four_legs(tmp_path)))
+    assert "rests-on-made-up" not in {clause.told.code for clause in verdict_clauses(verdict)}
+
+
+def test_what_is_held_has_it_too(tmp_path: Path) -> None:
+    urdf = slipped(tmp_path, SLIPS["triangle-inequality"][0])
+    verdict = hold_posture(pa.load_robot(urdf, fixed_base=True)).verdict
+    assert SLIPS["triangle-inequality"][1] in in_words(verdict)
