@@ -151,7 +151,9 @@ def add_position_servos(
             continue
         good = good or (parts, kp, kd)
         made = built(parts, kp, kd)
-        if parts > 1 or file is None or rests_by_itself(file, _driven(made, kp, kd, original)):
+        if parts > 1 or file is None:
+            return made, kp, kd, 2
+        if rests_by_itself(file, _driven(made, kp, kd, original), stand.qpos):
             return made, kp, kd, 2
     fed = None if resting else next(first(True), None)
     parts, kp, kd = good or resting or fed or candidates[0]

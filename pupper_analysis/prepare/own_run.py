@@ -112,16 +112,16 @@ def _imported(robot: Robot) -> mujoco.MjModel | Diagnostic | None:
     step = float(model.opt.timestep)
     for parts in FINER if robot.floating and robot.feet else ():
         model.opt.timestep = step / parts
-        if rests_by_itself(model, robot):
+        if rests_by_itself(model, robot, robot.home):
             return model
     model.opt.timestep = step
     return model
 
 
-def rests_by_itself(model: mujoco.MjModel, robot: Robot) -> bool:
-    """Tells whether a file, held at the angles of its nominal stand, is still in a while."""
+def rests_by_itself(model: mujoco.MjModel, robot: Robot, qpos: Array) -> bool:
+    """Tells whether a file, held at the angles of a stand (nq,), is still in a while."""
     bare = Bare.of(model, robot)
-    data = place_published(bare, robot, robot.home)
+    data = place_published(bare, robot, qpos)
     if data is None:
         return False
     data.qvel[:] = nudge_velocity(model)

@@ -106,9 +106,13 @@ def test_it_is_said_that_there_was_one_file(
             pa.Configuration(again, again.neutral()).gravity(),
             pa.Configuration(robot, robot.neutral()).gravity(),
         )
-    # An MJCF that was made was not published: there is nothing to be checked of it.
-    assert of_urdf.published is None
-    assert own_run(of_urdf) is None
+    # An MJCF that was made was not published: what stands beside it is MuJoCo's own import.
+    assert of_urdf.published is not None
+    assert of_urdf.published.file is None
+    own = own_run(of_urdf)
+    assert own is not None
+    assert own.imported
+    assert not own.falls
 
 
 def test_a_verdict_says_so(of_mjcf: pa.Robot, both: pa.Robot) -> None:
