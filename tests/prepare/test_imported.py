@@ -103,7 +103,6 @@ def test_what_falls_as_mujoco_imports_it_does_not_hold(tmp_path: Path) -> None:
     assert not verdict.passed
 
 
-@pytest.mark.slow
 def test_the_step_is_as_short_as_the_files_own_soles_need(tmp_path: Path) -> None:
     """Servos and step are ours, made for spheres: at 2 ms meshes shake on them, at 1 ms not."""
     verdict = verdict_of(pa.load_robot(two_legs(tmp_path)))

@@ -58,7 +58,6 @@ def slipped(folder: Path, slip: Slip) -> Path:
     return urdf
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("rule", SLIPS)
 def test_what_an_audit_calls_an_error_stands_in_the_verdict(tmp_path: Path, rule: str) -> None:
     slip, told = SLIPS[rule]
