@@ -161,10 +161,13 @@ def add_position_servos(
 
 
 def with_added_servos(robot: Robot, mjcf: MjcfFile) -> tuple[Robot, list[Diagnostic]]:
-    """Gives a robot position servos with suggested gains, if it stands."""
+    """Gives a robot position servos with suggested gains; as if it were held, if it stands nowhere.
+
+    Who asks for a stand of their own then needs none of theirs.
+    """
     stand = start.first_stand(robot)
     if stand is None:
-        return robot, []
+        return with_held_servos(robot, mjcf)
     built, kp, kd, rests = add_position_servos(robot, stand, mjcf)
     made, told = _tell_made(robot, built, mjcf, kp, kd)
     if not rests:

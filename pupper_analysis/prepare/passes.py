@@ -296,10 +296,9 @@ def _add_motors(draft: Draft) -> Made:
 
 @_pass(Term("finds a pose in which it stands"), _on_feet)
 def _start_pose(draft: Draft) -> Made:
-    told = list(notes.tell_planar(draft.robot))
     sunk = keyframes.resting_depths(draft.mjcf.model)
     robot, pose = find_start_pose(draft.robot, draft.keyframes, sunk)
-    return replace(draft, built=robot), told + pose
+    return replace(draft, built=robot), (*notes.tell_planar(robot), *pose)
 
 
 @_pass(Term("lets feet alone touch the ground"), _altered)

@@ -16,6 +16,7 @@ from pupper_analysis.prepare import notes
 from pupper_analysis.prepare.base import free_of_friction
 from pupper_analysis.prepare.motors import joints_of_several_motors
 from pupper_analysis.prepare.solver import solver_error
+from pupper_analysis.prepare.start import first_stand
 from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.urdf import urdf_mimics
@@ -62,6 +63,8 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
     robot = _built(urdf, mjcf, request)
     if robot is None or (robot.floating and _needs_more(robot)):
         return None
+    if robot.floating and request.feet and first_stand(robot) is None:
+        return None  # the keyframe is none in which it stands: another height is looked for
     if not (robot.floating or request.feet or request.as_is):
         return None
     said = (*notes.bound_joints(robot), *notes.tell_uncommanded(robot))

@@ -110,13 +110,16 @@ def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
             stands = _longest_run(placed, pose, margin, len(best[0]))
             best = max(best, (stands, placed), key=lambda found: len(found[0]))
         stands, placed = best
-        if stands:
-            stand = stands[len(stands) // 2]
-            joints = stand.joint_positions(robot)
-            height = round(float(stand.task.height or 0.0), 3)
-            return replace(
-                placed, home=np.concatenate([robot.home[:7], joints]), stand_height=height
-            )
+        middle = len(stands) // 2
+        for number in sorted(range(len(stands)), key=lambda one: abs(one - middle)):
+            joints = stands[number].joint_positions(robot)
+            height = round(float(stands[number].task.height or 0.0), 3)
+            home = np.concatenate([robot.home[:7], joints])
+            found = replace(placed, home=home, stand_height=height)
+            # Legs that are straight where the search began may move the com once they are bent:
+            # the nominal stand then has it in the centre, which may be out of reach here.
+            if first_stand(found) is not None:
+                return found
     return None
 
 

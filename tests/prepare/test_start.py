@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
+import shutil
+import warnings
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import StanceUnreachableError
+from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
+from pupper_analysis.robot.servos import own_servos
+from tests.support.legged import biped, quadruped
 from tests.support.variants import load
 
 
@@ -16,3 +27,57 @@ def test_what_a_pose_leaves_out_is_zero_or_as_near_as_limits_let_it() -> None:
     expected = np.clip(0.0, low, high)
     expected[:2] = high[0], np.clip(0.1, low[1], high[1])
     np.testing.assert_array_equal(clip_to_limits(robot, {first: 99.0, second: 0.1}), expected)
+
+
+def test_a_keyframe_in_which_no_stand_exists_is_left_for_a_height_that_one_has(
+    tmp_path: Path,
+) -> None:
+    """The base would be 77 mm high, where nobody asked for it, and legs overlap."""
+    whole = load("v3").description
+    text = whole.mjcf_source.read_text()
+    straight = "1 0 0 0 " + " ".join(["0"] * 12)
+    folded = "1 0 0 0 " + " ".join(["0 0 0.7", "0 0 -0.7"] * 2)
+    assert straight in text
+    mjcf = tmp_path / "mjcf/robot.xml"
+    mjcf.parent.mkdir()
+    for part in whole.mjcf_source.parent.glob("*.xml"):
+        shutil.copy(part, mjcf.parent)
+    mjcf.write_text(text.replace(straight, folded))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # meshes are not beside it
+        robot = pa.load_robot(whole.urdf_source, mjcf, feet=whole.contact_points)
+    assert pa.solve_stand(robot).task.height == robot.stand_height == pytest.approx(0.139)
+    assert "start-pose-found" in {note.code for note in robot.notes}
+
+
+def test_a_start_pose_is_one_in_which_the_nominal_stand_exists(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of a biped whose straight legs cannot move the com sideways, and bent ones can.
+
+    Where it may be anywhere inside, the legs reach lower than where it is in the centre.
+    """
+    files = biped(tmp_path)
+    usual, least = pa.load_robot(*files).stand_height, 0.70
+    assert usual < least
+    solve = start.solve_stand
+
+    def solve_high(robot: pa.Robot, *args: Any, **others: Any) -> pa.Stand:
+        if robot.stand_height < least:
+            raise StanceUnreachableError("as if", {}, {})
+        return solve(robot, *args, **others)
+
+    monkeypatch.setattr(start, "solve_stand", solve_high)
+    assert least < pa.load_robot(*files).stand_height < 0.8
+
+
+def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> None:
+    """Who knows a height for it needs no gains of their own."""
+    files = quadruped(tmp_path)
+    text = files.mjcf.read_text()
+    deep = '<geom type="box" size="0.02 0.02 0.45"/><body name="FL_hip"'
+    files.mjcf.write_text(text.replace('<body name="FL_hip"', deep))
+    robot = pa.load_robot(*files)
+    assert start.first_stand(robot) is None
+    assert own_servos(robot).keys() == set(robot.joint_names)
+    assert {"no-start-pose", "servos-added"} <= {note.code for note in robot.notes}
