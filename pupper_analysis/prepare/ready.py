@@ -21,6 +21,9 @@ from pupper_analysis.robot.build import build_robot
 from pupper_analysis.robot.floor import level_ground
 from pupper_analysis.robot.matching.urdf import urdf_mimics
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import own_servos
+
+_FEWEST = 3  # contact points on which a robot stands
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,8 @@ def ready_robot(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | Non
     robot = _built(urdf, mjcf, request)
     if robot is None or (robot.floating and _needs_more(robot)):
         return None
-    if robot.floating and request.feet and first_stand(robot) is None:
-        return None  # the keyframe is none in which it stands: another height is looked for
+    if robot.floating and not request.as_is and not _may_be_told_to_stand(robot):
+        return None
     if not (robot.floating or request.feet or request.as_is):
         return None
     said = (*notes.bound_joints(robot), *notes.tell_uncommanded(robot))
@@ -122,6 +125,16 @@ def _built(urdf: UrdfFile, mjcf: MjcfFile, request: Request) -> Robot | None:
         if request.fixed_base or not all(other in bodies for _, other in feet.values()):
             raise
         return None
+
+
+def _may_be_told_to_stand(robot: Robot) -> bool:
+    """Tells whether there are servos, and a stand at the height that the keyframe gives it.
+
+    What stands at no height, on two points, needs none.
+    """
+    if len(robot.contact_points) < _FEWEST:
+        return True
+    return set(robot.joint_names) <= own_servos(robot).keys() and first_stand(robot) is not None
 
 
 def _needs_more(robot: Robot) -> bool:

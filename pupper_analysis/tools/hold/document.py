@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -287,10 +288,15 @@ def _told(hold: Hold) -> Iterable[doc.Words]:
     yield text(
         "carries-and-withstands",
         tool=doc.Name(hold.tool.name),
-        here=f"{hold.payload.mass:.3g}",
-        somewhere=f"{hold.payload.somewhere:.3g}",
-        force=f"{hold.force.weakest:.3g}",
+        here=_limit(hold.payload.mass),
+        somewhere=_limit(hold.payload.somewhere),
+        force=_limit(hold.force.weakest),
     )
+
+
+def _limit(most: float) -> str:
+    """Writes a limit; nothing where there is none."""
+    return f"{most:.3g}" if math.isfinite(most) else ""
 
 
 def _agreement(hold: Hold) -> doc.Words:

@@ -46,6 +46,7 @@ from pupper_analysis.stance.posture import Posture, check_held, with_give
 from pupper_analysis.tools.hold.sag import SaggedPosture
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int_]
 
 AWAY = 0.5
 """A joint that ends further from the posture has left it (rad, m)."""
@@ -53,6 +54,8 @@ AWAY = 0.5
 _LEVER = 1e-3
 """The robot's weight on this lever (m) is what deviations of torques are measured by where less is
 predicted: joints about vertical axes hold nothing."""
+
+_EARTH = 9.81  # m/s^2
 
 _SATURATED = 1e-6
 """A motor that is so near to its limit, in parts of it, gives all it can."""
@@ -80,7 +83,7 @@ class PostureVerification(SimulationSettings, Tabular):
         predicted_torques: (nu,) likewise.
         torque_error: Largest deviation / ``torque_scale``.
         torque_scale: The largest torque that holds the posture, or that of the weight on a lever of
-            1 mm (N m).
+            1 mm (N m); without gravity, of the weight that it would have on the ground.
         tool_sag: (3,) how far the tool has settled from where the posture has it (m).
         mujoco_residual: Largest deviation of the torques that hold the posture by MuJoCo's dynamics
             of the MJCF from Pinocchio's of the URDF (N m, N).
@@ -157,7 +160,8 @@ def verify_posture(
     torques = config.by_motors(config.load())
     ctrl = drive.command(robot, posture.qpos, torques if feedforward else None)
     resting = with_give(robot, posture.qpos)
-    run = _run(drive, _begin(robot, drive, resting, ctrl), ctrl, duration)
+    joints = 1 + robot.mj_convention.qpos_index
+    run = _run(drive, _begin(robot, drive, resting, ctrl), ctrl, duration, joints)
     look = _Look(robot, drive, ctrl)
     found = _measured(robot, config, tool, drive, run, look)
     found = replace(_against(found, resting, torques), feedforward=feedforward)
@@ -168,7 +172,7 @@ def verify_posture(
             nowhere if sagged is None else sagged.qpos,
             nowhere if sagged is None else sagged.joint_torques,
         )
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    weight = _weight(robot)
     seen = run.states[:: max(1, round(_SAMPLE_TIME / found.timestep))]
     touching = {pair for state in seen for pair in look.touching(state, TOUCH * weight)}
     failures = [monitor.tell_divergence(drive.integrator, found.timestep)] if run.diverged else []
@@ -189,15 +193,21 @@ class _Run:
     nudge: Nudge | None
 
 
-def _run(drive: Servos, start: Array, ctrl: Array, duration: float) -> _Run:
-    """Simulates what becomes of a state under a command, and of a nudge after it has settled."""
+def _run(drive: Servos, start: Array, ctrl: Array, duration: float, joints: Indices) -> _Run:
+    """Simulates what becomes of a state under a command, and of a nudge after it has settled.
+
+    Joints are where states have them.
+    """
     timestep = float(drive.model.opt.timestep)
     steps = round((1 - NUDGED) * duration / timestep)
     quiet = simulate(drive.model, start, np.tile(ctrl, (steps, 1)))
     settled = quiet[-round(LAST / timestep) :]
     judged = evaluate_stability(drive, quiet[-1], ctrl, 0.0)
     diverged = monitor.has_diverged(quiet, timestep)
-    if diverged or judged.speed > RESTING:  # what threw it off grew where it began
+    # What threw it off grew where it began: where it hangs instead has a spectrum of its own.
+    if diverged or _left(quiet[-1, joints] - start[joints]):
+        judged = evaluate_stability(drive, start, ctrl, 0.0)
+    elif judged.speed > RESTING:
         judged = evaluate_stability(drive, start, ctrl)
     if diverged:
         return _Run(quiet, settled, diverged, judged, None)
@@ -216,12 +226,10 @@ def _measured(
     positions = run.settled[:, joints].mean(axis=0)
     torques = config.by_motors(config.load())
     residual = config.by_motors(load_by_mujoco(robot, config.qpos)) - torques
-    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
-    left = ~(np.abs(run.states[-1, joints] - config.qpos) < AWAY)
     return PostureVerification(
         passed=True,
         failures=(),
-        collapses=run.diverged or bool(left.any()),
+        collapses=run.diverged or _left(run.states[-1, joints] - config.qpos),
         feedforward=True,
         integrator=drive.integrator,
         timestep=timestep,
@@ -235,7 +243,7 @@ def _measured(
         joint_torques=np.mean([look.torques(state) for state in run.settled[::step]], axis=0),
         predicted_torques=torques,
         torque_error=math.nan,
-        torque_scale=max(float(np.abs(torques).max()), _LEVER * weight),
+        torque_scale=max(float(np.abs(torques).max()), _LEVER * _weight(robot)),
         tool_sag=_moved(robot, tool, positions, config),
         mujoco_residual=float(np.abs(residual).max()),
         stability=run.stability,
@@ -244,6 +252,16 @@ def _measured(
         time=run.states[::step, 0].copy(),
         motion=np.round(run.states[::step][:, joints], 6),
     )
+
+
+def _weight(robot: Robot) -> float:
+    """Returns the weight (N); of what floats in space, that on Earth: a scale for what is off."""
+    return robot.total_mass * (float(np.linalg.norm(robot.gravity)) or _EARTH)
+
+
+def _left(moved: Array) -> bool:
+    """Tells whether a joint is far from the posture, by which all (nu,) have moved (rad, m)."""
+    return not (np.abs(moved) < AWAY).all()
 
 
 def _against(found: PostureVerification, positions: Array, torques: Array) -> PostureVerification:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -30,6 +31,11 @@ percent, survives this."""
 
 _AROUND = 8
 """Nudges along the ground, evenly round about; the first points elsewhere in every trial."""
+
+_BETWEEN = 1 / math.cos(math.pi / _AROUND)
+"""Nudges along the ground are so many times ``NUDGE``: their octagon has the circle of that inside.
+What is unstable is left once its mode is moved beyond a limit, so who survives two neighbours
+survives what lies between them, whichever way the first one points."""
 
 LEFT = 0.1
 """A joint that is further from where it began has left it (rad): robots that buckle go on to 0.3
@@ -108,9 +114,10 @@ def simulate_payload(
     """Simulates a stance with a mass on the robot.
 
     It begins in the stand that ``stand --payload`` judges (``solve_loaded_stand``), with
-    feed-forward for the load, and the base moving at ``NUDGE``: in one of eight directions along
-    the ground, up, down, or turning one way or the other about z. In which direction the eight
-    begin depends on the mass, so that trials of several masses try more of them.
+    feed-forward for the load, and the base moving at ``NUDGE``: up, down, turning one way or the
+    other about z, or along the ground in one of eight directions, by as much more as covers all
+    those between them. In which direction the eight begin depends on the mass, so that trials of
+    several masses try more of them.
 
     By default the joints have no friction loss, and the feet no torsional and rolling friction:
     dry friction holds up what is not stable, for as long as nothing moves it, and so proves
@@ -177,7 +184,7 @@ def nudge_velocities(robot: Robot, stand: Stand, turn: float) -> Array:
     """
     speeds = np.zeros((_AROUND + 4, robot.nv))
     angles = turn + 2 * np.pi * np.arange(_AROUND) / _AROUND
-    speeds[:_AROUND, :2] = NUDGE * np.column_stack([np.cos(angles), np.sin(angles)])
+    speeds[:_AROUND, :2] = _BETWEEN * NUDGE * np.column_stack([np.cos(angles), np.sin(angles)])
     speeds[_AROUND : _AROUND + 2, 2] = NUDGE, -NUDGE
     # The base's frame may lie on the ground; the com does not.
     com = Configuration(robot, stand.qpos).center_of_mass()

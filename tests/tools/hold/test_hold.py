@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.present.documents.registry import build_report
+from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.tool import find_tool
 from pupper_analysis.simulation.balance import load_by_mujoco
@@ -160,3 +162,17 @@ def test_robots_with_a_free_base_are_sent_elsewhere_and_those_without_feet_here(
         pa.hold_posture(pa.load_variant("v3"))
     with pytest.raises(pa.ConfigurationError, match="hold"):
         pa.solve_stand(arm())
+
+
+def test_without_gravity_nothing_is_held_and_any_mass_is(tmp_path: Path) -> None:
+    """Torques are off by so much of nothing: measured by what it would weigh on the ground."""
+    floating = by_hand.MJCF.replace("<option ", '<option gravity="0 0 0" ')
+    held = pa.hold_posture(load_arm(tmp_path, mjcf=floating), POSTURE)
+    assert held.verdict.code is VerdictCode.HOLDS
+    assert held.verification.torque_error < 1e-9
+    assert not held.statics.joint_torques.any()
+    assert held.payload.mass == held.payload.somewhere == np.inf
+    page = write_markdown(build_report([("", held)]))
+    assert "any mass at tip in this posture" in page
+    assert "nan" not in page
+    assert "inf kg" not in page
