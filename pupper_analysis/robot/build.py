@@ -33,6 +33,7 @@ from pupper_analysis.robot.coordinates import MujocoConvention, PinocchioConvent
 from pupper_analysis.robot.efforts import effort_notes, efforts_of
 from pupper_analysis.robot.floor import floor_of, leave_ground
 from pupper_analysis.robot.robot import Robot, acts_at_rest
+from pupper_analysis.robot.tendons import tell_bonds_not_kept, tell_ranges_not_kept
 
 Array = NDArray[np.float64]
 
@@ -63,6 +64,8 @@ def build_robot(
     pin_model = _pinocchio_model(description, mj_model, mj_base, joint_names, floating)
     pin_convention = PinocchioConvention.of(pin_model, joint_names)
     notes = [*added, *option_notes(mj_model), *_at_rest(mj_model)]
+    notes += tell_ranges_not_kept(mj_model, joint_names, stands=floating)
+    notes += tell_bonds_not_kept(mj_model)
     notes += _take_armature(mj_model, mj_convention, pin_model, pin_convention, joint_names)
     contact_frames = {point: frames[0] for point, frames in description.contact_points.items()}
     for frame in contact_frames.values():
@@ -151,7 +154,7 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
 
     MuJoCo counts it as the motors' torque; here it is what they are relieved of.
     """
-    notes = _limited_tendons(mj_model)
+    notes: list[Diagnostic] = []
     if mj_model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP.value:
         notes.append(diagnose("sleep-not-differentiated"))
     if acts_at_rest(mj_model):
@@ -163,28 +166,6 @@ def _at_rest(mj_model: mujoco.MjModel) -> list[Diagnostic]:
         mj_model.jnt_actgravcomp[:] = 0
         notes.append(diagnose("gravity-compensation-passive", joints=names))
     return notes
-
-
-def _limited_tendons(mj_model: mujoco.MjModel) -> list[Diagnostic]:
-    """Tells which tendons have a range: MuJoCo keeps joints within it, and no stand knows of it."""
-    told = []
-    for tendon in np.flatnonzero(mj_model.tendon_limited):
-        first, count = int(mj_model.tendon_adr[tendon]), int(mj_model.tendon_num[tendon])
-        wraps = range(first, first + count)
-        at_joints = mujoco.mjtWrap.mjWRAP_JOINT.value
-        joints = [
-            mj_model.joint(int(mj_model.wrap_objid[wrap])).name
-            for wrap in wraps
-            if mj_model.wrap_type[wrap] == at_joints
-        ]
-        low, high = mj_model.tendon_range[tendon].tolist()
-        name = mj_model.tendon(int(tendon)).name or f"#{tendon}"
-        told.append(
-            diagnose(
-                "tendon-with-range", subject=("tendon", name), lower=low, upper=high, joints=joints
-            )
-        )
-    return [diagnose("tendon-ranges-not-kept", tendons=told)] if told else []
 
 
 def _take_armature(

@@ -65,20 +65,6 @@ def test_a_base_does_not_hang_by_its_free_joint(tmp_path: Path) -> None:
     assert pa.verify_stand(robot, pa.stance.solve_stand_on_soft_ground(robot)).passed
 
 
-def test_a_limited_tendon_is_named_with_its_joints(tmp_path: Path) -> None:
-    pair = quadruped(tmp_path)
-    tendon = (
-        '<tendon><fixed name="cord" limited="true" range="-1 1.3">'
-        '<joint joint="FR_knee" coef="-1"/></fixed></tendon>'
-    )
-    pair.mjcf.write_text(pair.mjcf.read_text().replace("</mujoco>", f"{tendon}</mujoco>"))
-    notes = pa.load_robot(pair.mjcf).notes
-    [told] = [note for note in notes if note.code == "tendon-ranges-not-kept"]
-    assert "cord (-1 to 1.3, of joints FR_knee)" in str(told)
-    plain = quadruped(tmp_path)
-    assert all(note.code != told.code for note in pa.load_robot(plain.mjcf).notes)
-
-
 def tiny_with(tmp_path: Path, old: str, new: str) -> tuple[Path, Path]:
     assert old in TINY_URDF
     urdf, mjcf = tmp_path / "tiny.urdf", tmp_path / "tiny.xml"
