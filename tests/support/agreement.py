@@ -191,13 +191,21 @@ def _compare_conversion(
 
 
 def random_robots(first: int, count: int, folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Draws robots: two thirds as a pair, a third as a URDF alone."""
+    """Draws robots: two thirds as a pair, a third as a URDF alone.
+
+    Drawn URDFs have no shapes, and so no feet: one that is alone is made of the MJCF.
+    """
     for seed in range(first, first + count):
         place = folder / f"random-{seed}"
         place.mkdir()
         pair = random_legged.written(random_legged.drawn(seed), place)
-        alone = seed % 3 == 0
-        yield f"random {seed}", (str(pair.urdf),) if alone else (str(pair.urdf), str(pair.mjcf))
+        files: tuple[str, ...] = str(pair.urdf), str(pair.mjcf)
+        if seed % 3 == 0:
+            alone = place / "alone.urdf"
+            answer("convert", str(pair.mjcf), "-o", str(alone), folder=place)
+            if alone.is_file():  # no URDF has legs that hang from the world
+                files = (str(alone),)
+        yield f"random {seed}", files
 
 
 def public_robots(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
