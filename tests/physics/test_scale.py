@@ -10,8 +10,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.models.xml import parse_text, to_text
+from pupper_analysis.robot import stability
 from pupper_analysis.robot.build import rebuild_robot
-from pupper_analysis.robot.stability import Stability
 from pupper_analysis.stance.sag import steady_state
 from tests.support.random_legged import drawn, written
 from tests.support.variants import load
@@ -147,7 +147,8 @@ def test_a_resized_robot_has_the_same_numbers(mass: float, monkeypatch: pytest.M
     one, size = numbers(robot, 1.0), factor ** (1 / 3)
     lasting = steady_state.LASTING * size**0.5
     monkeypatch.setattr(steady_state, "LASTING", lasting)
-    monkeypatch.setattr(Stability.leaving, "__defaults__", (lasting,))
+    monkeypatch.setattr(stability, "LASTING", lasting)
+    monkeypatch.setattr(stability.Stability.leaving, "__defaults__", (lasting,))
     assert numbers(resized(robot, size), factor, size) == pytest.approx(one, rel=1e-6)
 
 
