@@ -23,8 +23,9 @@ import pytest
 
 FILE = Path(__file__).resolve().parents[1] / "durations.json"
 
-SLOW = 0.12
-"""Seconds of processor of a function's quick cases: all take a minute of two cores together."""
+SLOW = 0.05
+"""Seconds of processor of a function's quick cases: all take a minute of two cores together, half
+of it for collecting them."""
 
 LONGEST = 0.4
 """Seconds of its cases that are not among the longest, so that CI's clone is done in fifteen
