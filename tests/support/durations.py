@@ -27,11 +27,11 @@ SLOW = 0.05
 """Seconds of processor of a function's quick cases: all take a minute of two cores together, half
 of it for collecting them."""
 
-LONGEST = 0.4
+LONGEST = 0.2
 """Seconds of its cases that are not among the longest, so that CI's clone is done in fifteen
 minutes."""
 
-ALONE = 6.0
+ALONE = 4.0
 """Seconds of its first case that is not among the longest: what CI runs of a long proof."""
 
 SAMPLED = 4

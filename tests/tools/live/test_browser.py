@@ -314,7 +314,7 @@ def test_a_link_opens_its_state_and_files_are_saved(browser: Any, served: Page) 
     wait_for(lambda: one.row("state").locator("input").first.input_value() == str(state), "state")
     assert one.row("link to it").locator("input").first.input_value() == write_link(address, state)
     with one.page.expect_download() as caught:
-        one.button("Save the stance")
+        one.button("Save the stance, for --stance")
     assert Path(caught.value.path()).read_text() == write_stance_file(state)
     box = one.row("state").locator("input").first
     box.fill("roll:3")
