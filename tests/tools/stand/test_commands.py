@@ -32,7 +32,7 @@ from pupper_analysis.stance import (
 )
 from pupper_analysis.tools.path.tracked import way_to
 from pupper_analysis.tools.workspace.figures import workspace_figure
-from tests.support.commands import check_refusal, run_command
+from tests.support.commands import answer, check_refusal, run_command
 from tests.support.variants import load
 
 THREE_LEGS = ("--swing", "RR=0.01", "--com", "inside", "--com-margin", "0.01")
@@ -238,3 +238,10 @@ def test_a_derived_variant_keeps_what_is_not_given() -> None:
     assert isinstance(skeleton, VariantSpec)
     assert (skeleton.base, skeleton.torso_mass_scale) == ("skeleton", 1.0)
     assert derived(None, None, None) is None
+
+
+def test_a_package_is_looked_for_where_it_is_said(tmp_path: Path) -> None:
+    files = ("--urdf", "x.urdf", "--mjcf", "x.xml")
+    done = answer("stand", *files, "--package", "p=nowhere", folder=tmp_path)
+    assert done.returncode == 2
+    assert "p: nowhere is not a folder" in done.stderr
