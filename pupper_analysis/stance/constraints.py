@@ -350,9 +350,10 @@ def judge_constraints(shapes: ClearanceShapes, goal: Goal, at: Kinematics) -> Ju
     missed: dict[str, float] = {}
     near: dict[str, Clearance | None] = {}
     for one in constraints_of(shapes, goal):
-        if isinstance(one, GroundClearance | SelfClearance):
+        kind = type(one)
+        if kind is GroundClearance or kind is SelfClearance:
             near[one.name] = one.nearest(goal, at)
-        elif not isinstance(one, SupportMargin):  # the com's margin is a result
+        elif kind is not SupportMargin:  # the com's margin is a result
             missed[one.name] = one.missed(goal, at)
     x, y, _ = at.com
     return Judgement(missed, margin_of_place((x, y), goal.corners), near)
