@@ -4,10 +4,10 @@
     python benchmarks/studies.py growth 10000      # how it grows with their number, as a figure
     python benchmarks/studies.py simulated 500     # with a simulation each
     python benchmarks/studies.py batched           # whether these gain from one call for many
-    python benchmarks/studies.py efficiency        # 1 and 2 processes, and Dask, 100 ms a design
+    python benchmarks/studies.py efficiency        # 1 and 2 processes, 100 ms a design
     python benchmarks/studies.py overhead          # of a design that costs nothing; memory
     python benchmarks/studies.py finding           # how large v3 may be, with a figure
-    python benchmarks/studies.py kills 20          # of the parent, a worker, Dask's scheduler
+    python benchmarks/studies.py kills 20          # of the parent, a worker
 
 Designs of ``efficiency`` sleep: how well the engine keeps workers busy is then measured, whatever
 else the machine does. Times of ``speed`` and ``growth`` are as wall and as processor time.
@@ -26,8 +26,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
@@ -41,7 +40,6 @@ from pupper_analysis.simulation import rollout, verify
 from pupper_analysis.tools.study import running
 from pupper_analysis.tools.study import study as whole
 from pupper_analysis.tools.study.design import Maker
-from pupper_analysis.tools.study.running import open_cluster
 
 SAG = ("peak_utilisation", "base_height", "servo_sag", "com_margin")
 AXES = {  # 10 000 designs of v3
@@ -269,11 +267,8 @@ def efficiency() -> None:
         return (last[0] - first[0]) / (last[1] - first[1])
 
     one, two = rate(workers=1), rate(workers=2)
-    with open_cluster(None, 2) as (executor, _):
-        dask = rate(executor=executor)
-    print(f"1 process {one:.2f}/s, 2 processes {two:.2f}/s, Dask with 2 {dask:.2f}/s")
-    print(f"2 against 1: {two / (2 * one):.3f}; Dask against processes: {dask / two:.3f}")
-    print(f"of 10 designs a second and worker: {one / 10:.3f}, {two / 20:.3f}, {dask / 20:.3f}")
+    print(f"1 process {one:.2f}/s, 2 processes {two:.2f}/s; 2 against 1: {two / (2 * one):.3f}")
+    print(f"of 10 designs a second and worker: {one / 10:.3f}, {two / 20:.3f}")
 
 
 def overhead() -> None:
@@ -357,28 +352,6 @@ def rows_of(folder: Path) -> int:
     return sum(pq.read_metadata(path).num_rows for path in (folder / "shards").glob("*.parquet"))
 
 
-@contextmanager
-def dask_processes(port: int) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A scheduler and a worker, as on a cluster."""
-    address = f"tcp://127.0.0.1:{port}"
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    dask = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    scheduler = subprocess.Popen(
-        [*dask, "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
-        **quiet,  # type: ignore[call-overload]
-    )
-    worker = subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli.dask_worker", address, "--nworkers", "2",
-         "--nthreads", "1", "--no-dashboard", "--death-timeout", "20"], **quiet  # type: ignore[call-overload]
-    )  # fmt: skip
-    try:
-        yield scheduler, address
-    finally:
-        for process in (worker, scheduler):
-            process.terminate()
-            process.wait()
-
-
 def kill_parent(folder: Path, chance: random.Random) -> str:
     with tempfile.TemporaryDirectory() as other:
         script = Path(other) / "victim.py"
@@ -408,25 +381,6 @@ def kill_worker(folder: Path, chance: random.Random) -> str:
     return f"{len(killed)} killed, {done.done} done"
 
 
-def kill_scheduler(folder: Path, chance: random.Random) -> str:
-    with dask_processes(chance.randrange(20_000, 60_000)) as (scheduler, address):
-        when: list[float] = []
-
-        def watch(progress: running.Progress) -> None:
-            if progress.done and not when:
-                when.append(progress.seconds + chance.uniform(0.0, 0.5))
-            if when and progress.seconds > when[0]:
-                scheduler.kill()
-
-        begun = time.monotonic()
-        try:
-            with open_cluster(address, None) as (executor, _):
-                to_kill().execute(folder, executor=executor, workers=2, progress=watch)
-        except pa.StudyError as error:
-            return f"after {time.monotonic() - begun:.0f} s: {str(error)[:90]}"
-    return "it had ended before"
-
-
 def kills(count: int, kinds: tuple[str, ...]) -> None:
     """Each time: kill, go on, and compare with an undisturbed run, to the last bit."""
     with tempfile.TemporaryDirectory() as folder:
@@ -434,7 +388,6 @@ def kills(count: int, kinds: tuple[str, ...]) -> None:
     ways: dict[str, Callable[[Path, random.Random], str]] = {
         "parent": kill_parent,
         "worker": kill_worker,
-        "scheduler": kill_scheduler,
     }
     for kind in kinds:
         chance = random.Random(1)

@@ -330,6 +330,10 @@ class SelfClearance(Constraint):
         return self._shapes.between_links(at.qpos)
 
 
+_CLEARANCES = (GroundClearance, SelfClearance)
+"""Kinds: a union written where it is asked for would be made anew each time (4 us a stand)."""
+
+
 class Judgement(NamedTuple):
     """How a configuration fulfils what a stand must.
 
@@ -350,10 +354,9 @@ def judge_constraints(shapes: ClearanceShapes, goal: Goal, at: Kinematics) -> Ju
     missed: dict[str, float] = {}
     near: dict[str, Clearance | None] = {}
     for one in constraints_of(shapes, goal):
-        kind = type(one)
-        if kind is GroundClearance or kind is SelfClearance:
+        if isinstance(one, _CLEARANCES):
             near[one.name] = one.nearest(goal, at)
-        elif kind is not SupportMargin:  # the com's margin is a result
+        elif not isinstance(one, SupportMargin):  # the com's margin is a result
             missed[one.name] = one.missed(goal, at)
     x, y, _ = at.com
     return Judgement(missed, margin_of_place((x, y), goal.corners), near)

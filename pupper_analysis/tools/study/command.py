@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,12 +34,6 @@ if TYPE_CHECKING:
 @click.option(
     "--workers", type=click.IntRange(min=1), help="Number of processes. By default one per core."
 )
-@click.option("--dask", is_flag=True, help="Run on a local Dask cluster.")
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Run on the Dask cluster at this address; e.g. tcp://head:8786.",
-)
 @click.option("--figures", is_flag=True, help="Draw figures of the results into the output folder.")
 @click.option(
     "--minimise",
@@ -64,8 +56,6 @@ def command(
     folder: Path,
     dry_run: bool,
     workers: int | None,
-    dask: bool,
-    scheduler: str | None,
     figures: bool,
     minimise: tuple[str, ...],
     maximise: tuple[str, ...],
@@ -74,7 +64,7 @@ def command(
     style: str,
     everything: bool,
 ) -> None:
-    """Measure the designs that a TOML file describes, on all cores or on a cluster.
+    """Measure the designs that a TOML file describes, on all cores.
 
     Results are stored in a folder, as Parquet. A study can be interrupted at any time and
     resumes where it stopped; after the file is changed, only new designs are measured. A design
@@ -95,7 +85,6 @@ def command(
       pupper-analysis study legs.toml -o legs/ --dry-run
       pupper-analysis study legs.toml -o legs/
       pupper-analysis study legs.toml -o legs/ --report legs.html --maximise leg_scale
-      pupper-analysis study legs.toml -o legs/ --scheduler tcp://head:8786
 
     \b
     Exit status: 0 all designs were measured, 2 bad input, 130 interrupted.
@@ -106,9 +95,7 @@ def command(
     from pupper_analysis.tools.study.study import estimate_study
 
     if dry_run:
-        refuse_idle("--dry-run", "dask", "scheduler", "figures", "report_path")
-    if scheduler is not None:
-        refuse_idle("--scheduler", "dask", "workers")
+        refuse_idle("--dry-run", "figures", "report_path")
     study = Study.read(file, own_metrics=not dry_run)
     check_objectives(study, minimise, maximise)
     if not (dry_run or figures or report_path or style == "markdown"):
@@ -120,8 +107,8 @@ def command(
         _show(estimate_document(expected, workers=workers), style, everything)
         shared.finish_command(json_path, expected, passed=True)
         return
-    with _executor(dask, scheduler, workers) as executor, report.progress_bar() as show:
-        _run(study, folder, executor, workers, show)
+    with report.progress_bar() as show:
+        _run(study, folder, workers, show)
     table = study.table(folder)
     if style == "text":
         from pupper_analysis.tools.study.document import measured_document
@@ -149,26 +136,11 @@ def _show(document: Document, style: str, everything: bool) -> None:
 def _run(
     study: DesignStudy,
     folder: Path,
-    executor: Executor | None,
     workers: int | None,
     show: Callable[[Progress], None],
 ) -> None:
     try:
-        study.execute(folder, executor=executor, workers=workers, progress=show)
+        study.execute(folder, workers=workers, progress=show)
     except BaseException:
         click.echo(f"what is done is kept in {folder}: the same command goes on there", err=True)
         raise
-
-
-@contextmanager
-def _executor(dask: bool, scheduler: str | None, workers: int | None) -> Iterator[Executor | None]:
-    """Yields Dask's executor, if that is asked for."""
-    if not dask and scheduler is None:
-        yield None
-        return
-    from pupper_analysis.tools.study.running import open_cluster
-
-    with open_cluster(scheduler, workers) as (executor, dashboard):
-        if dashboard:
-            click.echo(f"dashboard: {dashboard}", err=True)
-        yield executor

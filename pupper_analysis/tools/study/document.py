@@ -189,22 +189,16 @@ def _front(outcome: StudyOutcome) -> list[doc.Block]:
 
 
 def _shares(outcome: StudyOutcome) -> list[doc.Block]:
-    linear = {one.metric: one for one in outcome.linear}
     sobol = {one.metric: one for one in outcome.sobol}
     rows: list[tuple[doc.Cell, ...]] = []
     for one in outcome.measured:
         for name, alone in one.alone.items():
-            exact, sampled = linear.get(one.metric), sobol.get(one.metric)
+            sampled = sobol.get(one.metric)
             rows.append(
                 (
                     doc.Name(one.metric),
                     doc.Name(name),
                     _share(alone),
-                    *(
-                        [_share(exact.shares.get(name)) if exact else _share(None)]
-                        if linear
-                        else []
-                    ),
                     *(_indices(sampled, name) if sobol else []),
                 )
             )
@@ -216,9 +210,6 @@ def _shares(outcome: StudyOutcome) -> list[doc.Block]:
         doc.Column(text("number"), left=True),
         doc.Column(text("alone"), "1"),
     ]
-    if linear:
-        columns.append(doc.Column(text("by-derivatives"), "1"))
-        notes.append(text("shares-by-derivatives"))
     if sobol:
         columns += [
             doc.Column(text("sobol-alone"), "1"),

@@ -14,7 +14,7 @@ import orjson
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.diagnostics.record import from_record
-from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.tools.study.cells import (
     Cells,
@@ -26,10 +26,7 @@ from pupper_analysis.tools.study.cells import (
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.pareto import pareto_front
 from pupper_analysis.tools.study.sensitivity import (
-    AT_REST,
-    LinearShares,
     SobolIndices,
-    linear_shares,
 )
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import DesignStudy
@@ -106,7 +103,6 @@ class StudyOutcome(Result):
         objectives: {column: ``min`` or ``max``} of the front; empty if there is none.
         front: The designs that no other beats in these, of those that stay up where that was
             measured.
-        linear: Shares of variances from derivatives, where there are such.
         sobol: Sobol's indices, if they were given.
         certainty: How sure the stand is, if the numbers are samples of distributions and the study
             measures it.
@@ -123,7 +119,6 @@ class StudyOutcome(Result):
     axes: tuple[str, ...]
     objectives: dict[str, str]
     front: pd.DataFrame
-    linear: tuple[LinearShares, ...]
     sobol: tuple[SobolIndices, ...]
     certainty: Certainty | None
     tolerance: Tolerance | None
@@ -179,7 +174,6 @@ def study_outcome(
         axes=tuple(spread[:2]) if len(spread) > 1 else (),
         objectives=objectives,
         front=pareto_front(standing_designs(table), objectives) if objectives else table.iloc[:0],
-        linear=_linear(study, metrics),
         sobol=tuple((sobol or {}).values()),
         certainty=_certainty(study, table),
         tolerance=tolerance,
@@ -278,17 +272,6 @@ def _told(kept: object) -> Diagnostic | None:
 def _better(metrics: Sequence[str]) -> dict[str, str]:
     known = {n: METRICS[n].better for n in metrics if n in METRICS and METRICS[n].better}
     return dict(list(known.items())[:2]) if len(known) > 1 else {}
-
-
-def _linear(study: DesignStudy, metrics: Sequence[str]) -> tuple[LinearShares, ...]:
-    """Returns what derivatives tell of the metrics that have some; nothing where none do."""
-    derived = [n for n in metrics if n in AT_REST or n.startswith("torque.")][:SHARES]
-    if not derived or not any(one.levels is None for one in study.variables.values()):
-        return ()
-    try:
-        return tuple(linear_shares(study, derived).values())
-    except PupperAnalysisError:  # a number without a derivative, a slope, a stand that ends
-        return ()
 
 
 def _certainty(study: DesignStudy, table: pd.DataFrame) -> Certainty | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import multiprocessing
 import os
 import signal
@@ -19,7 +18,6 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
@@ -30,7 +28,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import PupperAnalysisError, StudyError
 from pupper_analysis.tools.study.design import Row, failure_columns, servo_number
-from pupper_analysis.tools.study.store import Store, design_keys, require_library
+from pupper_analysis.tools.study.store import Store, design_keys
 from pupper_analysis.tools.study.worker import (
     Chunk,
     ChunkOutcome,
@@ -205,9 +203,6 @@ class Crew:
 def _size(executor: Executor | None) -> int | None:
     """Returns how many workers an executor has, if it says so."""
     size = getattr(executor, "_max_workers", None)
-    client = getattr(executor, "_client", None)
-    if client is not None:  # Dask's
-        return sum(client.nthreads().values()) or None
     return size if isinstance(size, int) else None
 
 
@@ -392,44 +387,3 @@ class Run:
 def _singly(chunk: Chunk) -> Iterator[Chunk]:
     """Yields a chunk's designs one by one."""
     return split_chunks(chunk.work, chunk.names, chunk.numbers, 1)
-
-
-# Dask as a study's executor: a cluster of this machine, or one that is there.
-
-
-@contextmanager
-def open_cluster(scheduler: str | None, workers: int | None) -> Iterator[tuple[Executor, str]]:
-    """Yields the executor of a Dask cluster, and the address of its dashboard.
-
-    Args:
-        scheduler: The address of a scheduler; None begins a cluster on this machine, which ends
-            with the block.
-        workers: Of that cluster: processes of one thread each; by default one per core.
-
-    Raises:
-        StudyError: If Dask is not installed, or the scheduler does not answer.
-    """
-    require_library("distributed")
-    from distributed import Client
-
-    try:
-        if scheduler is not None:
-            client = Client(scheduler, timeout="10s")
-        else:
-            # One thread each: the engines hold Python's lock most of the time.
-            client = Client(
-                n_workers=workers or os.cpu_count() or 1,
-                threads_per_worker=1,
-                dashboard_address="127.0.0.1:0",
-            )
-    except (OSError, ValueError) as error:
-        told = diagnose("scheduler-silent", problem=str(error))
-        raise StudyError(scheduler or "-", told) from error
-    logger = logging.getLogger("distributed")
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)  # what is lost is said in one line, by an error
-    try:
-        with client:
-            yield client.get_executor(), str(client.dashboard_link or "")
-    finally:
-        logger.setLevel(before)

@@ -55,7 +55,7 @@ def require_library(library: str) -> None:
     import importlib.util
 
     if importlib.util.find_spec(library) is None:
-        raise MissingPackageError(library, "dask" if library == "distributed" else "study")
+        raise MissingPackageError(library, "study")
 
 
 class Store:

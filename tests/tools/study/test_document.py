@@ -16,7 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis.tools.study.cells import Cells
 from pupper_analysis.tools.study.outcome import main_effects
 from pupper_analysis.tools.study.plots import MOST_LINES, colour_of_share
-from pupper_analysis.tools.study.sensitivity import LinearShares, SobolIndices
+from pupper_analysis.tools.study.sensitivity import SobolIndices
 from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, probability_interval
 from tests.present.test_html import EVIL, written
 from tests.support.commands import answer
@@ -42,9 +42,6 @@ def full() -> pa.study.StudyOutcome:
     sobol = SobolIndices("servo_sag", {"leg_scale": 0.111, "kp": 0.222, "height": 0.333},
                          {"leg_scale": 0.444, "kp": 0.555, "height": 0.666},
                          {"leg_scale": 0.011, "kp": 0.022, "height": 0.033}, 64)  # fmt: skip
-    linear = LinearShares(
-        "servo_sag", {"kp": 1.0}, {"leg_scale": 0.123, "kp": 0.456, "height": 0.421}, 0.1
-    )
     sure = Certainty(
         probability_interval(90, 100),
         {"knee": probability_interval(80, 100)},
@@ -54,7 +51,7 @@ def full() -> pa.study.StudyOutcome:
     spreads = {"kp": {"normal": [7.0, 0.25]}}
     tolerance = Tolerance(0.375, spreads, probability_interval(199, 200), {1.0: 0.5, 0.375: 0.995},
                           {"stands": ("kp",)}, ("friction",))  # fmt: skip
-    return replace(outcome(), sobol=(sobol,), linear=(linear,), certainty=sure, tolerance=tolerance)
+    return replace(outcome(), sobol=(sobol,), certainty=sure, tolerance=tolerance)
 
 
 # What came of it
@@ -173,8 +170,8 @@ def test_shares_and_certainties_are_in_their_columns() -> None:
     tables = Page(written(full(), robots=False)).tables()
     shares = next(rows for title, rows in tables.items() if title.startswith("Sensitivity"))
     row = next(r for r in shares if r["metric"] == "servo_sag" and r["parameter"] == "kp")
-    names = ("by derivatives", "Sobol, alone", "Sobol, in all", "± 95 %")
-    assert [row[f"{name} (–)"] for name in names] == ["45.6%", "22.2%", "55.5%", "2.2%"]
+    names = ("Sobol, alone", "Sobol, in all", "± 95 %")
+    assert [row[f"{name} (–)"] for name in names] == ["22.2%", "55.5%", "2.2%"]
     other = next(r for r in shares if r["metric"] == "com_margin")
     assert other["Sobol, alone (–)"] == "-"
     sure = {row["what"]: row for row in tables["Probability that it stands"]}

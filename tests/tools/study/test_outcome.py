@@ -22,17 +22,12 @@ from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.pupper.variants import model_folder
 from pupper_analysis.tools.study import figures
 from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
-from pupper_analysis.tools.study.design import Maker
-from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.outcome import main_effects, study_outcome
 from pupper_analysis.tools.study.pareto import pareto_front
 from pupper_analysis.tools.study.plots import end_plots, mean_plots
 from pupper_analysis.tools.study.randomisation import write_randomisation
 from pupper_analysis.tools.study.sensitivity import (
-    linear_shares,
-    sag_derivatives,
     sobol_indices,
-    torque_derivatives,
 )
 from pupper_analysis.tools.study.tolerance import (
     certainty,
@@ -172,67 +167,6 @@ def test_a_panel_for_each_value_of_another_variable_and_crossed_means_of_more(
         end_plots(table.iloc[:0], "x", "y")
 
 
-# ----------------------------------------------------------------------------- derivatives
-
-NUMBERS = {
-    "mass:leg_front_l_3": 1.0,
-    "mass:base_link": 1.2,
-    "mass:leg_*_2": 0.9,
-    "com_y:leg_front_l_3": 0.004,
-    "com_x:base_link": 0.01,
-    "payload": 0.3,
-    "kp": 6.0,
-    "kp:leg_front_l_3": 1.1,
-}
-POINT = (0.05, 0.02, 0.03)
-TASKS = [pa.StandTask(), pa.StandTask(roll=0.1, pitch=0.08, height=0.12)]
-
-
-@pytest.mark.parametrize("task", TASKS, ids=["nominal", "tilted"])
-def test_derivatives_are_what_differences_say(task: pa.StandTask) -> None:
-    """Central differences of whole designs, stand and equilibrium solved anew."""
-    source = pa.Study("v3", {name: [1.0] for name in NUMBERS}, ["sag"]).source
-    maker = Maker(source, task, POINT)
-    design = maker.design(NUMBERS)
-    heavy = [name for name in NUMBERS if not name.startswith("kp")]
-    torques = torque_derivatives(design.robot, design.stand, NUMBERS, heavy, POINT)
-    rest = sag_derivatives(maker, NUMBERS, list(NUMBERS))
-    for name, value in NUMBERS.items():
-        step = 1e-5 if name.startswith("com") else 1e-4  # m; of a factor, a tenth of a per mille
-        more, less = (maker.design({**NUMBERS, name: value + way}) for way in (step, -step))
-        if name in torques:
-            held = [
-                pa.stance.stand_statics(one.robot, one.stand).joint_torques for one in (more, less)
-            ]
-            difference = (held[0] - held[1]) / (2 * step)
-            assert torques[name] == pytest.approx(difference, abs=1e-8)
-            assert np.abs(difference).max() > 1e-2
-        for metric in ("base_height", "sag", "servo_sag", "contact_sag"):
-            function = METRICS[metric].function
-            difference = (float(function(more)) - float(function(less))) / (2 * step)  # type: ignore[arg-type]
-            assert getattr(rest[name], metric) == pytest.approx(difference, rel=1e-5, abs=1e-9)
-
-
-def test_derivatives_that_are_not_there_are_refused() -> None:
-    with pytest.raises(pa.ConfigurationError, match="'leg_scale' has no derivative of torques"):
-        linear_shares(
-            pa.Study("v3", {"leg_scale": pa.study.normal(1, 0.01)}, ["torque"], samples=4),
-            ["torque.leg_front_l_3"],
-        )
-    study = pa.Study("v3", {"mass:*_3": pa.study.normal(1, 0.01)}, ["torque"], samples=4)
-    with pytest.raises(pa.ConfigurationError, match="'com_margin' is none of base_height"):
-        linear_shares(study, ["com_margin"])
-    sloped = pa.Study(
-        "v3",
-        {"mass:*_3": pa.study.normal(1, 0.01)},
-        ["torque"],
-        samples=4,
-        stand=pa.StandTask(ground=pa.Ground(slope=0.1)),
-    )
-    with pytest.raises(pa.ConfigurationError, match="level ground"):
-        linear_shares(sloped, ["torque.leg_front_l_3"])
-
-
 def test_the_outcome_of_one_file_says_so(tmp_path: Path, thread: Executor) -> None:
     study = pa.Study(
         {"base": str(model_folder("mjcf") / "pupper_v3.xml"), "keyframe": "home"},
@@ -266,31 +200,6 @@ def test_sobols_indices_of_a_known_function(tmp_path: Path, thread: Executor) ->
     assert found.designs == 256 * 4
     again = sobol_indices(study, tmp_path, ["product_of_gains"], samples=256, executor=thread)
     assert again == {"product_of_gains": found}
-
-
-@pytest.mark.longest
-def test_for_small_spreads_derivatives_say_the_same(tmp_path: Path, thread: Executor) -> None:
-    """Within 5 % of the variance, and the deviation of the samples within 5 %."""
-    vary = {
-        "mass:base_link": pa.study.normal(1.0, 0.02),
-        "mass:leg_*_2": pa.study.normal(1.0, 0.03),
-        "mass:leg_front_l_3": pa.study.normal(1.0, 0.05),
-        "kp": pa.study.normal(5.0, 0.1),
-    }
-    study = pa.Study("v3", vary, ["servo_sag", "base_height", "torque"], samples=4)
-    metrics = ["servo_sag", "base_height", "torque.leg_front_l_2", "torque.leg_back_r_3"]
-    linear = linear_shares(study, metrics)
-    sampled = sobol_indices(study, tmp_path, metrics, samples=256, executor=thread)
-    table = study.varying(vary).run(tmp_path, executor=thread)
-    assert len(table) == 4
-    everything = pa.read_study(tmp_path, everything=True)
-    for metric in metrics:
-        shares, indices = linear[metric].shares, sampled[metric]
-        assert sum(shares.values()) == pytest.approx(1.0)
-        for name in vary:
-            assert indices.total[name] == pytest.approx(shares[name], abs=0.05)
-        spread = float(everything[metric].std())
-        assert linear[metric].deviation == pytest.approx(spread, rel=0.05)
 
 
 def test_indices_need_all_designs(tmp_path: Path, thread: Executor) -> None:

@@ -175,15 +175,6 @@ def test_threads_processes_and_any_order_give_the_same_bits(
     same(ordered[undisturbed.columns], undisturbed)
 
 
-@pytest.mark.longest
-def test_dask_gives_the_same_bits(undisturbed: pd.DataFrame, tmp_path: Path) -> None:
-    from pupper_analysis.tools.study.running import open_cluster
-
-    with open_cluster(None, 2) as (executor, dashboard):
-        assert dashboard.startswith("http://127.0.0.1")
-        same(study().run(tmp_path, executor=executor), undisturbed)
-
-
 def test_of_other_versions_no_result_is_taken(
     tmp_path: Path, threads: Executor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
