@@ -1,8 +1,9 @@
 """Which tools there are: our own by their folders, others' by their entry points.
 
-A tool is a package that answers one question. Its docstring's first line says which; ``command.py``
-has its ``command``, ``document.py`` the pages of its results, ``words.toml`` its words. None is
-imported here: whoever lists them reads their first lines.
+A tool is a package that answers one question. Its docstring's first line says which, its
+``HEADING`` under which heading ``--help`` lists it; ``command.py`` has its ``command``,
+``document.py`` the pages of its results, ``words.toml`` its words. None is imported here: whoever
+lists them reads these lines.
 """
 
 from __future__ import annotations
@@ -20,7 +21,11 @@ GROUP = "pupper_analysis.tools"
 
 OWN = Path(__file__).parents[1] / "tools"
 
+HEADINGS = ("Files", "Stance", "Design", "Real robot", "Look", "Other tools")
+"""In the order in which ``--help`` has them; what states none of these is another tool."""
+
 _FIRST_LINE = re.compile(r'\A[rR]?"""(.+?)(?:"""|\n)')
+_HEADING = re.compile(r'^HEADING = "(.+)"$', re.MULTILINE)
 
 
 class Tool(NamedTuple):
@@ -37,9 +42,18 @@ class Tool(NamedTuple):
     @property
     def question(self) -> str:
         """The first line of its docstring: what its command does; empty if it has none."""
-        with (self.folder / "__init__.py").open(encoding="utf-8") as file:
-            found = _FIRST_LINE.match(file.readline())
+        found = _FIRST_LINE.match(self._stated)
         return found[1] if found else ""
+
+    @property
+    def heading(self) -> str:
+        """Under which of ``HEADINGS`` it is listed."""
+        found = _HEADING.search(self._stated)
+        return found[1] if found and found[1] in HEADINGS else HEADINGS[-1]
+
+    @property
+    def _stated(self) -> str:
+        return (self.folder / "__init__.py").read_text(encoding="utf-8")
 
 
 @cache

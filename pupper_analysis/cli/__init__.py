@@ -15,7 +15,7 @@ import click
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.base.runs import running
-from pupper_analysis.base.tools import other_tools, own_tools
+from pupper_analysis.base.tools import HEADINGS, other_tools, own_tools
 from pupper_analysis.cli.process import (
     Ended,
     ending_signals,
@@ -60,10 +60,16 @@ class LazyGroup(click.Group):
         ctx: click.Context,  # noqa: ARG002
         formatter: click.HelpFormatter,
     ) -> None:
-        """Writes the list of all commands, and imports none."""
+        """Writes the list of all commands under their headings, and imports none."""
         tools = {**own_tools(), **other_tools()}
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, tools[name].question) for name in sorted(tools)])
+        width = max(map(len, tools))  # of one column in all lists
+        for heading in HEADINGS:
+            listed = [name for name in sorted(tools) if tools[name].heading == heading]
+            if listed:
+                with formatter.section(heading):
+                    formatter.write_dl(
+                        [(name.ljust(width), tools[name].question) for name in listed]
+                    )
 
 
 __all__ = ["BAD_INPUT", "find_command", "group", "main", "run"]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
@@ -74,6 +75,11 @@ FILES = (
 )
 
 
+def _is_model(path: Path) -> bool:
+    """Tells whether a file's name is that of a robot's model."""
+    return path.suffix in (".urdf", ".xml") and path.is_file()
+
+
 class _Word(click.ParamType):  # type: ignore[type-arg]  # generic since click 8.3 only
     """A variant's name, or a file; ``-`` is standard input."""
 
@@ -82,6 +88,25 @@ class _Word(click.ParamType):  # type: ignore[type-arg]  # generic since click 8
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """Returns the word, or the name under which standard input is read."""
         return str(shared.MODEL_FILE.convert(value, param, ctx)) if value == "-" else value
+
+    def shell_complete(
+        self,
+        ctx: click.Context,  # noqa: ARG002
+        param: click.Parameter,  # noqa: ARG002
+        incomplete: str,
+    ) -> list[CompletionItem]:
+        """Returns the variants and model files that begin so; without, asks the shell for files.
+
+        A shell that has names to offer looks for no files of its own.
+        """
+        from pupper_analysis.pupper.variants import VARIANTS
+
+        there = [
+            *VARIANTS,
+            *(path.name for path in sorted(Path().glob("*[!~]")) if _is_model(path)),
+        ]
+        names = [name for name in there if name.startswith(incomplete)]
+        return [CompletionItem(one) for one in names] or [CompletionItem(incomplete, type="file")]
 
 
 robot_argument = click.argument("words", nargs=-1, type=_Word(), metavar="[ROBOT]")

@@ -15,7 +15,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis import cli
-from pupper_analysis.base.tools import OWN, own_tools
+from pupper_analysis.base.tools import HEADINGS, OWN, own_tools
+from pupper_analysis.pupper.variants import VARIANTS
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 
@@ -268,6 +269,37 @@ def test_every_command_that_reads_a_urdf_takes_packages() -> None:
             found.add(name)
             assert "packages" in names, name
     assert len(found) >= 5, found  # whichever tools are there
+
+
+def test_robots_are_completed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Variants, and the models of the folder; where neither begins so, the shell's own files."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("v1.urdf", "v2.xml", "v.txt", "folder.xml/v.xml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    known = {"v": {"v1.urdf", "v2.xml"}, "original": set()}
+    for name in own_tools():
+        command = cli.find_command(name)
+        robots = [one for one in command.params if "[ROBOT]" in str(one.metavar)]
+        for robot in robots:
+            for begun, files in known.items():
+                items = robot.shell_complete(click.Context(command), begun)
+                found = {one.value for one in items if one.type == "plain"}
+                assert found == files | {one for one in VARIANTS if one.startswith(begun)}
+            (item,) = robot.shell_complete(click.Context(command), "folder.xml/")
+            assert (item.type, item.value) == ("file", "folder.xml/")
+
+
+def test_commands_stand_under_headings(capsys: pytest.CaptureFixture[str]) -> None:
+    """Each of ours under one that is there; of others what states none, under the last."""
+    assert {one.heading for one in own_tools().values()} <= set(HEADINGS[:-1])
+    with pytest.raises(SystemExit):
+        cli.run(cli.group, ["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    for name, tool in own_tools().items():
+        at = next(i for i, line in enumerate(lines) if line.split()[:1] == [name])
+        above = [line for line in lines[:at] if line and line[0] != " "]
+        assert above[-1] == f"{tool.heading}:"
 
 
 @pytest.mark.parametrize("name", own_tools())

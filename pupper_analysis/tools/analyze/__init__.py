@@ -1,1 +1,3 @@
 """Take robots from their model files to a verified stand."""
+
+HEADING = "Design"

@@ -1,1 +1,3 @@
 """Find what is wrong in one URDF, MJCF or USD."""
+
+HEADING = "Files"

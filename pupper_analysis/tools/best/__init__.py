@@ -1,1 +1,3 @@
 """Search for the best stance."""
+
+HEADING = "Stance"

@@ -2,4 +2,6 @@
 
 from pupper_analysis.base.exports import exports_of
 
+HEADING = "Files"
+
 __getattr__, __dir__, __all__ = exports_of(__name__, __file__)

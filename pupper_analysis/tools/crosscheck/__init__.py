@@ -1,1 +1,3 @@
 """Find what makes a URDF and an MJCF disagree."""
+
+HEADING = "Files"

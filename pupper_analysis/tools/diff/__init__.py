@@ -1,1 +1,3 @@
-"""What has changed between two versions of a model."""
+"""Find what changed between two versions."""
+
+HEADING = "Files"

@@ -1,1 +1,3 @@
 """Drop a robot, and see that it stands."""
+
+HEADING = "Look"

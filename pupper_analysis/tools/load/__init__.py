@@ -1,1 +1,3 @@
-"""Load a robot, and tell what was added."""
+"""Load a robot, and list what was added."""
+
+HEADING = "Stance"

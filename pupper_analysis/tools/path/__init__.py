@@ -1,1 +1,3 @@
 """Move to a stance, in balance all the way."""
+
+HEADING = "Stance"

@@ -1,1 +1,3 @@
-"""How much can a stance carry, and what fails?"""
+"""Find how much a stance carries, and what fails."""
+
+HEADING = "Stance"

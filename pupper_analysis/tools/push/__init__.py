@@ -1,1 +1,3 @@
-"""Push robots over: how hard, which way?"""
+"""Find how hard a push it withstands, and where."""
+
+HEADING = "Stance"

@@ -1,1 +1,3 @@
-"""Solve a stance: its cost, and if it holds."""
+"""Solve a stance: what it costs, and if it holds."""
+
+HEADING = "Stance"

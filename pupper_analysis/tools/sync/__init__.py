@@ -5,4 +5,6 @@ How is what disagrees mended? The numbers of one file are written into the other
 
 from pupper_analysis.base.exports import exports_of
 
+HEADING = "Files"
+
 __getattr__, __dir__, __all__ = exports_of(__name__, __file__)

@@ -1,1 +1,3 @@
 """Show a robot in MuJoCo's viewer."""
+
+HEADING = "Look"

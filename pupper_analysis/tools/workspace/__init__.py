@@ -1,1 +1,3 @@
-"""How far can the base go, with feet planted?"""
+"""Map how far the base goes, feet planted."""
+
+HEADING = "Stance"
