@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.base.tools import own_tools
+from pupper_analysis.base.tools import HEADINGS, own_tools
 from tests.support.repository import ROOT
 
 QUICK = (
@@ -79,7 +79,7 @@ def check_without(tool: str, folder: Path) -> None:
     assert str(copy) in run(copy, "-c", code)
     said = run(copy, "-m", "pupper_analysis", "--help")
     left = {path.parent.name for path in (copy / "pupper_analysis/tools").glob("*/command.py")}
-    listed = re.findall(r"^  (\w+)  +\S", said.partition("Commands:")[2], re.M)
+    listed = re.findall(r"^  (\w+)  +\S", said.partition(f"{HEADINGS[0]}:")[2], re.M)
     assert set(listed) == left
     assert tool not in left
     assert len(left) > len(own_tools()) / 2
