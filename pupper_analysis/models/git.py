@@ -117,6 +117,15 @@ def _entries(listed: bytes | None) -> list[_Entry] | None:
     return entries
 
 
+def top_of(folder: Path) -> Path:
+    """Returns the top folder of the repository that a folder is in.
+
+    Raises:
+        ModelError: If it is in none; the message is git's.
+    """
+    return Path(_answer(str(folder), "rev-parse", "--show-toplevel", folder=folder).rstrip("\n"))
+
+
 def path_in(given: str, revision: str, inside: str) -> str:
     """Returns a path of ``REVISION:PATH`` from the repository's top, if git has it.
 
@@ -135,7 +144,9 @@ def path_in(given: str, revision: str, inside: str) -> str:
     return relative
 
 
-def write_revision(given: str, revision: str, root: Path, endings: tuple[str, ...]) -> None:
+def write_revision(
+    given: str, revision: str, root: Path, endings: tuple[str, ...], folder: Path | None = None
+) -> None:
     """Writes those files of a revision to a folder whose names end in one of some ways.
 
     Files are as they are committed; in place of a pointer of Git LFS is its file, if the repository
@@ -146,19 +157,22 @@ def write_revision(given: str, revision: str, root: Path, endings: tuple[str, ..
         revision: The revision.
         root: The folder, which is empty.
         endings: In small letters.
+        folder: A folder of the repository; by default the current one.
 
     Raises:
         ModelError: If git does not have it; the message is git's.
     """
-    found = _entries(_answer_bytes(given, "ls-tree", "-r", "-z", "--full-tree", revision)) or []
-    kept = _answer(given, "rev-parse", "--path-format=absolute", "--git-common-dir").rstrip("\n")
+    listed = _answer_bytes(given, "ls-tree", "-r", "-z", "--full-tree", revision, folder=folder)
+    kept = _answer(
+        given, "rev-parse", "--path-format=absolute", "--git-common-dir", folder=folder
+    ).rstrip("\n")
     wanted = [
         entry
-        for entry in found
+        for entry in _entries(listed) or []
         if entry.path.lower().endswith(endings) and not _leads_out(entry.path)
     ]
     links = []
-    for entry, content in _contents(given, wanted):
+    for entry, content in _contents(given, wanted, folder):
         place = root / entry.path
         place.parent.mkdir(parents=True, exist_ok=True)
         if entry.mode == _LINK:
@@ -195,11 +209,17 @@ def _brought(content: bytes, kept: Path) -> bytes:
         return content
 
 
-def _contents(given: str, entries: Sequence[_Entry]) -> Iterator[tuple[_Entry, bytes]]:
+def _contents(
+    given: str, entries: Sequence[_Entry], folder: Path | None
+) -> Iterator[tuple[_Entry, bytes]]:
     """Yields what git has of each entry."""
     command = _command(given, "cat-file", "--batch")
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=os.environ | _ENVIRONMENT
+        command,
+        cwd=folder,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env=os.environ | _ENVIRONMENT,
     ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
@@ -226,12 +246,12 @@ def _normal(path: str) -> str:
     return "/".join(parts)
 
 
-def _answer(given: str, *arguments: str) -> str:
-    return _answer_bytes(given, *arguments).decode(errors="surrogateescape")
+def _answer(given: str, *arguments: str, folder: Path | None = None) -> str:
+    return _answer_bytes(given, *arguments, folder=folder).decode(errors="surrogateescape")
 
 
-def _answer_bytes(given: str, *arguments: str) -> bytes:
-    result = _run(_command(given, *arguments))
+def _answer_bytes(given: str, *arguments: str, folder: Path | None = None) -> bytes:
+    result = _run(_command(given, *arguments), folder)
     if result.returncode:
         reason = one_line(result.stderr.decode(errors="replace")).removeprefix("fatal: ")
         raise ModelError(given, diagnose("not-in-git", reason=reason))

@@ -50,6 +50,30 @@ def test_efforts_that_nobody_meant_are_named_and_others_are_not(name: str) -> No
     assert bool(list(CHECKS["effort-placeholder"](model))) == (name in PLACEHOLDERS)
 
 
+BALLS = (
+    "alex_description/urdf/alex_sake_hands",
+    "asr_twodof_description/urdf/TwoDofs",
+    "baxter_description/urdf/baxter",
+    "pr2_description/urdf/pr2",
+    "simple_humanoid_description/urdf/simple_humanoid",
+    "tiago_description/robots/tiago",
+)
+TURNS = (
+    "anymal_b_simple_description/robots/anymal",  # 3 pi either way
+    "bolt_description/robots/bolt",
+    "iris_description/robots/iris",
+    "solo_description/robots/solo12",
+    "ur_description/urdf/ur5_joint_limited_robot",
+)
+
+
+@pytest.mark.parametrize("name", sorted({*BALLS, *TURNS, *MEANT}))
+def test_inertials_and_ranges_that_nobody_meant_are_named_and_others_are_not(name: str) -> None:
+    model = read_urdf_model(read_urdf(file(URDF, f"{name}.urdf")))
+    assert bool(list(CHECKS["inertial-placeholder"](model))) == (name in BALLS)
+    assert bool(list(CHECKS["range-placeholder"](model))) == (name in TURNS)
+
+
 FLIPPED = "com y flipped"  # by 1 to 3 cm, in shapes that do not tell
 LEGGED = [f"{name}_description/urdf/{name}" for name in ("a1", "go1", "go2", "b1", "laikago")]
 

@@ -175,6 +175,8 @@ def stated_numbers(model: mujoco.MjModel, tag: str, rows: Iterable[int]) -> dict
 
 def touching_geoms(model: mujoco.MjModel) -> set[int]:
     """Returns the geoms that can touch anything, by their bits or in a pair; others are seen."""
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+        return set()
     bits = np.flatnonzero((model.geom_contype != 0) | (model.geom_conaffinity != 0))
     return {*bits.tolist(), *model.pair_geom1.tolist(), *model.pair_geom2.tolist()}
 

@@ -20,11 +20,13 @@ from pupper_analysis.tools.check.config import (
     find_config,
     read_config,
 )
+from pupper_analysis.tools.check.history import of_history
 from pupper_analysis.tools.check.remarks import (
     REFUSED,
     BaselineEntry,
     Remark,
     RemarkState,
+    count_findings,
     judge_remarks,
     of_audit,
     of_comparison,
@@ -33,6 +35,7 @@ from pupper_analysis.tools.check.remarks import (
     relative_path,
     write_baseline,
 )
+from pupper_analysis.tools.diff.version import open_revision
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +47,8 @@ class PairCheck(Result):
         files: The files that were audited for it, and compared if there are two.
         agree: Whether they agree within the tolerances; None of one file, or where one cannot be
             read.
-        failures: How many remarks on it fail: differences, and findings in its files.
+        failures: How many remarks on it fail: differences, as one those that one slip explains
+            or that have the same values, and findings in its files.
         known: How many the baseline knows.
         disabled: {rule of the audit that was not run: the reason}.
         notes: What was assumed or left out, in plain words.
@@ -68,7 +72,8 @@ class RepositoryCheck(Result):
         baseline: The file of what is known; None if there is none.
         pairs: What was checked.
         remarks: What was found, what fails first, with what the baseline knows of it.
-        failures: How many of them fail: not known, and as bad as the configuration's ``fail-on``.
+        failures: How many of them fail: not known, and as bad as the configuration's ``fail-on``;
+            differences that one slip explains, or that have the same values, are one.
         stale: Entries of the baseline that do not occur any more; they were taken out if it was
             written anew.
         updated: Whether the baseline was written anew.
@@ -87,7 +92,7 @@ class RepositoryCheck(Result):
 
 @check_arguments
 def check_repository(
-    config: str | Path | None = None, *, update_baseline: bool = False
+    config: str | Path | None = None, *, update_baseline: bool = False, since: str | None = None
 ) -> RepositoryCheck:
     """Compares and audits all models that a ``pupper-analysis.toml`` names.
 
@@ -98,10 +103,14 @@ def check_repository(
         config: The configuration; by default that of the current folder, or of one above it.
         update_baseline: Write what is found to the baseline, so that all of it is known. What
             cannot be read is not taken; its entries stay.
+        since: A revision of git: what has changed since then is told, with what it does; it fails
+            where the robot falls or MuJoCo diverges, and where ``fail-on`` says so. No baseline
+            knows it.
 
     Raises:
         ConfigurationError: If there is no configuration.
-        ModelError: If it, or the baseline, is not valid; it tells the line.
+        ModelError: If it, or the baseline, is not valid; it tells the line. If git does not have
+            the revision.
         OutputError: If the baseline cannot be written.
     """
     settings = read_config(Path(config) if config is not None else find_config())
@@ -113,24 +122,24 @@ def check_repository(
         done, remarks = _check_pair(pair, settings.path.parent)
         pairs.append(done)
         found += remarks
+    if since is not None:
+        found += _changed(settings, since, found)
     known, left = judge_remarks(_distinct(found), before)
     unseen = _unseen(settings, known, left)
     if update_baseline:
         taken = [
-            BaselineEntry(remark.identity, remark.values)
-            for remark in known
-            if remark.kind != REFUSED
+            BaselineEntry(remark.identity, remark.values) for remark in known if _lasts(remark)
         ]
         write_baseline(settings.baseline, [*taken, *unseen])
         known = tuple(
-            remark if remark.kind == REFUSED else replace(remark, state=RemarkState.KNOWN)
+            replace(remark, state=RemarkState.KNOWN) if _lasts(remark) else remark
             for remark in known
         )
     ordered = sorted(
         (replace(remark, fails=_fails(remark, settings)) for remark in known),
         key=lambda remark: (not remark.fails, remark.severity.rank),
     )
-    failures = sum(remark.fails for remark in ordered)
+    failures = count_findings(remark for remark in ordered if remark.fails)
     return RepositoryCheck(
         config=str(settings.path),
         baseline=str(settings.baseline) if settings.baseline.exists() else None,
@@ -147,8 +156,29 @@ def _counted(pair: PairCheck, remarks: Iterable[Remark]) -> PairCheck:
     """Returns what was checked of a pair, with what came of it."""
     own = [one for one in remarks if one.pair == pair.name
            or (not one.pair and one.file in pair.files)]  # fmt: skip
-    known = sum(one.state is RemarkState.KNOWN for one in own)
-    return replace(pair, failures=sum(one.fails for one in own), known=known)
+    known = count_findings(one for one in own if one.state is RemarkState.KNOWN)
+    return replace(pair, failures=count_findings(one for one in own if one.fails), known=known)
+
+
+def _lasts(remark: Remark) -> bool:
+    """Whether a baseline may know it: not what cannot be read, nor what was otherwise once."""
+    return remark.kind != REFUSED and remark.check != "diff"
+
+
+def _changed(config: GuardConfig, since: str, found: Iterable[Remark]) -> Iterator[Remark]:
+    """Yields what has changed since a revision, but for what the comparison says itself."""
+    told, folder, done = list(found), config.path.parent, set()
+    refused = {remark.pair for remark in told if remark.kind == REFUSED}
+    differences = {(one.pair, one.kind, one.element) for one in told if one.check == "crosscheck"}
+    with open_revision(since, folder.absolute()) as before:
+        for pair in config.pairs:
+            for file in (pair.urdf, pair.mjcf):
+                if file is None or pair.name in refused or file in done:
+                    continue
+                done.add(file)
+                for remark in of_history(file, before, pair, folder):
+                    if (pair.name, remark.kind, remark.element) not in differences:
+                        yield remark
 
 
 def _fails(remark: Remark, config: GuardConfig) -> bool:

@@ -21,6 +21,11 @@ from pupper_analysis.cli.modes import refuse_unused
     help="Write all current findings to the baseline; from then on only new ones fail.",
 )
 @click.option(
+    "--since",
+    metavar="REVISION",
+    help="Also tell what has changed since this revision of git, and what it does in MuJoCo.",
+)
+@click.option(
     "--init",
     "first",
     is_flag=True,
@@ -32,6 +37,7 @@ from pupper_analysis.cli.modes import refuse_unused
 def command(
     config: Path | None,
     update_baseline: bool,
+    since: str | None,
     first: bool,
     everything: bool,
     json_path: Path | None,
@@ -41,7 +47,9 @@ def command(
 
     Findings that the baseline lists with the same value pass, so an existing robot can be guarded
     from today on: only a difference or finding that is new or has changed fails. Paths are relative
-    to the file. docs/how-to/check.md has an example, the GitHub Action and the pre-commit hook.
+    to the file. With --since, what an MJCF alone states (contacts, options, keyframes, servos) is
+    compared with an older revision, and a robot that falls now fails. docs/how-to/check.md has an
+    example, the GitHub Action and the pre-commit hook.
 
     \b
     A minimal pupper-analysis.toml:
@@ -62,6 +70,7 @@ def command(
       pupper-analysis check --init
       pupper-analysis check
       pupper-analysis check --update-baseline
+      pupper-analysis check --since origin/main
       pupper-analysis check --config robots/pupper-analysis.toml --format github
       pupper-analysis check --format sarif --json check.json
 
@@ -76,7 +85,7 @@ def command(
         refuse_unused("--init", {"--init": {"first", "config"}})
         _begin(config)
         return
-    result = check_repository(config, update_baseline=update_baseline)
+    result = check_repository(config, update_baseline=update_baseline, since=since)
     if style in ("text", "markdown"):
         shared.show_results([("", result)], style, everything=everything)
     else:

@@ -19,7 +19,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.audit.audit import RULES
 from pupper_analysis.tools.audit.document import LEVELS, MARKS, element_text, rule_words
 from pupper_analysis.tools.check.check import PairCheck, RepositoryCheck
-from pupper_analysis.tools.check.remarks import Remark, RemarkState
+from pupper_analysis.tools.check.remarks import Remark, RemarkState, count_findings
 
 
 @build_document.register(RepositoryCheck)
@@ -47,11 +47,11 @@ def check_document(check: RepositoryCheck, _: Robot | None = None) -> doc.Docume
 
 
 def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
-    """Puts together remarks of one kind and file with the same values, old and new."""
+    """Puts together what one slip explains, and what has the same values, old and new."""
     groups: dict[tuple[str, ...], list[Remark]] = {}
     for remark in remarks:
-        same = (remark.state, str(remark.values), str(remark.before))
-        key = (remark.check, remark.pair, remark.kind, remark.file, *same)
+        same = (remark.state, remark.kind, str(remark.values), str(remark.before))
+        key = (remark.check, remark.file, *same) if remark.check == "audit" else remark.finding
         groups.setdefault(key, []).append(remark)
     return list(groups.values())
 
@@ -59,16 +59,21 @@ def _groups(remarks: Iterable[Remark]) -> list[list[Remark]]:
 def _group(group: list[Remark]) -> doc.Sides:
     first, *others = group
     notes: list[doc.Words] = []
-    if others:
+    told = doc.tell(first.diagnostic if first.cause is None else first.cause)
+    if first.cause is not None:
+        notes.append(text("this-alone-makes-count-differences", count=len(group)))
+        notes.append(doc.tell(first.diagnostic))
+    elif others:
         names = join_words(doc.Name(remark.element) for remark in others)
         notes.append(text("likewise-on-count-more-names", count=len(others), names=names))
     if first.before is not None:
         notes.append(before_in_words(first))
+    notes += map(doc.tell, first.consequences)
     tag = text(
         "severity-check-kind-state",
         severity=word(str(first.severity)),
         check=first.check,
-        kind=first.kind,
+        kind=first.kind if first.cause is None else "cause",
         state=word(str(first.state)),
     ).marked(MARKS[first.severity])
     places = [first.place or first.file, *([first.other_place] if first.other_place else [])]
@@ -80,7 +85,6 @@ def _group(group: list[Remark]) -> doc.Sides:
         )
         for place in places
     )
-    told: doc.Words = doc.tell(first.diagnostic)
     if first.check == "audit" and first.kind in RULES:
         told = text("element-message", element=element_text(first.diagnostic), message=told)
         notes.append(rule_words(first.kind, "todo"))
@@ -133,13 +137,14 @@ def _pairs(pairs: Iterable[PairCheck]) -> doc.Table:
 
 def summarise_check(check: RepositoryCheck) -> Text:
     """Returns how much was found, in a line."""
-    counts = {state: sum(r.state is state for r in check.remarks) for state in RemarkState}
-    minor = sum(r.state is not RemarkState.KNOWN and not r.fails for r in check.remarks)
+    new = [r for r in check.remarks if r.state is not RemarkState.KNOWN]
+    known = count_findings(r for r in check.remarks if r.state is RemarkState.KNOWN)
+    minor = count_findings(r for r in new if not r.fails)
     parts = [text("count-to-mend", count=check.failures)]
     if minor:
         parts.append(text("count-of-less-severity-than", count=minor))
-    if counts[RemarkState.KNOWN]:
-        parts.append(text("count-known", count=counts[RemarkState.KNOWN]))
+    if known:
+        parts.append(text("count-known", count=known))
     if check.stale:
         parts.append(text("count-stale", count=len(check.stale)))
     found = join_words(parts)
@@ -178,9 +183,9 @@ def check_remarks(check: RepositoryCheck, *, in_a_change: bool = False) -> list[
             both files.
     """
     found = [
-        _annotation(remark, place)
-        for remark in check.remarks
-        for place in (_places(remark) if in_a_change else [remark.place])
+        _annotation(group, place)
+        for group in _findings(check.remarks)
+        for place in (_places(group[0]) if in_a_change else [group[0].place])
     ]
     found += [_of_baseline("stale", told, check) for told in stale_entries(check)]
     return found
@@ -217,19 +222,43 @@ def _places(remark: Remark) -> list[str | None]:
     return [*places] or [None]
 
 
-def _annotation(remark: Remark, place: str | None) -> Annotation:
+def _findings(remarks: Iterable[Remark]) -> Iterable[list[Remark]]:
+    """Puts together what one slip explains."""
+    groups: dict[tuple[str, ...], list[Remark]] = {}
+    for remark in remarks:
+        alone = () if remark.cause else (str(len(groups)),)
+        groups.setdefault((*remark.finding, *alone), []).append(remark)
+    return groups.values()
+
+
+def _annotation(group: list[Remark], place: str | None) -> Annotation:
+    remark = group[0]
     both = (remark.place, remark.other_place)
     others = [from_the_root(one) for one in both if one and one != place]
     other = f" [{others[0]}]" if others else ""
     before = f"; {before_in_words(remark).en}" if remark.before is not None else ""
+    level = "error" if remark.fails else LEVELS[remark.severity]
+    known = remark.state is RemarkState.KNOWN
+    if remark.cause is not None:
+        made = text("this-alone-makes-count-differences", count=len(group)).en
+        return Annotation(
+            level,
+            f"cause of {len(group)} differences",
+            f"{remark.cause}. {made} {remark.message}{other}{before}",
+            place,
+            rule=f"{remark.check}/cause",
+            about=about_kind("cause"),
+            known=known,
+            diagnostic=remark.cause,
+        )
     return Annotation(
-        "error" if remark.fails else LEVELS[remark.severity],
+        level,
         remark.subject,
         f"{remark.message}{other}{before}",
         place,
         rule=f"{remark.check}/{remark.kind}",
         about=remark.about,
-        known=remark.state is RemarkState.KNOWN,
+        known=known,
         diagnostic=remark.diagnostic,
     )
 

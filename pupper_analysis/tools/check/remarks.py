@@ -59,7 +59,7 @@ class Remark(Result):
     """One difference between two files, or one finding in a file.
 
     Attributes:
-        check: ``crosscheck`` or ``audit``.
+        check: ``crosscheck``, ``audit``, or ``diff`` for what has changed since a revision.
         pair: The name of the pair of which it is a difference; "" for a finding, which is the
             file's, whatever pairs have that.
         kind: The difference's kind; ``joint``, ``part``, ``agreement`` or ``base`` for what is no
@@ -75,6 +75,8 @@ class Remark(Result):
         state: What the baseline knows of it.
         before: The values in the baseline, if these are others.
         fails: Whether it makes the check fail: not known, and severe enough.
+        cause: The slip that explains this difference with others.
+        consequences: What a change since a revision does in a simulation.
     """
 
     check: str
@@ -91,6 +93,8 @@ class Remark(Result):
     state: RemarkState = RemarkState.NEW
     before: Mapping[str, Any] | None = None
     fails: bool = False
+    cause: Diagnostic | None = None
+    consequences: tuple[Diagnostic, ...] = ()
 
     _told = ("message",)
 
@@ -98,7 +102,7 @@ class Remark(Result):
     def message(self) -> str:
         """One sentence; of a finding also what to do."""
         if self.check != "audit" or self.kind not in RULES:
-            return str(self.diagnostic)
+            return "; ".join(map(str, (self.diagnostic, *self.consequences)))
         told = str(self.diagnostic).rstrip(".")
         return f"{self.element}: {told}. {RULES[self.kind].todo}"
 
@@ -106,6 +110,20 @@ class Remark(Result):
     def identity(self) -> tuple[str, str, str, str, str]:
         """What tells it from other remarks, whatever its values, and wherever it stands."""
         return self.check, self.pair, self.file, self.kind, self.element
+
+    @property
+    def finding(self) -> tuple[str, ...]:
+        """What tells it from others to be mended.
+
+        Differences that one slip explains are one, and so are those with the same two values.
+        """
+        if self.check == "audit":
+            return self.identity
+        what = (self.kind, str(self.values), str(self.before))
+        return (
+            self.check, self.pair, self.file, self.state,
+            *((str(self.cause),) if self.cause else what),
+        )  # fmt: skip
 
     @property
     def subject(self) -> str:
@@ -119,7 +137,10 @@ class Remark(Result):
 def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> Iterator[Remark]:
     """Yields a remark per difference, per joint in one file only, and per objection."""
     file = relative_path(comparison.urdf, folder)
-    for difference in comparison.differences:
+    causes = {
+        number: cause.diagnostic for cause in comparison.causes for number in cause.differences
+    }
+    for number, difference in enumerate(comparison.differences):
         values = {"urdf": difference.urdf, "mjcf": difference.mjcf}
         yield Remark(
             "crosscheck",
@@ -133,6 +154,7 @@ def of_comparison(comparison: Comparison, pair: GuardedPair, folder: Path) -> It
             about_kind(difference.kind),
             difference.urdf_place,
             difference.mjcf_place,
+            cause=causes.get(number),
         )
     told = [("part", "", part, comparison.urdf) for part in comparison.parts]
     for joints, path, other in (
@@ -348,6 +370,11 @@ def judge_remarks(
             before = here.pop(0).values
             result[number] = replace(remark, state=RemarkState.CHANGED, before=before)
     return tuple(result), tuple(entry for here in waiting.values() for entry in here)
+
+
+def count_findings(remarks: Iterable[Remark]) -> int:
+    """Counts what is to be mended; see `Remark.finding`."""
+    return len({remark.finding for remark in remarks})
 
 
 def is_same(one: Any, two: Any) -> bool:

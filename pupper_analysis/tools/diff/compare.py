@@ -28,7 +28,11 @@ from pupper_analysis.robot.matching.alignment import align_frames
 from pupper_analysis.robot.matching.conventions import find_conventions
 from pupper_analysis.robot.matching.pairs import guess_of_trees
 from pupper_analysis.robot.matching.tolerances import Tolerances
-from pupper_analysis.tools.diff.elements import ElementDifference, changed_elements
+from pupper_analysis.tools.diff.elements import (
+    ElementDifference,
+    changed_elements,
+    effect_of_all,
+)
 from pupper_analysis.tools.diff.version import Version, VersionedFile, open_version, version_of
 
 
@@ -84,6 +88,8 @@ class ModelDiff(Result):
         deviations: {quantity: relative deviation between the two}.
         residual: {quantity: relative deviation that no change explains}.
         complete: Whether nothing is left.
+        together: Of two MJCFs: what all changes do when both files are simulated as they are; none
+            if it is told of the only one.
         notes: What was assumed or left out.
     """
 
@@ -96,6 +102,7 @@ class ModelDiff(Result):
     deviations: dict[str, float]
     residual: dict[str, float]
     complete: bool
+    together: tuple[Diagnostic, ...]
     notes: tuple[Diagnostic, ...]
 
 
@@ -231,6 +238,10 @@ class _Comparison:
         if isinstance(one, MjcfFile) and isinstance(two, MjcfFile):
             models = one.model, two.model
         self.differences += changed_elements(self.one.elements, self.two.elements, models)
+        together: tuple[Diagnostic, ...] = ()
+        alone = [isinstance(each, ElementDifference) for each in self.differences] == [True]
+        if models is not None and not alone:  # what one does alone is told of it
+            together = effect_of_all(*models, explained=bool(self.differences))
         patched = trial.behaviour(apply_changes(first, second, VERSIONS))
         left = {name: judge.relative(name, patched[name], after[name]) for name in patched}
         holding = trial.holding_torques(first), trial.holding_torques(second)
@@ -238,13 +249,14 @@ class _Comparison:
         return ModelDiff(
             old=self.sources[0].name,
             new=self.sources[1].name,
-            same=not self.differences,
+            same=not (self.differences or together),
             changes=tuple(map(self._change, self.differences)),
             mass=(_mass(first), _mass(second)),
             torques={name: (holding[0][name], holding[1][name]) for name in first.joints},
             deviations={name: judge.relative(name, before[name], after[name]) for name in before},
             residual=left,
             complete=all(value <= EXPLAINED for value in left.values()),
+            together=together,
             notes=tuple(dict.fromkeys((*self.one.notes, *self.two.notes, *_undefined(trial)))),
         )
 

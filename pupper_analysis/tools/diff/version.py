@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -248,3 +249,23 @@ def open_version(given: str | Path) -> Iterator[VersionedFile]:
         asked = (relative.lower(),) if relative else ()
         git.write_revision(text, revision, root, (*_NEEDED, *asked))
         yield VersionedFile(root / relative, text, revision, root)
+
+
+@contextmanager
+def open_revision(revision: str, folder: Path) -> Iterator[Callable[[Path], Path]]:
+    """Yields what returns the place of a copy of what git has of a file, with all it may include.
+
+    Args:
+        revision: The revision.
+        folder: A folder of the repository.
+
+    Raises:
+        ModelError: If git does not have it; the message is git's.
+    """
+    if revision.startswith("-"):
+        raise ModelError(revision, diagnose("no-revision", revision=revision))
+    top = git.top_of(folder)
+    with tempfile.TemporaryDirectory() as copy:
+        root = Path(copy).resolve()
+        git.write_revision(revision, revision, root, _NEEDED, folder)
+        yield lambda path: root / os.path.relpath(path.resolve(), top.resolve())

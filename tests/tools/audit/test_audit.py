@@ -315,6 +315,46 @@ CASES = [
         (Edit(FL_HFE, 'upper="1.2"', 'upper="0.1"'),),
     ),
     urdf("effort-placeholder", "joint 'FL_HFE'", FL_HFE, "<limit", 'effort="18"', 'effort="1000"'),
+    Case(
+        "range-placeholder",
+        "urdf",
+        "joint 'FL_HAA'",
+        (FL_HAA, "<limit"),
+        tuple(
+            Edit(
+                f'<joint name="{leg}_{part}"',
+                'lower="[^"]*" upper="[^"]*"',
+                'lower="-3.14" upper="3.14"',
+            )
+            for leg in ("FL", "FR", "RL", "RR")
+            for part in ("HAA", "HFE", "KFE")
+        ),
+    ),
+    Case(
+        "inertial-placeholder",
+        "urdf",
+        "link 'FL_calf'",
+        (FL_CALF, "<inertia "),
+        tuple(
+            Edit(
+                f'<link name="{leg}_calf">',
+                "<inertia [^>]*>",
+                '<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/>',
+            )
+            for leg in ("FL", "FR")
+        ),
+    ),
+    Case(
+        "inertial-placeholder",
+        "urdf",
+        "link 'FL_hip'",
+        ('<link name="FL_hip">', "<mass"),
+        tuple(
+            Edit(f'<link name="{leg}_{part}">', '<mass value="[^"]*"', '<mass value="1"')
+            for leg in ("FL", "FR", "RL", "RR")
+            for part in ("hip", "thigh", "calf")
+        ),
+    ),
     # ---- values
     urdf("value-impossible", "link 'FL_calf'", FL_CALF, "<cylinder", "0.011", "-0.011"),
     urdf(

@@ -9,19 +9,16 @@ import mujoco
 import pytest
 
 import pupper_analysis as pa
+from pupper_analysis.models import attributes
+from pupper_analysis.models.stated import elements
+from tests.support.one_place_edits import FALLS, FELT, HARMLESS, Edit, copied
 from tests.support.repository import ROOT
 
-SHARED = "pupper_v3_shared.xml"
-CONTACT = 'solimp="0.015 1 0.015"'
 
-
-def edited(folder: Path, file: str, old: str, new: str) -> Path:
+def edited(folder: Path, edit: Edit) -> Path:
     """Returns v3's MJCF with one edit."""
-    place = folder / "new"
-    shutil.copytree(ROOT / "mjcf", place, ignore=shutil.ignore_patterns("*.md"))
-    text = (place / file).read_text()
-    assert old in text
-    (place / file).write_text(text.replace(old, new))
+    place = copied(folder)
+    edit.written(place)
     return place / "pupper_v3.xml"
 
 
@@ -34,54 +31,59 @@ def rest_height(file: Path) -> float:
     return float(data.qpos[2])
 
 
-FELT = {
-    "conaffinity": (SHARED, 'conaffinity="1"', 'conaffinity="0"', 40),
-    "shape": ("pupper_v3_body.xml", '"collision" type="sphere" size="0.01995"',
-              '"collision" type="sphere" size="0.0399"', 23),
-    "margin": (SHARED, CONTACT, CONTACT + ' margin="0.02"', 40),
-    "solref": (SHARED, CONTACT, CONTACT + ' solref="0.3 1"', 40),
-    "condim": (SHARED, 'condim="6"', 'condim="1"', 35),
-    "impratio": (SHARED, 'impratio="100"', 'impratio="1"', 5),
-    "cone": (SHARED, 'cone="elliptic"', 'cone="pyramidal"', 5),
-    "timestep": (SHARED, 'timestep="0.002"', 'timestep="0.01"', 5),
-}  # fmt: skip
-HARMLESS = {
-    "friction": (SHARED, 'friction="0.8', 'friction="0.3', 40),  # the floor's is 1, the larger
-    "gap": (SHARED, CONTACT, CONTACT + ' gap="0.001"', 40),
-}
-
-
-@pytest.mark.parametrize("word", [*FELT, *HARMLESS])
-def test_one_edit_is_one_change_with_its_line_and_what_mujoco_makes_of_it(
-    tmp_path: Path, word: str
+@pytest.mark.parametrize("name", [*FELT, *HARMLESS])
+def test_one_edit_is_told_at_its_line_with_what_mujoco_makes_of_it(
+    tmp_path: Path, name: str
 ) -> None:
-    file, old, new, line = (FELT | HARMLESS)[word]
-    before, after = ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, file, old, new)
+    edit = (FELT | HARMLESS)[name]
+    before, after = ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, edit)
     diff = pa.diff_models(before, after)
     assert not diff.same
-    assert {str(change.diagnostic.values["what"] or change.element) for change in diff.changes} == {
-        word
-    }
-    change = diff.changes[0]
-    assert change.new_place.endswith(f"{file}:{line}")
-    assert ("simulated motion" in change.effects) is (word in FELT)
-    codes = {told.code for told in change.consequences}
-    assert ("simulation-unchanged" in codes) is (word in HARMLESS)
-    # The height it tells is the one that bare MuJoCo has.
-    told = next((one for one in change.consequences if one.code == "simulation-changes"), None)
-    rise = rest_height(after) - rest_height(before)
-    if told is not None and word != "shape":  # left and right are one change each there
-        stated = told.values["higher"] or told.values["lower"] or told.values["falls"]
-        if stated is not None:
-            assert float(stated.value) == pytest.approx(abs(rise), rel=0.01, abs=2e-3)  # of the com
-            assert bool(told.values["higher"]) is (rise > 0)
+    assert any(change.new_place.endswith(f"{edit.file}:{edit.line}") for change in diff.changes)
+    told = [one for change in diff.changes for one in change.consequences] + [*diff.together]
+    codes = {one.code for one in told}
+    assert ("simulation-changes" in codes) is (name in FELT)
+    assert (codes == {"simulation-unchanged"}) is (name in HARMLESS)
+    # The height that all of it tells together is the one that bare MuJoCo has.
+    whole = [one for one in diff.together or told if one.code == "simulation-changes"]
+    for one in whole:
+        stated = [one.values["higher"], one.values["lower"], one.values["falls"]]
+        (height,) = [value.value for value in stated if value is not None] or [0.0]
+        rise = rest_height(after) - rest_height(before)
+        assert height == pytest.approx(abs(rise), rel=0.01, abs=3e-3)  # of the com, not the base
+        assert (one.values["falls"] is not None) is (name in FALLS)
 
 
-def test_a_flag_and_a_keyframe(tmp_path: Path) -> None:
-    flag = edited(tmp_path, SHARED, '-9.81"/>', '-9.81"><flag contact="disable"/></option>')
-    (change,) = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", flag).changes
-    assert (change.kind, change.element, change.new) == ("flag", "contact", 0.0)
-    assert change.consequences[0].values["falls"].value > 10
+@pytest.mark.parametrize("name", [name for name, edit in FELT.items() if edit.urdf])
+def test_what_both_files_state_the_comparison_sees(tmp_path: Path, name: str) -> None:
+    after = edited(tmp_path, FELT[name])
+    comparison = pa.compare_models(ROOT / "urdf/pupper_v3.urdf", after)
+    assert not comparison.agree
+    assert {difference.kind for difference in comparison.differences} == {FELT[name].urdf}
+
+
+def test_several_changes_are_also_told_together(tmp_path: Path) -> None:
+    """Friction of 0.01 counts where the floor's priority is the higher: alone neither does it."""
+    after = edited(tmp_path, FELT["floor's friction"])
+    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", after)
+    assert {str(change.diagnostic.values["what"]) for change in diff.changes} == {
+        "friction", "priority",
+    }  # fmt: skip
+    (slope,) = [told for told in diff.together if told.code == "slides-from"]
+    assert slope.values["two"].value == pytest.approx(0.01, rel=1e-3)
+    assert slope.values["one"].value == pytest.approx(0.7854, rel=1e-3)
+
+
+def test_what_no_change_explains_is_no_same_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever the table of elements lacks, both files are simulated."""
+    table = [row for row in attributes.ELEMENT_ATTRIBUTES if row.word != "impratio"]
+    monkeypatch.setattr(elements, "ELEMENT_ATTRIBUTES", table)
+    diff = pa.diff_models(ROOT / "mjcf/pupper_v3.xml", edited(tmp_path, FELT["impratio"]))
+    assert not diff.changes
+    assert not diff.same
+    assert [told.code for told in diff.together] == ["simulation-changes"]
 
 
 def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:

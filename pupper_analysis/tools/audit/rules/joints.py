@@ -196,6 +196,22 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
 
 
 @rule
+def range_placeholder(robot: RobotModel) -> Iterator[Found]:
+    """Finds one range of half a turn or more either way at all hinges, four or more."""
+    hinges = [j for j in robot.joints.values() if j.kind == HINGE and math.isfinite(j.upper)]
+    if len(hinges) < _HINGES:
+        return
+    upper = hinges[0].upper
+    if upper >= _HALF_TURN and all(j.upper == upper and j.lower == -upper for j in hinges):
+        told = diagnose("one-range-of-all", upper=Quantity(upper, "rad"), count=len(hinges))
+        yield Found("joint", hinges[0].name, told, "limit")
+
+
+_HINGES, _HALF_TURN = 4, 3.1
+"""Fewer may be alike; 3.1 rad is the least that people write for half a turn."""
+
+
+@rule
 def effort_or_velocity_zero(robot: UrdfModel) -> Iterator[Found]:
     """Finds <limit effort="0"> and <limit velocity="0"> on joints that move and mimic none."""
     for name, joint in robot.file.tree.joints.items():

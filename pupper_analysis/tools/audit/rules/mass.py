@@ -312,6 +312,48 @@ def inertia_implausible(robot: RobotModel) -> Iterator[Found]:
         yield Found(robot.link_tag, body.name, told, robot.inertial_part("inertia"))
 
 
+@rule
+def inertial_placeholder(robot: RobotModel) -> Iterator[Found]:
+    """Finds tensors of a ball with a round moment, and one round mass of all moving links.
+
+    Round is 1, 0.1, 0.01 ...: no body has such a tensor but by a choice, and exporters choose it.
+    """
+    moving = [
+        (body, body.inertial)
+        for body in robot.links.values()
+        if body.moving and body.inertial is not None and body.inertial.stated
+    ]
+    balls: dict[float, list[str]] = {}
+    for body, inertial in moving:
+        moment = float(inertial.inertia[0, 0])
+        ball = np.allclose(inertial.inertia, moment * np.eye(3), rtol=1e-9, atol=1e-9 * moment)
+        if ball and _is_round(moment) and not robot.is_negligible(body):
+            balls.setdefault(moment, []).append(body.name)
+    for moment, names in balls.items():
+        if len(names) >= _SEVERAL:
+            told = diagnose(
+                "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
+            )
+            yield Found(robot.link_tag, names[0], told, robot.inertial_part("inertia"))
+    masses = {sum(part.mass for part in robot.fixed_group(body.name)) for body, _ in moving}
+    if len(moving) > _SEVERAL and len(masses) == 1 and _is_round(mass := masses.pop()):
+        told = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
+        yield Found(robot.link_tag, moving[0][0].name, told, robot.inertial_part("mass"))
+
+
+_SEVERAL = 2
+"""One link may have any number by chance."""
+
+
+def _is_round(value: float) -> bool:
+    """Whether a number is a power of ten."""
+    return value > 0 and bool(abs(np.log10(value) - round(np.log10(value))) < ROUND)
+
+
+ROUND = 1e-9
+"""Of a logarithm: a power of ten, but for the rounding of binary numbers."""
+
+
 def _solid_box(points: Array, mass: float) -> float:
     """Returns the greatest moment (kg m^2) of a solid box around points (n, 3), in their axes."""
     _, middle, greatest = np.sort(np.ptp(points, axis=0))

@@ -1,0 +1,29 @@
+"""Random edits of what touches, options, keyframes and pairs: `diff` beside bare MuJoCo.
+
+Of robots that nobody chose; those that others have published are in `tests/robots`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.random_edits import FELT, answers
+from tests.support.random_legged import drawn, written
+from tests.support.repository import ROOT
+
+
+def test_what_moves_v3_is_told(tmp_path: Path) -> None:
+    found = answers(ROOT / "mjcf/pupper_v3.xml", 12, 0, tmp_path)
+    assert not [one for one in found if not one.right]
+    assert any(one.truth > FELT for one in found)
+
+
+@pytest.mark.parametrize("seed", [44, 46])
+def test_what_moves_a_random_robot_is_told(tmp_path: Path, seed: int) -> None:
+    (tmp_path / "drawn").mkdir()
+    source = written(drawn(seed), tmp_path / "drawn").mjcf
+    found = answers(source, 12, 1000 * seed, tmp_path)
+    assert not [one for one in found if not one.right]
+    assert any(one.truth > FELT for one in found)
