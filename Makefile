@@ -45,7 +45,7 @@ test: $(VENV)/.ready ## run the tests, without the long proofs
 test-slow: $(VENV)/.ready ## run the long proofs
 	$(BIN)/python -m pytest -m "slow and not longest"
 
-test-longest: $(VENV)/.ready-mutation ## run the longest proofs, with a few mutants: some six minutes
+test-longest: $(VENV)/.ready-mutation ## run the longest proofs, with a few mutants: an hour
 	$(RECORDED) "make test-longest" $(BIN)/python -m pytest -m longest
 
 test-lowest: $(LOWEST)/.ready ## run quick tests with the lowest versions that are allowed

@@ -21,6 +21,11 @@ PAIRS = {
 }
 
 
+UNWRITTEN = {"go1": {f"{leg}_calf_joint: collision" for leg in ("FL", "FR", "RL", "RR")}}
+"""{robot: differences that no number in a file mends}: Go1's feet have 20 mm in one file, 23 in the
+other, and shapes are not written."""
+
+
 @pytest.mark.longest
 @pytest.mark.parametrize("side", ["urdf", "mjcf"])
 @pytest.mark.parametrize("robot", PAIRS)
@@ -30,15 +35,18 @@ def test_published_files_are_made_to_agree(robot: str, side: str, tmp_path: Path
     files = shutil.copy(urdf, tmp_path), tmp_path / "mjcf" / mjcf.name
     result = pa.sync_models(*files, take=side, tolerances=FINE, take_absent=True)
     assert len(result.differences) > 25
-    assert result.not_mended == ()
+    unwritten = UNWRITTEN.get(robot, set())
+    assert {one.difference for one in result.not_mended} == unwritten
+    assert {one.reason.code for one in result.not_mended} <= {"collision-unwritten"}
     compared = pa.compare_models(
         *files, tolerances=pa.matching.Tolerances.strict(), configurations=3
     )
-    assert compared.agree
+    assert compared.agree is (not unwritten)
+    assert {f"{one.element}: {one.kind}" for one in compared.differences} == unwritten
     assert max(compared.deviations.values()) < 1e-9
     # Lines without a number that is written are the same lines.
     for old, new in zip((urdf, mjcf), files, strict=True):
         kept = [line for line in Path(new).read_bytes().splitlines() if b'="' not in line]
         assert kept == [line for line in old.read_bytes().splitlines() if b'="' not in line]
     again = pa.sync_models(*files, take=side, tolerances=FINE)
-    assert (again.edits, again.agree) == ((), True)
+    assert (again.edits, again.agree) == ((), not unwritten)

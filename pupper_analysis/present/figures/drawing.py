@@ -121,6 +121,9 @@ def _draw(drawing: Drawing, axes: Axes, size: float) -> None:
                 axes.add_patch(Circle(place, radius, color=_COLOURS[kind], fill=fill, lw=0.7))
             case "text":
                 _write(mark, axes, size)
+    # All of it is inside the drawing's own frame: laying out need not measure each word.
+    for artist in axes.get_children():
+        artist.set_in_layout(False)
 
 
 def _line(kind: str, width: float) -> dict[str, Any]:
