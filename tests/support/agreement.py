@@ -25,6 +25,7 @@ from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.tools.stand.stance import study_stance
 from tests.support import random_legged
 from tests.support.commands import Answer, answer
+from tests.support.html_page import Page
 
 INSIDE, OUTSIDE = 0.97, 1.03
 """Parts of a limit that is printed: what holds, and what does not. Limits that a simulation finds
@@ -77,9 +78,11 @@ def of_robot(name: str, folder: Path, *files: str) -> Agreement:
     """Types what commands print of a robot into other commands."""
     begun = time.monotonic()
     found, run = Agreement(name), Commands(folder, files)
-    stood, stance = run("stand")
+    page = folder / "page.html"
+    stood, stance = run("stand", "--report", str(page))
     found.codes["stand"] = _code(stood, stance)
     if stance:
+        _compare_page(found, Page(page.read_text()), stance)
         _compare_interface(found, stance, files)
         _compare_push(found, run, stance)
     _compare_path(found, run, stood, stance)
@@ -92,6 +95,43 @@ def of_robot(name: str, folder: Path, *files: str) -> Agreement:
 
 def _code(done: Answer, content: dict[str, Any]) -> str:
     return str(content["verdict"]["code"]) if "verdict" in content else f"exit {done.returncode}"
+
+
+def _compare_page(found: Agreement, page: Page, stance: dict[str, Any]) -> None:
+    """What the page shows is what the JSON has, to the digits that are shown."""
+    word = "FAILS" if not stance["verdict"]["passed"] else "HOLDS"
+    if word not in page.shown():
+        found.disagreements.append(f"page: no word {word}")
+    tables, statics, run = page.tables(), stance["statics"], stance["verification"]
+    whole = {row["quantity"]: row["value"] for row in tables["Stance"]}
+    near = stance["stand"]["ground_clearance"]
+    asked = [
+        ("torque", _column(tables["Motor torques"], "torque"), statics["joint_torques"]),
+        ("simulated", _column(tables["Motor torques"], "simulated"), run["joint_torques"]),
+        ("position", _column(tables["Motor torques"], "position"), stance["joint_positions"]),
+        ("height", [whole["height of the base"]], [1e3 * stance["stand"]["task"]["height"]]),
+        ("com", [whole["com margin"]], [1e3 * stance["stand"]["com_margin"]]),
+    ]
+    if near is not None:
+        asked.append(("clearance", [whole["ground clearance"]], [1e3 * near["distance"]]))
+    title = next(title for title in tables if title.startswith("Contact forces on the feet"))
+    forces = {row["foot"]: row for row in tables[title]}
+    for foot, (_, _, upward) in statics["contact_forces"].items():
+        asked.append((f"force of {foot}", _column([forces[foot]], "force z"), [upward]))
+    for what, shown, meant in asked:
+        if len(shown) != len(meant) or not all(map(_is_shown, shown, meant)):
+            found.disagreements.append(f"page: {what} {shown}, JSON {meant}")
+
+
+def _column(rows: list[dict[str, str]], name: str) -> list[str]:
+    """Returns a column's cells, whatever its unit."""
+    return [cell for row in rows for head, cell in row.items() if head.startswith(f"{name} (")]
+
+
+def _is_shown(shown: str, meant: float) -> bool:
+    """Whether a number is the one that is meant, in the digits that are shown."""
+    digits = len(shown.partition(".")[2])
+    return abs(float(shown) - meant) <= 0.501 * 10.0**-digits
 
 
 def _compare_interface(found: Agreement, stance: dict[str, Any], files: Sequence[str]) -> None:

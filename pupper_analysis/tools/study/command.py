@@ -91,7 +91,7 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.study import document as report
     from pupper_analysis.tools.study.of_variants import Study
-    from pupper_analysis.tools.study.outcome import check_objectives, study_outcome
+    from pupper_analysis.tools.study.outcome import check_objectives, rests_on, study_outcome
     from pupper_analysis.tools.study.study import estimate_study
 
     if dry_run:
@@ -113,7 +113,8 @@ def command(
     if style == "text":
         from pupper_analysis.tools.study.document import measured_document
 
-        _show(measured_document(file.stem, study.variables, table), style, everything)
+        told = measured_document(file.stem, study.variables, table, rests_on(study.base))
+        _show(told, style, everything)
     if figures or report_path or style == "markdown":
         outcome = study_outcome(study, folder, minimise=minimise, maximise=maximise)
         if figures:

@@ -234,9 +234,10 @@ class Maker:
         stand = self._stands.get(
             (key, tuple(sorted(stance.items()))), lambda: self._stand(robot, stance)
         )
+        own = not gains
         if gains:
             robot = with_gains(robot, gains.pop("kp", None), gains.pop("kd", None), gains)
-        return Design(robot, stand)
+        return Design(robot, stand, own_servos=own)
 
     def _robot(self, numbers: Mapping[str, float]) -> Robot:
         scales = {name: v for name, v in numbers.items() if name in self.source.scales}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from pupper_analysis.base.diagnostics import Diagnostic
 from pupper_analysis.present import document as doc
 from pupper_analysis.present.documents.registry import build_document
 from pupper_analysis.present.documents.sources import page_of
@@ -51,6 +52,7 @@ def study_document(outcome: StudyOutcome, _: Robot | None = None) -> doc.Documen
     told: list[doc.Words] = [
         text("count-designs-of-which-failed", count=len(outcome.table), failed=failed)
     ]
+    told += map(doc.tell, outcome.rests_on)
     if outcome.converted:
         told.append(text("study-from-one-file"))
     if len(outcome.table) < outcome.designs:
@@ -397,7 +399,10 @@ def duration_text(seconds: float) -> str:
 
 
 def measured_document(
-    name: str, variables: Mapping[str, object], table: pd.DataFrame
+    name: str,
+    variables: Mapping[str, object],
+    table: pd.DataFrame,
+    rests_on: Sequence[Diagnostic] = (),
 ) -> doc.Document:
     """Returns the range of each metric, and failures by kind: what is known without an outcome.
 
@@ -405,6 +410,7 @@ def measured_document(
         name: What was studied.
         variables: Of the study, by name.
         table: Of the study.
+        rests_on: What its stands rest on; see ``StudyOutcome``.
     """
     rows: list[tuple[doc.Cell, ...]] = []
     for metric in metrics_in(table, tuple(variables)):
@@ -435,7 +441,8 @@ def measured_document(
             text("count-kind", count=int(count), kind=word(str(kind))) for kind, count in ordered
         )
         told = text("designs-kinds", designs=told, kinds=named)
-    return doc.Document(text("study-of-designs"), doc.Name(name), (measured,), told=(told,))
+    lines = (told, *map(doc.tell, rests_on))
+    return doc.Document(text("study-of-designs"), doc.Name(name), (measured,), told=lines)
 
 
 # Studies on a terminal: the bar while they run.

@@ -18,6 +18,8 @@ from pupper_analysis.base.diagnostics import diagnose, phrase
 from pupper_analysis.base.errors import ConfigurationError, NotStandingError, PupperAnalysisError
 from pupper_analysis.base.runs import note_input
 from pupper_analysis.base.tools import other_tools, own_tools
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.present.verdict import own_clauses
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.stability import Stability
 from pupper_analysis.simulation.causes import describe_growth
@@ -40,10 +42,12 @@ class Design:
     Attributes:
         robot: The robot, with its payload and its servos' gains.
         stand: How it stands.
+        own_servos: Whether these gains are its file's, and what that does by itself counts.
     """
 
     robot: Robot
     stand: Stand
+    own_servos: bool = True
 
     @cached_property
     def statics(self) -> GravityCompensation:
@@ -160,6 +164,9 @@ def text_key(metric: str) -> str:
 
 def _stands(design: Design) -> bool:
     """Tells so, or says why not: it stays up, and neither shakes nor buckles within 12 s."""
+    own = own_run(design.robot) if design.own_servos else None
+    if own is not None and own.fails:
+        raise NotStandingError(tuple(clause.told for clause in own_clauses(own) if not clause.good))
     leaving = design.stability.leaving()
     if leaving:
         raise NotStandingError((describe_growth(leaving[0]),))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +15,12 @@ import orjson
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.diagnostics.record import from_record
-from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
+from pupper_analysis.prepare.own_run import own_run
+from pupper_analysis.present.verdict import on_servos, own_clauses
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.servos import servos_used
 from pupper_analysis.tools.study.cells import (
     Cells,
     metrics_in,
@@ -94,6 +99,7 @@ class StudyOutcome(Result):
         robot: Whose it is, as it was asked.
         converted: ``"urdf"`` or ``"mjcf"``: which of its models was made of the other one; empty if
             each has a file.
+        rests_on: What its stands rest on: what its file does by itself, servos that were added.
         variables: {number: what it varies over, as a study's file says it}.
         table: One row per design that is there.
         designs: How many the study asks for.
@@ -111,6 +117,7 @@ class StudyOutcome(Result):
 
     robot: str
     converted: str
+    rests_on: tuple[Diagnostic, ...]
     variables: dict[str, dict[str, Any]]
     table: pd.DataFrame
     designs: int
@@ -166,6 +173,7 @@ def study_outcome(
     return StudyOutcome(
         robot=_named(study.source.asked()),
         converted=study.base.description.converted,
+        rests_on=rests_on(study.base),
         variables={name: one.asked() for name, one in study.variables.items()},
         table=table,
         designs=len(study),
@@ -178,6 +186,15 @@ def study_outcome(
         certainty=_certainty(study, table),
         tolerance=tolerance,
     )
+
+
+def rests_on(robot: Robot) -> tuple[Diagnostic, ...]:
+    """Returns what stands of a robot rest on; see ``StudyOutcome``."""
+    told = [clause.told for clause in own_clauses(own_run(robot))]
+    with contextlib.suppress(ModelError):  # without servos gains are given
+        servos = servos_used(robot)
+        told += [on_servos(servos, good=True).told] if servos.made else []
+    return tuple(told)
 
 
 def check_objectives(

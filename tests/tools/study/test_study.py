@@ -12,6 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -20,7 +21,9 @@ from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.document import measured_document
 from pupper_analysis.tools.study.measures import METRICS
+from pupper_analysis.tools.study.outcome import rests_on
 from pupper_analysis.tools.study.parameters import (
     Named,
     joints_of,
@@ -31,7 +34,7 @@ from pupper_analysis.tools.study.parameters import (
 )
 from pupper_analysis.tools.study.study import names_of
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, make_variable
-from tests.support import study_metrics
+from tests.support import slips, study_metrics
 from tests.support.commands import answer
 from tests.support.repository import ROOT
 from tests.support.variants import load, stand_of
@@ -572,6 +575,29 @@ def test_measures_are_what_their_names_say() -> None:
     assert isinstance(torques, dict)
     assert list(torques) == list(robot.joint_names)
     assert list(torques.values()) == pytest.approx(statics.joint_torques.tolist())
+
+
+def test_no_design_stands_whose_file_falls_by_itself(tmp_path: Path) -> None:
+    """On servos that were added in the place of its own; with gains that are given it may."""
+    pair = slips.standing(tmp_path)
+    text = pair.mjcf.read_text()
+    for kp, stands in (("150", True), ("-150", False)):
+        pair.mjcf.write_text(text.replace('kp="150"', f'kp="{kp}"'))
+        files = {"urdf": str(pair.urdf), "mjcf": str(pair.mjcf)}
+        study = pa.Study(files, {"kp": [150.0], "kd": [5.0]}, ["stands"])
+        maker = Maker(study.source, study.task, study.point)
+        assert study.metrics[0].function(maker.design({"kp": 150.0, "kd": 5.0}))
+        if stands:
+            assert study.metrics[0].function(maker.design({}))
+        else:
+            with pytest.raises(pa.NotStandingError, match="DIVERGES"):
+                study.metrics[0].function(maker.design({}))
+        table = pd.DataFrame({"failure": [None]})
+        shown = measured_document("", study.variables, table, rests_on(study.base)).told
+        told = " ".join(map(str, shown))
+        assert ("the file by itself, reset to its keyframe home: it DIVERGES" in told) is not stands
+        assert "the file by itself, reset to its keyframe home: it" in told
+        assert ("on servos that were added" in told) is not stands
 
 
 def test_the_com_with_its_payload_is_over_the_feet() -> None:

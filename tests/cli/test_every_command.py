@@ -1,0 +1,44 @@
+"""No command says more of a file than bare MuJoCo does; see ``tests.support.every_command``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support import every_command
+from tests.support.every_command import COMMANDS, Truth
+
+EDITS = dict(every_command.edits())
+
+SURELY = {
+    "as it is": Truth.STANDS,
+    "kp -150 at a knee": Truth.FALLS,
+    "no actuation": Truth.FALLS,
+    "slip: kp is ten times": Truth.SHAKES,
+    "a keyframe without ctrl": Truth.UNTOLD,
+    "motors": Truth.LIMP,
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_no_command_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+    """Whatever becomes of the file, nor silent of that."""
+    row = every_command.row_of(name, EDITS[name], tmp_path)
+    assert row.cells.keys() == COMMANDS.keys()
+    assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
+
+
+@pytest.mark.parametrize("name", SURELY)
+def test_what_becomes_of_a_file_by_itself(name: str, tmp_path: Path) -> None:
+    assert every_command.row_of(name, EDITS[name], tmp_path, ()).truth is SURELY[name]
+
+
+def test_a_cell_that_is_better_is_seen() -> None:
+    """Or the table could not fail."""
+    good = every_command.Cell(passed=True, refused=False, own=True, added=False, word="HOLDS")
+    assert good.wrong(Truth.FALLS)
+    assert good.wrong(Truth.SHAKES)
+    assert good.wrong(Truth.LIMP)
+    assert not good.wrong(Truth.STANDS)
+    assert every_command.Cell(False, False, False, False, "FAILS").wrong(Truth.FALLS)

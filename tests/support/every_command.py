@@ -1,0 +1,287 @@
+"""Whether a command says more of a file than bare MuJoCo does: features and slips, by commands.
+
+Run as ``python -m tests.support.every_command [--only WORDS] [--csv FILE]`` it prints a row for
+each edit of the file of a quadruped that stands, and ends with status 1 if a cell is better than
+the truth. The truth is MuJoCo's alone: the file as it is, as ``mj_resetDataKeyframe`` leaves it,
+nudged, for five seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import math
+import re
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
+from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.tools.study.design import Maker
+from pupper_analysis.tools.study.outcome import rests_on
+from tests.support import features, legged, slips
+from tests.support.commands import answer
+
+SECONDS = 5.0
+NUDGE = 1e-3
+"""m/s, rad/s"""
+
+LOST, LEANS = 0.3, 0.5
+"""Of the height, of the com; rad: what has lost or leans more has fallen."""
+
+SHAKES = 0.05
+"""m/s, rad/s in the last half second: ten times what feet creep or roll by."""
+
+DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+
+OWN = "the file by itself"
+"""With which the line of the own run begins."""
+
+ADDED = "servos that were added"
+
+NOTES = ("note:", "warning:")
+
+
+class Truth(StrEnum):
+    """What becomes of a file; of what is limp or told nothing, nobody says that it should stand."""
+
+    STANDS = "stands"
+    FALLS = "falls"
+    SHAKES = "shakes"
+    LIMP = "has no servos"
+    UNTOLD = "has no ctrl"
+    REFUSED = "is refused"
+
+
+@silence_mujoco()
+def truth_of(path: Path, plain: Path, base: str = "trunk") -> Truth:
+    """Simulates a file; one that has no keyframe from the plain file's, by the joints' names."""
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError:
+        return Truth.REFUSED
+    if not 1e-5 <= model.opt.timestep <= 0.1:
+        return Truth.REFUSED
+    stated = not model.nkey or re.search(r"<key\b[^>]*\bctrl=", path.read_text())
+    servos = model.actuator_biastype != mujoco.mjtBias.mjBIAS_NONE
+    driven = servos | (model.actuator_dyntype != mujoco.mjtDyn.mjDYN_NONE)
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    else:
+        _as_in(mujoco.MjModel.from_xml_path(str(plain)), model, data)
+    data.qvel[:] += NUDGE * np.random.default_rng(43).standard_normal(model.nv)
+    mujoco.mj_forward(model, data)
+    body, fastest = model.body(base).id, 0.0
+    start = data.subtree_com[body].copy()
+    steps = round(SECONDS / model.opt.timestep)
+    for step in range(steps):
+        mujoco.mj_step(model, data)
+        if step > 0.9 * steps:
+            fastest = max(fastest, float(np.abs(data.qvel).max()))
+    end = data.subtree_com[body]
+    fell = (
+        any(data.warning[kind].number for kind in DIVERGED)  # it began anew
+        or not -LOST * start[2] < end[2] - start[2] < start[2]
+        or data.xmat[body][8] < math.cos(LEANS)
+        or math.hypot(*(end - start)[:2]) > start[2]
+    )
+    if fell:
+        told = Truth.FALLS if stated else Truth.UNTOLD
+        return told if driven.any() else Truth.LIMP
+    return Truth.SHAKES if fastest > SHAKES else Truth.STANDS
+
+
+def _as_in(plain: mujoco.MjModel, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Puts a file where the keyframe of the plain one is, its servos told its angles."""
+    data.qpos[:7] = plain.key_qpos[0, :7]
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+            there = plain.joint(model.joint(joint).name).qposadr[0]
+            data.qpos[model.jnt_qposadr[joint]] = plain.key_qpos[0, there]
+    for motor in range(model.nu):
+        if model.actuator_trntype[motor] == mujoco.mjtTrn.mjTRN_JOINT:
+            data.ctrl[motor] = data.qpos[model.jnt_qposadr[model.actuator_trnid[motor, 0]]]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a command came to: whether it lets pass, and whether it tells of the own run."""
+
+    passed: bool
+    refused: bool
+    own: bool
+    added: bool
+    word: str
+    own_falls: bool | None = None
+
+    def wrong(self, truth: Truth) -> str:
+        """Returns what is better than the truth; empty if nothing is."""
+        if self.refused:
+            return ""
+        if self.own_falls is False and truth is Truth.FALLS:
+            return "its own run does not fall"
+        if self.passed and truth in {Truth.FALLS, Truth.SHAKES, Truth.REFUSED}:
+            return f"passes where the file {truth}"
+        if self.passed and truth is Truth.LIMP and not self.added:
+            return "passes on servos that the file has not, and does not say so"
+        return "" if self.own else "says nothing of what the file does by itself"
+
+
+@dataclass
+class Row:
+    """A file, what becomes of it, and what commands say."""
+
+    name: str
+    truth: Truth
+    cells: dict[str, Cell] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def wrong(self) -> dict[str, str]:
+        """What is better than the truth: {command: how}."""
+        found = {name: cell.wrong(self.truth) for name, cell in self.cells.items()}
+        return {name: how for name, how in found.items() if how}
+
+
+Ask = Callable[[Path, Path, Path], Cell]
+
+
+def _command(name: str, *options: str, before: tuple[str, ...] = (), alone: bool = False) -> Ask:
+    """Runs a command of both files, or of the MJCF alone."""
+
+    def ask(urdf: Path, mjcf: Path, folder: Path) -> Cell:
+        files = (str(mjcf),) if alone else (str(urdf), str(mjcf))
+        return _cell(*answer(name, *before, *files, *options, folder=folder))
+
+    return ask
+
+
+def _cell(status: int, out: str, err: str) -> Cell:
+    assert status in (0, 1, 2), err  # 3 is a bug, whatever else
+    told = " ".join((out + err).split())
+    lines = [line for line in out.splitlines() if line.split() and not line.startswith(NOTES)]
+    word = lines[0].split()[0] if lines else err.strip()[-80:]
+    return Cell(status == 0, status == 2, OWN in told, ADDED in told, word)
+
+
+def _study(urdf: Path, mjcf: Path, _: Path) -> Cell:
+    """A design of a study, in this process: it passes where it is said to stand."""
+    try:
+        study = pa.Study({"urdf": str(urdf), "mjcf": str(mjcf)}, {"height": [0.35]}, ["stands"])
+        (metric,) = study.metrics
+        stood = metric.function(Maker(study.source, study.task, study.point).design({}))
+    except NotStandingError as error:
+        return Cell(False, False, True, False, type(error).__name__)
+    except PupperAnalysisError as error:
+        return Cell(False, True, False, False, type(error).__name__)
+    return _cell(0, f"{stood} {' '.join(map(str, rests_on(study.base)))}", "")
+
+
+def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:
+    """What Python's callers have: ``judge_stand``."""
+    try:
+        robot = pa.load_robot(urdf=urdf, mjcf=mjcf)
+        verdict = judge_stand(robot, pa.solve_stand(robot))
+    except PupperAnalysisError as error:
+        return Cell(False, True, False, False, type(error).__name__)
+    own, added = verdict.own, verdict.servos.made != ()
+    falls = None if own is None else own.falls
+    return Cell(verdict.passed, False, own is not None, added, verdict.code.name, falls)
+
+
+COMMANDS: dict[str, Ask] = {
+    "stand": _command("stand"),
+    "payload": _command("payload", "--at", "0,0,5cm"),
+    "push": _command("push", "--directions", "3", "--resolution", "2"),
+    "path": _command("path", "--seconds", "3", "--height", "0.34"),
+    "best": _command("best", before=("margin",)),
+    "analyze": _command("analyze", "--no-figures", alone=True),
+    "study": _study,
+    "python": _python,
+}
+
+
+def edits() -> Iterator[tuple[str, Callable[[Path], legged.Pair]]]:
+    """Yields what is tried: its name, and what writes its files into a folder."""
+    for name, edit in features.FEATURES.items():
+        yield name, lambda folder, edit=edit: legged.Pair(*features.files(folder, edit))
+    for name, slip in slips.SLIPS.items():
+        yield f"slip: {name}", lambda folder, slip=slip: _slipped(folder, slip)
+
+
+def _slipped(folder: Path, slip: slips.Slip) -> legged.Pair:
+    pair = slips.standing(folder)
+    pair.mjcf.write_text(slip(pair.mjcf.read_text(), np.random.default_rng(0)))
+    return pair
+
+
+def row_of(
+    name: str,
+    write: Callable[[Path], legged.Pair],
+    folder: Path,
+    commands: Iterable[str] = COMMANDS,
+    truths: Collection[str] | None = None,
+) -> Row:
+    """Asks commands of an edit's file, each in a folder of its own; of some truths, if given."""
+    begun = time.monotonic()
+    (folder / "plain").mkdir()
+    plain = slips.standing(folder / "plain")
+    pair = write(folder)
+    row = Row(name, truth_of(pair.mjcf, plain.mjcf))
+    for command in commands if truths is None or row.truth in truths else ():
+        place = folder / command
+        place.mkdir()
+        row.cells[command] = COMMANDS[command](pair.urdf, pair.mjcf, place)
+    row.seconds = time.monotonic() - begun
+    return row
+
+
+def main() -> None:
+    """Prints a row for each edit."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--only", default="", help="part of the names of edits to try")
+    options.add_argument("--truth", nargs="*", choices=[*Truth], help="only what comes to this")
+    options.add_argument("--commands", nargs="*", choices=[*COMMANDS], default=[*COMMANDS])
+    options.add_argument("--csv", type=Path, help="Write the table here.")
+    asked = options.parse_args()
+    rows: list[Row] = []
+    with tempfile.TemporaryDirectory() as top:
+        for number, (name, write) in enumerate(edits()):
+            if asked.only not in name:
+                continue
+            folder = Path(top) / str(number)
+            folder.mkdir()
+            row = row_of(name, write, folder, asked.commands, asked.truth)
+            if not row.cells:
+                continue
+            rows.append(row)
+            words = {one: cell.word for one, cell in row.cells.items()}
+            print(f"{name}: {row.truth} ({row.seconds:.0f} s) {words}", flush=True)
+            for command, how in row.wrong.items():
+                print(f"    BETTER {command}: {how}", flush=True)
+    if asked.csv is not None:
+        with asked.csv.open("w", encoding="utf-8", newline="") as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(("edit", "bare MuJoCo", *asked.commands))
+            for row in rows:
+                table.writerow((row.name, row.truth, *(c.word for c in row.cells.values())))
+    sys.exit(any(row.wrong for row in rows))
+
+
+if __name__ == "__main__":
+    main()
