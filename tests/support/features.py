@@ -58,6 +58,10 @@ def floor(attributes: str) -> Edit:
     return put(plane, f'<geom name="floor" type="plane" {attributes}/>', 1)
 
 
+def commanded(leg: str) -> Edit:
+    return put(f'ctrl="{CTRL}"', f'ctrl="{" ".join([leg] * 4)}"')
+
+
 FEATURES: dict[str, Edit] = {
     "as it is": lambda text: text,
     # ---- joints
@@ -199,9 +203,9 @@ FEATURES: dict[str, Edit] = {
     ),
     # ---- keyframes
     "a keyframe without ctrl": put(f' ctrl="{CTRL}"', ""),
-    "a keyframe's ctrl of zeros": put(CTRL, " ".join(["0 0 0"] * 4)),
-    "a keyframe's ctrl of another pose": put(CTRL, " ".join(["0 1.4 -2.4"] * 4)),
-    "a keyframe's ctrl 1e9": put(CTRL, " ".join(["0 1e9 0"] * 4)),
+    "a keyframe's ctrl of zeros": commanded("0 0 0"),
+    "a keyframe's ctrl of another pose": commanded("0 1.4 -2.4"),
+    "a keyframe's ctrl 1e9": commanded("0 1e9 0"),
     "no keyframe": lambda text: text[: text.index("<keyframe>")] + "</mujoco>",
     # ---- numbers that nothing can have
     "damping -2": knees('damping="-2"'),
