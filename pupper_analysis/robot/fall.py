@@ -53,6 +53,14 @@ _DROP = 1.0
 """s in which what hangs in the air has touched the ground: 5 m."""
 
 
+_LOST = (
+    mujoco.mjtWarning.mjWARN_BADQPOS.value,
+    mujoco.mjtWarning.mjWARN_BADQVEL.value,
+    mujoco.mjtWarning.mjWARN_BADQACC.value,
+)
+"""What MuJoCo warns of as it resets a state."""
+
+
 def nudge_velocity(model: mujoco.MjModel) -> Array:
     """Returns velocities (nv,) that nudge everything, base and joints, by ``NUDGE`` at most."""
     # Seeded: the same robot is nudged alike. No mode is orthogonal to what is random.
@@ -150,8 +158,15 @@ def held_motion(
         advance(data, seconds)
     except mujoco.FatalError:
         diverged = True
-    whole = data.time - start.time > seconds - 1.5 * model.opt.timestep
-    return BodyMotion(seconds, 0.0, 0.0, 0.0, 0.0, diverged or not whole), data
+    return BodyMotion(seconds, 0.0, 0.0, 0.0, 0.0, diverged or began_anew(data)), data
+
+
+def began_anew(data: mujoco.MjData) -> bool:
+    """Tells whether MuJoCo reset a state on its way, as it does where numbers are no longer any.
+
+    It counts that; the time tells nothing of one that was lost in its first step.
+    """
+    return any(data.warning[kind].number > 0 for kind in _LOST)
 
 
 def _placed(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
@@ -189,8 +204,7 @@ def body_moved(
         end_height=float(here[2]) - floor,
         lean=lean_between(first.xmat[base].reshape(3, 3), last.xmat[base].reshape(3, 3)),
         away=horizontal_distance(there, here),
-        # MuJoCo begins anew where numbers are no longer any.
-        diverged=not end.time - start.time > seconds - 1.5 * model.opt.timestep,
+        diverged=began_anew(end),
     )
 
 
