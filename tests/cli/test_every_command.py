@@ -29,6 +29,23 @@ def test_no_command_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
 
 
+def test_what_is_lost_in_its_first_step_passes_nowhere(tmp_path: Path) -> None:
+    """A keyframe's ctrl of 1e9: MuJoCo begins anew at once, commanded nothing, and stands."""
+    name = "a keyframe's ctrl 1e9"
+    row = every_command.row_of(name, EDITS[name], tmp_path, ("push", "study", "python"))
+    assert row.truth is Truth.FALLS
+    assert not row.wrong
+    assert not any(cell.passed or cell.refused for cell in row.cells.values())
+
+
+def test_a_knee_that_pushes_away_passes_nowhere(tmp_path: Path) -> None:
+    name = "slip: kp of one has the wrong sign"
+    row = every_command.row_of(name, EDITS[name], tmp_path, ("stand", "study"))
+    assert row.truth is Truth.FALLS
+    assert not row.wrong
+    assert not any(cell.passed or cell.refused for cell in row.cells.values())
+
+
 @pytest.mark.parametrize("name", SURELY)
 def test_what_becomes_of_a_file_by_itself(name: str, tmp_path: Path) -> None:
     assert every_command.row_of(name, EDITS[name], tmp_path, ()).truth is SURELY[name]
