@@ -61,15 +61,34 @@ def mesh_vertices(path: Path) -> Array | None:
 
 
 def mesh_problem(path: Path) -> Diagnostic | None:
-    """Says what keeps an STL or OBJ file from being a mesh; None if nothing does, or it is another.
+    """Says what keeps a file from being a mesh; None if nothing does, or it is not read here.
 
-    A file of more than ``LARGEST_MESH`` bytes is not opened.
+    STL and OBJ are read, of COLLADA the start. A file of more than ``LARGEST_MESH`` bytes is not
+    opened.
     """
-    if path.suffix.lower() not in (".stl", ".obj") or path.stat().st_size > LARGEST_MESH:
+    ending = path.suffix.lower()
+    if ending not in _FORMATS:
+        return diagnose("mesh-of-no-format", ending=ending)
+    if path.stat().st_size > LARGEST_MESH:
+        return None
+    if ending == ".dae":
+        with path.open("rb") as file:
+            start = file.read(_PROLOGUE)
+        return None if b"COLLADA" in start else diagnose("mesh-no-collada")
+    if ending not in (".stl", ".obj"):
         return None
     found = _read(path, path.stat().st_mtime_ns)
     return found if isinstance(found, Diagnostic) else None
 
+
+_FORMATS = (
+    ".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".fbx", ".3ds", ".mesh",
+    ".wrl", ".iv", ".usd", ".usda", ".usdc", ".usdz",
+)  # fmt: skip
+"""Endings of meshes that MuJoCo, Gazebo, Bullet, Drake, RViz or Isaac Sim read."""
+
+_PROLOGUE = 4096
+"""Bytes of an XML before its first element, with comments."""
 
 LARGEST_MESH = 200_000_000
 """Bytes: the greatest meshes that are published have a quarter of it."""

@@ -67,7 +67,7 @@ class Meshes:
 
     @property
     def lost(self) -> list[Diagnostic]:
-        """Which files are there, and cannot be what the robot touches with, by reason."""
+        """Which files cannot be what the robot touches with, by reason."""
         return [
             diagnose("collision-meshes-lost", files=files, why=why)
             for why, files in self._lost.items()
@@ -91,7 +91,7 @@ class Meshes:
         scale = mesh.get("scale") or "1 1 1"
         path = self.urdf.resolve_mesh(file)
         if path is None:
-            self._leave(diagnose("no-such-mesh-file"), file)
+            self._leave(diagnose("no-such-mesh-file"), file, touches=touches)
             return None
         named, path = path, path.resolve()
         self._named.setdefault(path, named.absolute())

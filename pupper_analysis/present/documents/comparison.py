@@ -5,7 +5,6 @@ As a document, and as remarks for machines, in the same order.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -95,6 +94,10 @@ def _groups(differences: Iterable[Difference]) -> list[list[Difference]]:
     return list(groups.values())
 
 
+_WHOLE = 1.005
+"""A share that is printed as 100 %."""
+
+
 def effects_told(difference: Difference) -> Diagnostic:
     """Returns what a difference does."""
     if not difference.effects:
@@ -104,7 +107,8 @@ def effects_told(difference: Difference) -> Diagnostic:
             "effect",
             subject=("quantity", name),
             what=Term(name),
-            share=Quantity(effect.share, "1") if math.isfinite(effect.share) else None,
+            # Of what others undo it is more than the whole, which says nothing.
+            share=Quantity(effect.share, "1") if effect.share <= _WHOLE else None,
             relative=effect.relative,
         )
         for name, effect in sorted(difference.effects.items(), key=lambda item: -item[1].share)

@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.models.missing import gives_mass
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
 from pupper_analysis.models.stated.as_files import (
@@ -230,7 +231,9 @@ def compare_models(
         ),
         check=check,
         differences=differences,
-        causes=find_causes(robot, alignment.values, differences, tolerances),
+        causes=find_causes(
+            robot, alignment.values, differences, tolerances, _weighed_by_geoms(mjcf_file)
+        ),
         deviations=explanation.deviations,
         residual=explanation.residual,
         explained=_explained(explanation),
@@ -241,6 +244,12 @@ def compare_models(
         agree=not (differences or unmatched or objections),
         same_robot=not (_mechanical(differences) or unmatched or objections),
     )
+
+
+def _weighed_by_geoms(mjcf: MjcfFile) -> set[str]:
+    """Returns the bodies that take their mass from their geoms."""
+    spec = mjcf.spec
+    return {geom.parent.name for geom in spec.geoms if gives_mass(spec, geom)}
 
 
 _LEGS = re.compile("hip|thigh|knee|calf|shank|ankle|foot|wheel", re.IGNORECASE)

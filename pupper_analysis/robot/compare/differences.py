@@ -78,6 +78,7 @@ _STRUCTURE = ("joint", "name", "type", "parent", *CONVENTIONS, "gravity")
 _LEAST_EFFECT = 1e-3  # least relative effect that goes before limits and efforts
 _SCREW = 0.01  # likewise of a body's mass
 _MAIN = ("mass matrix", "gravity", "foot positions", "joint positions")
+_FELT = (*_MAIN, "bias forces", "forward dynamics")
 
 
 @dataclass(frozen=True)
@@ -150,9 +151,8 @@ class Difference(Stated, Result):
     @property
     def rank(self) -> tuple[float, ...]:
         """What a user must mend first, first: by tier, then by effect, then by kind and size."""
-        main, every = self.weight
         kind = ORDER.index("lower limit" if self.kind == "upper limit" else self.kind)
-        return self.tier, -main, -every, kind, -self._lost, ORDER.index(self.kind)
+        return self.tier, -self._felt, -self.weight[1], kind, -self._lost, ORDER.index(self.kind)
 
     @property
     def weight(self) -> tuple[float, float]:
@@ -164,6 +164,12 @@ class Difference(Stated, Result):
         main = [self.effects[name].relative for name in _MAIN if name in self.effects]
         every = [effect.relative for effect in self.effects.values()]
         return max(main, default=0.0), max(every, default=0.0)
+
+    @property
+    def _felt(self) -> float:
+        """The greatest relative effect on forces, accelerations and places: one scale for all."""
+        felt = (self.effects[name].relative for name in _FELT if name in self.effects)
+        return max(felt, default=0.0)
 
     @property
     def _share_of_mass(self) -> float:
@@ -191,18 +197,16 @@ class Difference(Stated, Result):
     def tier(self) -> int:
         """What differences are sorted by first: what a user must mend.
 
-        0 is a structure or a convention that is another; then what makes the robot another one by a
-        thousandth or more, and a body's mass by a hundredth; what accelerations feel; limits and
-        efforts; the rest.
+        0 is a structure or a convention that is another; then what forces, accelerations or places
+        feel by a thousandth or more, and a body's mass by a hundredth; limits and efforts; the
+        rest.
         """
-        main, every = self.weight
         if self.kind in _STRUCTURE:
             return 0
-        if main >= _LEAST_EFFECT or (self.kind == "mass" and self._share_of_mass >= _SCREW):
+        screw = self.kind == "mass" and self._share_of_mass >= _SCREW
+        if max(self.weight) >= _LEAST_EFFECT or screw:
             return 1
-        if every >= _LEAST_EFFECT:
-            return 2
-        return 3 if self.kind in LIMITS else 4
+        return 2 if self.kind in LIMITS else 3
 
 
 @dataclass(frozen=True, eq=False)

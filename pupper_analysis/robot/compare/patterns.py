@@ -61,6 +61,7 @@ class PatternCase:
         tolerances: What counts as one.
         urdf: The links of which the URDF's bodies are made, in the frames of ``first``.
         mjcf: Those of the MJCF's, in the frames of ``second``.
+        from_geoms: The MJCF's bodies that take their mass from their geoms.
         taken: Those that a cause explains already.
     """
 
@@ -72,6 +73,7 @@ class PatternCase:
     tolerances: Tolerances
     urdf: Links
     mjcf: Links
+    from_geoms: Collection[str] = ()
     taken: Collection[Key] = ()
 
     @property
@@ -466,6 +468,32 @@ of links leaves about as much as it takes away.
 """
 
 
+def masses_of_geoms(case: PatternCase) -> Found:
+    """Finds bodies without <inertial>, which MuJoCo weighs by their geoms."""
+    made = {
+        mover: [link.name for link in links if link.name in case.from_geoms]
+        for mover, links in case.mjcf.items()
+    }
+    found = {key for key in case.open if key[0] in OF_INERTIALS and made.get(key[1])}
+    movers = list(dict.fromkeys(name for _, name in case.open if name in {n for _, n in found}))
+    if found:
+        urdf, mjcf = (
+            Quantity(sum(tree.bodies[name].mass for name in movers), "kg")
+            for tree in (case.first, case.second)
+        )
+        bodies = [body for name in movers for body in made[name]]
+        told = diagnose("masses-of-geoms", bodies=bodies, urdf=urdf, mjcf=mjcf)
+        yield PatternFinding("geoms", told, found)
+
+
+def closed_loops(case: PatternCase) -> Found:
+    """Puts together what an MJCF alone holds by equality constraints."""
+    found = [name for kind, name in case.open if kind == "equality"]
+    if len(found) > 1:
+        told = diagnose("equalities-of-the-mjcf-alone", names=found)
+        yield PatternFinding("equalities", told, {("equality", name) for name in found})
+
+
 @dataclass(frozen=True, eq=False)
 class _Slip:
     """What is wrong with some links of one body, and what is gone if it is undone.
@@ -792,8 +820,8 @@ class PatternCause(Result):
     """One slip that explains several differences.
 
     Attributes:
-        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``links``,
-            ``scaled links``, ``inertial`` or ``line``.
+        kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``geoms``,
+            ``equalities``, ``links``, ``scaled links``, ``inertial`` or ``line``.
         diagnostic: What it is, with its numbers.
         differences: Which of the differences it explains, by number, from 0.
     """
@@ -822,6 +850,7 @@ def find_causes(
     second: MultibodyTree,
     differences: Sequence[Difference],
     tolerances: Tolerances,
+    from_geoms: Collection[str] = (),
 ) -> tuple[PatternCause, ...]:
     """Finds slips that explain several differences each.
 
@@ -830,6 +859,7 @@ def find_causes(
         second: The MJCF's tree, in the URDF's link frames.
         differences: All differences.
         tolerances: What counts as one.
+        from_geoms: The MJCF's bodies that take their mass from their geoms.
     """
     if len(differences) < 2:
         return ()
@@ -839,7 +869,7 @@ def find_causes(
     urdf = urdf_links(robot) if bodies else {}
     mjcf = mjcf_links(robot, raw, second) if bodies else {}
     raw = replace(raw, gravity=first.gravity)
-    case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf)
+    case = PatternCase(robot, first, raw, second, keys, tolerances, urdf, mjcf, from_geoms)
     found: list[PatternCause] = []
     taken: set[int] = set()
     for look in _LOOKS:
@@ -860,6 +890,8 @@ _LOOKS = (
     other_units,
     before_gears,
     find_dropped,
+    masses_of_geoms,
+    closed_loops,
     other_links,
     other_inertials,
     other_lines,

@@ -121,10 +121,10 @@ def convert_model(
     verification, kept = None, None
     failures = list(_disagreements(comparison, draft))
     agree = not (failures or comparison.only_urdf or comparison.only_mjcf)
-    failures += draft.lost
     if draft.failure is not None:
         failures.append(draft.failure)
-    elif draft.stands:
+    failures += draft.lost
+    if draft.failure is None and draft.stands:
         verification = _stood(draft.urdf or read_urdf(urdf), mjcf, feet)
         failures += verification.failures
         if mjcf == output:

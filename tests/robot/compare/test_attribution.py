@@ -308,7 +308,7 @@ def test_what_a_user_must_mend_comes_first(tmp_path: Path) -> None:
         ("friction", "knee3"),
     ]
     tiers = [difference.tier for difference in explanation.differences]
-    assert tiers == [1, 1, 2, 3, 3, 4, 4]
+    assert tiers == [1, 1, 1, 2, 2, 3, 3]
     assert explanation.differences[0].weight > explanation.differences[1].weight
 
 

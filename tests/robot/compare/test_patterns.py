@@ -180,6 +180,37 @@ def test_the_base_of_another_robot(tmp_path: Path) -> None:
     )
 
 
+def test_masses_that_mujoco_takes_from_geoms_are_one_cause(tmp_path: Path) -> None:
+    """As in an MJCF of B2: its base states none, and its shapes weigh as water does."""
+    files = pair(tmp_path, quadruped())
+    text, count = re.subn(
+        r'(<body name="thigh[01]"[^>]*>(?:\s*<joint[^>]*/>)?)\s*<inertial[^>]*/>',
+        r'\1<geom type="box" size="0.05 0.1 0.1" density="500"/>',
+        files.mjcf.read_text(),
+    )
+    assert count == 2
+    files.mjcf.write_text(text)
+    comparison = compared(files)
+    (cause,) = comparison.causes
+    assert cause.kind == "geoms"
+    assert set(cause.diagnostic.values["bodies"]) == {"thigh0", "thigh1"}
+    assert cause.diagnostic.values["mjcf"].value == pytest.approx(2 * 500 * 0.1 * 0.2 * 0.2)
+    assert len(cause.differences) == len(comparison.differences) == 6
+
+
+def test_loops_that_the_mjcf_closes_are_one_cause(tmp_path: Path) -> None:
+    files = pair(tmp_path, quadruped())
+    loops = "".join(
+        f'<connect name="loop{leg}" body1="base" body2="shank{leg}" anchor="0 0 0"/>'
+        for leg in range(3)
+    )
+    text = files.mjcf.read_text().replace("</mujoco>", f"<equality>{loops}</equality></mujoco>")
+    files.mjcf.write_text(text)
+    (cause,) = compared(files).causes
+    assert cause.kind == "equalities"
+    assert set(cause.diagnostic.values["names"]) == {"loop0", "loop1", "loop2"}
+
+
 def test_the_inertial_of_another_link_is_recognised(tmp_path: Path) -> None:
     thigh = quadruped()["thigh3"]
     mine = {"mass": thigh.mass, "com": thigh.com, "inertia": thigh.inertia}

@@ -568,6 +568,8 @@ BROKEN = {
     "cut.stl": (bytes(80) + (4).to_bytes(4, "little") + bytes(50 * 2), "mesh-without-triangle"),
     "text.stl": (b"root:x:0:0:root:/root:/bin/bash\n", "mesh-without-triangle"),
     "name.obj": (b"v zero 0 0\nf 1 1 1\n", "no-mesh"),
+    "passwd": (b"root:x:0:0:root:/root:/bin/bash\n", "mesh-of-no-format"),
+    "text.dae": (b"root:x:0:0:root:/root:/bin/bash\n", "mesh-no-collada"),
     "nan.obj": (b"v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "mesh-vertex-not-finite"),
     "empty.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "mesh-without-triangle"),
     "beyond.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "no-mesh mesh-vertex-unknown"),
@@ -591,6 +593,23 @@ def test_a_mesh_that_is_none_is_found(name: str, tmp_path: Path) -> None:
     other.write_bytes(whole)
     path.write_text(path.read_text().replace(name, other.name))
     assert not found(audit_model(path), "mesh-unreadable")
+
+
+@pytest.mark.parametrize(
+    ("link", "name", "severity"),
+    [
+        ("collision", "gone.stl", "error"),
+        ("visual", "gone.stl", "warning"),
+        ("collision", "package://elsewhere/gone.stl", "warning"),
+    ],
+)
+def test_a_missing_mesh_is_an_error_where_it_touches(
+    link: str, name: str, severity: str, tmp_path: Path
+) -> None:
+    pattern = rf'(?s)(<{link}>.*?)<cylinder radius="0.011" length="0.11"/>'
+    path = written(tmp_path, "urdf", (Edit(FL_CALF, pattern, rf'\1<mesh filename="{name}"/>'),))
+    (finding,) = found(audit_model(path), "mesh-missing", "link 'FL_calf'")
+    assert finding.severity == severity
 
 
 @pytest.mark.parametrize(("scale", "severity"), [("1 -1 1", "note"), ("-1 -1 -1", "warning")])

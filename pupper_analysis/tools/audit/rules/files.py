@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnose
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place
@@ -31,18 +31,24 @@ def mujoco_refuses(robot: MjcfModel) -> Iterator[Found]:
 
 @rule
 def mesh_missing(robot: UrdfModel | MjcfModel) -> Iterator[Found]:
-    """Looks for each file once."""
+    """Looks for each file once; an ERROR if a URDF's link touches with it.
+
+    What is in a package that is not here, or in Git LFS, may be elsewhere: a WARNING.
+    """
     seen: set[str] = set()
     if isinstance(robot, MjcfModel):
         yield from _missing_in_mjcf(robot.file)
         return
+    touching = {mesh.get("filename", "") for mesh in robot.file.root.iterfind(".//collision//mesh")}
     for owner, link in robot.file.tree.links.items():
         for mesh in link.element.iter("mesh"):
             name = mesh.get("filename", "")
             if name not in seen and robot.file.resolve_mesh(name) is None:
                 place = Place(robot.file.path, mesh.sourceline)
                 told = _what_is_missing(name, [robot.file.path.parent / name])
-                yield Found("link", owner, told, place=place)
+                gone = told.code == "mesh-missing" and "://" not in name and name in touching
+                severity = None if gone else Severity.WARNING
+                yield Found("link", owner, told, place=place, severity=severity)
             seen.add(name)
 
 
@@ -74,7 +80,8 @@ def _missing_in_mjcf(file: MjcfFile) -> Iterator[Found]:
         places = [top / inside for top in tops for inside in (name, Path(name).name)]
         if name and not any(map(existing_file, places)):
             known = attributes.get("name") or Path(name).stem
-            yield Found("mesh", known, _what_is_missing(name, places), place=place)
+            missing = _what_is_missing(name, places)
+            yield Found("mesh", known, missing, place=place, severity=Severity.WARNING)
 
 
 def _what_is_missing(name: str, places: Iterable[Path]) -> Diagnostic:

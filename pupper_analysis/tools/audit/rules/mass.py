@@ -335,8 +335,9 @@ def inertial_placeholder(robot: RobotModel) -> Iterator[Found]:
                 "inertia-of-a-ball", moment=Quantity(moment, "kg m^2"), others=tuple(names[1:])
             )
             yield Found(robot.link_tag, names[0], told, robot.inertial_part("inertia"))
-    masses = {sum(part.mass for part in robot.fixed_group(body.name)) for body, _ in moving}
-    if len(moving) > _SEVERAL and len(masses) == 1 and _is_round(mass := masses.pop()):
+    masses = {inertial.mass for _, inertial in moving}
+    one = len(moving) > _SEVERAL and len(masses) == 1 and not robot.is_negligible(moving[0][0])
+    if one and _is_round(mass := masses.pop()):
         told = diagnose("one-mass-of-all", mass=Quantity(mass, "kg"), count=len(moving))
         yield Found(robot.link_tag, moving[0][0].name, told, robot.inertial_part("mass"))
 
