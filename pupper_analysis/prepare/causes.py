@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.models.additions import Ball
 from pupper_analysis.models.mjcf_file import MjcfFile
-from pupper_analysis.models.transmission import Drive, drives_of
+from pupper_analysis.models.transmission import Drive, actuator_gear, drives_of
 from pupper_analysis.prepare.bare import (
     FILTERS,
     SETTLES,
@@ -21,6 +21,7 @@ from pupper_analysis.prepare.bare import (
 )
 from pupper_analysis.robot.as_published import Cause
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.statics.equilibrium import GravityCompensation
 
 Array = NDArray[np.float64]
 
@@ -63,10 +64,15 @@ _SECTIONS = {
     "timeconst": "actuator",
     "bias": "actuator",
     "gain": "actuator",
+    "gaintype": "actuator",
+    "gear": "actuator",
     "delay": "actuator",
     "motors-elsewhere": "actuator",
     "actuatorfrcrange": "joint",
     "loose-joints": "joint",
+    "spring": "joint",
+    "damping": "joint",
+    "range": "joint",
 }
 
 
@@ -76,6 +82,8 @@ _OPTIONS = {
     "solver": ("option", {"jacobian"}),
     "timestep": ("option", {"timestep"}),
     "iterations": ("option", {"solver", "iterations", "tolerance"}),
+    "gravity": ("option", {"gravity"}),
+    "fluid": ("option", {"density", "viscosity", "wind"}),
 }
 """The elements of options, and their attributes."""
 
@@ -116,6 +124,17 @@ def candidate_causes(bare: Bare, robot: Robot) -> list[Candidate]:
     ]
 
 
+def physical_causes(bare: Bare, robot: Robot) -> list[Candidate]:
+    """Returns what in an MJCF, though its robot is computed with it, may be what makes it fail."""
+    return [*_signs(bare, robot), *_forces(bare, robot), *_contacts(bare)]
+
+
+def shaking_causes(bare: Bare, robot: Robot) -> list[Candidate]:
+    """Returns what of these changes how a stand is simulated, and not which stand it is."""
+    model = bare.model
+    return [*_numerics(model), *_pairs(model), *_signs(bare, robot), *_contacts(bare)]
+
+
 def _name(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
     return mujoco.mj_id2name(model, kind, number) or f"#{number}"
 
@@ -126,8 +145,14 @@ def _motor_name(model: mujoco.MjModel, motor: int) -> str:
     return named or str(model.joint(int(model.actuator_trnid[motor, 0])).name)
 
 
+LIMITS = ("forcerange", "actuatorfrcrange")
+"""The codes of what limits forces."""
+
 NUMERICS = ("timestep", "iterations")
 """The codes of how MuJoCo integrates and solves."""
+
+COMMANDS = ("bias", "gain", "gaintype", "gear")
+"""The codes of what makes another target of a command."""
 
 
 def _numerics(model: mujoco.MjModel) -> Iterator[Candidate]:
@@ -181,6 +206,18 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
             other.actuator_gainprm[uneven, 0] = -model.actuator_biasprm[uneven, 1]
 
         yield Candidate("gain", tuple(_motor_name(model, m) for m in uneven), even)
+    fixed = mujoco.mjtGain.mjGAIN_FIXED.value
+    varying = [
+        m
+        for m in motors
+        if model.actuator_biastype[m] == affine and model.actuator_gaintype[m] != fixed
+    ]
+    if varying:
+
+        def steady(other: mujoco.MjModel) -> None:
+            other.actuator_gaintype[varying] = fixed
+
+        yield Candidate("gaintype", tuple(_motor_name(model, m) for m in varying), steady)
     late = [m for m in motors if model.actuator_delay[model.actuator_ctrladr[m]] > 0]
     if late:
         controls = model.actuator_ctrladr[late]
@@ -189,6 +226,143 @@ def _servos(bare: Bare, robot: Robot) -> Iterator[Candidate]:
             other.actuator_delay[controls] = 0.0
 
         yield Candidate("delay", tuple(_motor_name(model, m) for m in late), prompt)
+
+
+def _signs(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Signs that are seldom meant: of an actuator's gear, of a joint's damping."""
+    model = bare.model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    turned = [
+        m for joint in joints for m in drives_of(model, joint) if actuator_gear(model, m)[0] < 0
+    ]
+    if turned:
+
+        def straight(other: mujoco.MjModel) -> None:
+            other.actuator_gear[model.actuator_outadr[turned], 0] *= -1
+
+        yield Candidate("gear", tuple(_motor_name(model, m) for m in turned), straight)
+    driving = [joint for joint in joints if model.dof_damping[model.jnt_dofadr[joint]] < 0]
+    if driving:
+
+        def undamped(other: mujoco.MjModel) -> None:
+            other.dof_damping[model.jnt_dofadr[driving]] = 0.0
+
+        listed = tuple(str(model.joint(joint).name) for joint in driving)
+        yield Candidate("damping", listed, undamped)
+
+
+def _forces(bare: Bare, robot: Robot) -> Iterator[Candidate]:
+    """Forces beside gravity and motors: springs, joints' limits, fluids; and gravity aside."""
+    model = bare.model
+    joints = [model.joint(name).id for name in robot.joint_names]
+    sprung = [joint for joint in joints if model.jnt_stiffness[joint]]
+    tendons = np.flatnonzero(model.tendon_stiffness).tolist()
+    if sprung or tendons:
+
+        def slack(other: mujoco.MjModel) -> None:
+            other.jnt_stiffness[sprung] = 0.0
+            other.tendon_stiffness[:] = 0.0
+
+        named = [str(model.joint(joint).name) for joint in sprung]
+        named += [_name(model, _OBJ.mjOBJ_TENDON, tendon) for tendon in tendons]
+        yield Candidate("spring", tuple(named), slack)
+    limited = [joint for joint in joints if model.jnt_limited[joint]]
+    if limited:
+
+        def unlimited(other: mujoco.MjModel) -> None:
+            other.jnt_limited[limited] = 0
+
+        listed = tuple(str(model.joint(joint).name) for joint in limited)
+        yield Candidate("range", listed, unlimited)
+    if model.opt.density or model.opt.viscosity:
+
+        def empty(other: mujoco.MjModel) -> None:
+            other.opt.density = other.opt.viscosity = 0.0
+
+        parts = [f"density {model.opt.density:g} kg/m^3", f"viscosity {model.opt.viscosity:g} Pa s"]
+        if model.opt.wind.any():
+            parts.append(f"wind ({', '.join(f'{speed:g}' for speed in model.opt.wind)}) m/s")
+        yield Candidate("fluid", tuple(parts), empty)
+    if model.opt.gravity[:2].any():
+
+        def upright(other: mujoco.MjModel) -> None:
+            other.opt.gravity[:] = 0.0, 0.0, -np.linalg.norm(model.opt.gravity)
+
+        stated = ", ".join(f"{part:g}" for part in model.opt.gravity)
+        yield Candidate("gravity", (f"({stated}) m/s^2",), upright)
+
+
+def overloading_springs(
+    robot: Robot, qpos: Array, statics: GravityCompensation
+) -> tuple[Cause, ...]:
+    """Returns the springs without which motors that are beyond their limits would be within.
+
+    Args:
+        robot: The robot.
+        qpos: (nq,) where it is.
+        statics: What its motors hold there, springs and all.
+    """
+    model, data = robot.mj_model, mujoco.MjData(robot.mj_model)
+    robot.mj_convention.set_state(data, qpos)
+    mujoco.mj_fwdPosition(model, data)
+    mujoco.mj_passive(model, data)
+    pulled = data.qfrc_spring[robot.mj_convention.qvel_index][-robot.nu :]
+    torque, used = statics.joint_torques, statics.motor_utilisation
+    beyond = used > 1
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alone = used * np.abs(torque + pulled) / np.abs(torque)
+    loaded = beyond & (pulled != 0)
+    if not beyond.any() or not (loaded == beyond).all() or (alone[beyond] > 1).any():
+        return ()
+    return (Cause("spring", tuple(np.array(robot.joint_names)[loaded].tolist())),)
+
+
+_SLIPPERY = 0.3
+"""Sliding friction of a contact below which it may be a slip of the file: wet steel has more."""
+
+_GRIP = 0.8
+"""Sliding friction in its place: of rubber on a floor."""
+
+_SOFT = 0.05
+"""The time constant of a contact (s) above which it may be; MuJoCo's own is 0.02."""
+
+_OWN_SOLREF = (0.02, 1.0)
+
+
+def _contacts(bare: Bare) -> Iterator[Candidate]:
+    """Contacts that slip, and contacts that give way."""
+    model = bare.model
+    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    even = model.pair_friction[:, 0] == model.pair_friction[:, 1]  # else see ``_pairs``
+    slick = even & (model.pair_friction[:, 0] < _SLIPPERY)
+    for code, geoms, pairs in (
+        ("slippery", model.geom_friction[:, 0] < _SLIPPERY, slick),
+        ("soft", model.geom_solref[:, 0] > _SOFT, model.pair_solref[:, 0] > _SOFT),
+    ):
+        found, stated = np.flatnonzero(geoms & touch), np.flatnonzero(pairs)
+        if not len(found) and not len(stated):
+            continue
+
+        def sound(
+            other: mujoco.MjModel,
+            code: str = code,
+            found: NDArray[np.intp] = found,
+            stated: NDArray[np.intp] = stated,
+        ) -> None:
+            if code == "slippery":
+                other.geom_friction[found, 0] = _GRIP
+                other.pair_friction[stated, :2] = _GRIP
+            else:
+                other.geom_solref[found] = other.pair_solref[stated] = _OWN_SOLREF
+
+        shapes = [*found.tolist(), *model.pair_geom2[stated].tolist()]
+        yield Candidate(code, tuple(dict.fromkeys(_shape(model, geom) for geom in shapes)), sound)
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> str:
+    """Returns a geom's name, or else its body's."""
+    named = mujoco.mj_id2name(model, _OBJ.mjOBJ_GEOM, geom)
+    return named or _name(model, _OBJ.mjOBJ_BODY, int(model.geom_bodyid[geom]))
 
 
 def _excludes(model: mujoco.MjModel) -> Iterator[Candidate]:
@@ -371,11 +545,7 @@ def _shapes(bare: Bare, robot: Robot) -> Iterator[Candidate]:
         def off(other: mujoco.MjModel, geoms: list[int] = geoms) -> None:
             other.geom_contype[geoms] = other.geom_conaffinity[geoms] = 0
 
-        bodies = dict.fromkeys(
-            mujoco.mj_id2name(model, _OBJ.mjOBJ_GEOM, geom)
-            or _name(model, _OBJ.mjOBJ_BODY, int(model.geom_bodyid[geom]))
-            for geom in geoms
-        )
+        bodies = dict.fromkeys(_shape(model, geom) for geom in geoms)
         yield Candidate(code, tuple(bodies), off)
 
 

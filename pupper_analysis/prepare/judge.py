@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from numpy.typing import ArrayLike
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.prepare.causes import LIMITS, overloading_springs
 from pupper_analysis.prepare.own_run import as_loaded, import_refused, own_run_held
-from pupper_analysis.prepare.self_check import as_published_held, as_published_in, own_run_explained
+from pupper_analysis.prepare.self_check import (
+    as_published_held,
+    as_published_in,
+    makes_it_shake,
+    own_run_explained,
+    with_lines,
+)
 from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.robot.asked_efforts import efforts_nobody_meant
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -55,6 +65,13 @@ def judge(
         ModelError: If the robot has no position servos, and kp and kd are not both given.
     """
     servos = servos_used(robot, kp, kd)
+    published = as_published_in(robot, stand, servos)
+    shakes = fed.stability is not None and not fed.stability.lasts()
+    if asked is Asked.STANDS and not fed.passed and shakes:
+        published = _first(_shaking(published, robot, stand, kp, kd), published)
+    if statics is not None:
+        springs = with_lines(overloading_springs(robot, stand.qpos, statics), robot)
+        published = _first(springs, published, instead=LIMITS)
     return judge_stance(
         fed,
         alone,
@@ -62,7 +79,7 @@ def judge(
         asked=asked,
         overloaded=() if statics is None else beyond_limits(statics),
         own=own_run_explained(robot),
-        published=as_published_in(robot, stand, servos),
+        published=published,
         converted=robot.description.converted,
         remarks=(
             *limbs_without_feet(robot),
@@ -72,6 +89,36 @@ def judge(
             *import_refused(robot),
         ),
     )
+
+
+def _shaking(
+    published: Published | None,
+    robot: Robot,
+    stand: Stand,
+    kp: ArrayLike | None,
+    kd: ArrayLike | None,
+) -> tuple[Cause, ...]:
+    """Returns the time step, the solver or the contacts, if these make a stand shake, or sink."""
+
+    def fails(other: Robot) -> bool:
+        held = solve_stand_as_simulated(other, stand)
+        return not verify_stand(other, held, kp=kp, kd=kd).passed
+
+    known = () if published is None else published.causes
+    found = makes_it_shake(robot, fails)
+    return tuple(cause for cause in found if cause.code not in {one.code for one in known})
+
+
+def _first(
+    causes: tuple[Cause, ...], published: Published | None, instead: tuple[str, ...] = ()
+) -> Published | None:
+    """Puts causes before those by which a file differs, and instead of some of these."""
+    if not causes:
+        return published
+    if published is None:
+        return Published((), causes, differs=False)
+    kept = (cause for cause in published.causes if cause.code not in instead)
+    return replace(published, causes=(*causes, *kept))
 
 
 def judge_held(

@@ -10,6 +10,7 @@ import contextlib
 import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -26,10 +27,13 @@ from pupper_analysis.prepare.bare import (
     simulate_published,
 )
 from pupper_analysis.prepare.causes import (
+    COMMANDS,
     NUMERICS,
     Candidate,
     altered_on_loading,
     candidate_causes,
+    physical_causes,
+    shaking_causes,
     with_line,
 )
 from pupper_analysis.prepare.own_run import (
@@ -70,6 +74,9 @@ SAME = 0.01
 LEVER = 1e-3
 """The robot's weight on this lever (m) is what deviations of torques are measured by where less is
 predicted: joints about vertical axes hold nothing."""
+
+SUNK = 1e-3
+"""By which feet may sink otherwise in what is mended (m)."""
 
 SAME_HEIGHT = 1e-3
 """Share of its height within which the base is where it is predicted (v3: 0.13 mm)."""
@@ -113,10 +120,10 @@ def _published_in(robot: Robot, stand: Stand) -> Published | None:
     if model is None:
         return Published((), (Cause("base-held", (robot.mj_base,)),), differs=True)
     found = as_published(Bare.of(model, robot), robot, stand)
-    return found and replace(found, causes=_with_lines(found.causes, robot))
+    return found and replace(found, causes=with_lines(found.causes, robot))
 
 
-def _with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
+def with_lines(causes: Iterable[Cause], robot: Robot) -> tuple[Cause, ...]:
     """Returns causes with the lines where they stand in a robot's MJCF, if it has one."""
     file = None if robot.published is None else robot.published.file
     return tuple(cause if file is None else with_line(cause, file) for cause in causes)
@@ -150,7 +157,8 @@ def as_published_held(robot: Robot, qpos: Array, torques: Array) -> Published | 
     run = run_as_published(bare, robot, wanted)
     if run is None or not run.differs:
         return Published(() if run is None else (run,), (), differs=False)
-    return Published((run,), _with_lines(causes_of(bare, robot, wanted), robot), differs=True)
+    causes = causes_of(bare, robot, wanted, run) or _of_loading(bare, robot, wanted, run)
+    return Published((run,), with_lines(causes, robot), differs=True)
 
 
 def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
@@ -178,20 +186,34 @@ def as_published(bare: Bare, robot: Robot, stand: Stand) -> Published | None:
     off = [(one, run) for one, run in found if run is not None and run.differs]
     causes: tuple[Cause, ...] = ()
     if off:
-        causes = causes_of(bare, robot, off[0][0]) or _of_the_pair(robot, *off[0])
+        causes = causes_of(bare, robot, *off[0]) or _of_loading(bare, robot, *off[0])
     return Published(runs, causes, differs=bool(off))
 
 
-def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
-    """Returns that the two files differ, and in what first, if that is why.
+def _of_loading(
+    bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun
+) -> tuple[Cause, ...]:
+    """Returns what was altered on loading, or in what the two files differ, if that is why.
 
-    It is if what was computed of the MJCF is as far off the prediction, which is the URDF's, and
-    ``crosscheck`` finds a difference that a body's weight or place feels.
+    What was altered is if what is computed of the MJCF does as predicted. The files are if that is
+    as far off the prediction, which is the URDF's, as the MJCF is (or would be if what is computed
+    without were taken out of it), and ``crosscheck`` finds a difference that a body's weight or
+    place feels, or a part that one of them lacks.
     """
     file = None if robot.published is None else robot.published.file
     computed = run_as_published(Bare.of(copy.copy(robot.mj_model), robot), robot, wanted)
-    alike = computed is not None and abs(computed.torque_error - run.torque_error) <= SAME
-    if file is None or robot.description.converted or not alike:
+    if computed is None:
+        return ()
+    if not computed.differs:
+        return altered_on_loading(bare, robot)
+    if file is None or robot.description.converted:
+        return ()
+    model = copy.copy(bare.model)
+    for candidate in candidate_causes(bare, robot):
+        candidate.switch_off(model)
+    stripped = run_as_published(replace(bare, model=model), robot, wanted)
+    alike = (one for one in (run, stripped) if one is not None)
+    if not any(abs(computed.torque_error - one.torque_error) <= SAME for one in alike):
         return ()
     # Forty modules, which hardly a verdict needs.
     from pupper_analysis.robot.compare.compare import compare_models
@@ -199,6 +221,7 @@ def _of_the_pair(robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Ca
     with contextlib.suppress(PupperAnalysisError):
         found = compare_models(robot.description.urdf_source, file.path)
         felt = [one.diagnostic for one in found.differences if one.weight[0] > 0]
+        felt += found.parts
         if felt:
             return (Cause("pair", (), difference=felt[0]),)
     return ()
@@ -316,50 +339,92 @@ def own_run_explained(robot: Robot) -> OwnRun | None:
     return as_loaded(robot).once(_own_run_explained)
 
 
+def makes_it_shake(robot: Robot, fails: Callable[[Robot], bool]) -> tuple[Cause, ...]:
+    """Returns what makes a simulation of a robot fail: its step, solver, contacts.
+
+    What a nudged file does from its stand may not tell: dry friction hides that it would shake.
+
+    Args:
+        robot: The robot, which fails.
+        fails: Tells whether it does so when its model is another one.
+    """
+    for candidate in shaking_causes(Bare.of(robot.mj_model, robot), robot):
+        model = copy.copy(robot.mj_model)
+        candidate.switch_off(model)
+        if not fails(replace(robot, mj_model=model)):
+            return with_lines([candidate.cause(0.0)], robot)
+    return ()
+
+
 def _own_run_explained(robot: Robot) -> OwnRun | None:
     run = own_run(robot)
     model = robot.once(raw_model)
     if run is None or not run.fails or model is None:
         return run
-    if run.worst is not None and run.worst.told_away:
-        return run  # its ctrl is of another pose, and on the way there any change may let it stand
     bare = Bare.of(model, robot)
+    if any(drive.bad for drive in bare.drives):
+        return run  # that is told, and what makes it fall later is none
+    known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
+    if run.unheld is not None or (run.worst is not None and run.worst.told_away):
+        # Nothing holds a joint, or its ctrl is of another pose; on the way there any other change
+        # may let it stand.
+        known, physics = ([one for one in of if one.code in COMMANDS] for of in (known, physics))
 
     def tried(changed: mujoco.MjModel) -> float | None:
-        again = own_run_of(replace(bare, model=changed), robot)
-        return None if again is None or again.fails else 0.0
+        # Another step alone may leave what falls on the other side of an edge, by chance.
+        finer = changed.opt.timestep < model.opt.timestep
+        for parts in (1, 2, 4) if finer else (1,):
+            one = copy.copy(changed)
+            one.opt.timestep /= parts
+            again = own_run_of(replace(bare, model=one), robot)
+            if again is None or again.fails:
+                return None
+        return 0.0
 
-    causes = _both_ways(bare, candidate_causes(bare, robot), tried)
-    return replace(run, causes=_with_lines(causes, robot))
+    causes = _both_ways(bare, known, physics, tried)
+    return replace(run, causes=with_lines(causes, robot))
 
 
-def causes_of(bare: Bare, robot: Robot, wanted: Predicted) -> tuple[Cause, ...]:
-    """Finds what makes the file differ: tested both ways, else what was altered on loading."""
+def causes_of(bare: Bare, robot: Robot, wanted: Predicted, run: PublishedRun) -> tuple[Cause, ...]:
+    """Finds what makes the file differ, tested both ways."""
 
     def tried(model: mujoco.MjModel) -> float | None:
-        run = run_as_published(replace(bare, model=model), robot, wanted)
-        return None if run is None or run.differs else run.torque_error
+        again = run_as_published(replace(bare, model=model), robot, wanted)
+        if again is None or again.collapses:
+            return None
+        # Pyramids of more friction are stiffer ground: what is mended may sink by less.
+        sunk = abs(again.height_error or 0.0) <= SUNK and again.joint_error <= JOINT_TOLERANCE
+        mended = sunk and again.torque_error <= SAME < run.torque_error
+        return again.torque_error if mended or not again.differs else None
 
-    found = _both_ways(bare, candidate_causes(bare, robot), tried)
-    return found or altered_on_loading(bare, robot)
+    if any(drive.bad for drive in bare.drives):
+        return ()  # that is told, and what makes it fall later is none
+    known, physics = candidate_causes(bare, robot), physical_causes(bare, robot)
+    return _both_ways(bare, known, physics, tried)
 
 
 def _both_ways(
-    bare: Bare, known: list[Candidate], tried: Callable[[mujoco.MjModel], float | None]
+    bare: Bare,
+    known: list[Candidate],
+    physics: list[Candidate],
+    tried: Callable[[mujoco.MjModel], float | None],
 ) -> tuple[Cause, ...]:
     """Finds what is wrong with a file, tested both ways, in copies in which it is switched off.
 
-    With all that may switched off, the file must be sound. A cause is what, put back alone into
-    that, breaks it; and with the causes alone taken out of the file, it must be mended. How MuJoCo
-    integrates and solves is tried first, and by itself; then the rest with that as it is.
+    A cause is what, put alone into the sound file, breaks it; and with the causes alone taken out
+    of the file, it must be mended. The sound file is the one with all switched off that may be, or
+    with all but what its robot is computed with, too. How MuJoCo integrates and solves is tried
+    first, and by itself; then the rest with that as it is; what is computed with comes last.
 
     Args:
         bare: The file.
         known: What may be switched off.
+        physics: What of it is computed with.
         tried: Returns what deviation is left of a model that is sound; None of another.
     """
 
-    def without(gone: Iterable[Candidate]) -> float | None:
+    @cache
+    def without(gone: frozenset[Candidate]) -> float | None:
         model = copy.copy(bare.model)
         for candidate in gone:
             candidate.switch_off(model)
@@ -367,11 +432,20 @@ def _both_ways(
 
     numerics = [one for one in known if one.code in NUMERICS]
     rest = [one for one in known if one.code not in NUMERICS]
-    for group in (numerics, rest, known):
-        if not group or without(group) is None:
+    for group in (numerics, rest, known, [*known, *physics]):
+        if not group or without(frozenset(group)) is None:
             continue
-        breaking = [one for one in group if without(o for o in group if o is not one) is None]
-        left = without(breaking) if breaking else None
+        sound = next(
+            whole
+            for whole in (frozenset([*known, *physics]), frozenset(known), frozenset(group))
+            if whole.issuperset(group) and without(whole) is not None
+        )
+        breaking = [
+            one
+            for one in group
+            if without(frozenset(group) - {one}) is None and without(sound - {one}) is None
+        ]
+        left = without(frozenset(breaking)) if breaking else None
         if left is not None:
             return tuple(one.cause(left) for one in breaking)
     return ()

@@ -198,7 +198,7 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
 
 def _published(published: Published | None) -> Iterator[Clause]:
     """Says how far the robot as published is from the computed one."""
-    if published is None or not published.differs:
+    if published is None:
         return
     run = published.worst
     if run is not None and run.collapses:
@@ -267,8 +267,26 @@ def told_cause(cause: Cause) -> Diagnostic:  # noqa: C901 - one case for each ca
             return diagnose("servos-are-biased", **told)
         case "gain":
             return diagnose("gain-is-no-stiffness", **told)
+        case "gaintype":
+            return diagnose("gain-is-not-fixed", **told)
         case "delay":
             return diagnose("servos-are-late", **told)
+        case "gear":
+            return diagnose("gear-is-negative", **told)
+        case "damping":
+            return diagnose("joints-damped-negatively", joints=cause.elements)
+        case "spring":
+            return diagnose("springs-pull", **told)
+        case "range":
+            return diagnose("range-stops", **told)
+        case "fluid":
+            return diagnose("fluid-drags", **told)
+        case "gravity":
+            return diagnose("gravity-aside", **told)
+        case "slippery":
+            return diagnose("contacts-slip", **told)
+        case "soft":
+            return diagnose("contacts-give-way", **told)
         case "base-held":
             return diagnose("base-held-as-published", **told)
         case "ground":
