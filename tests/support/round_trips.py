@@ -1,0 +1,196 @@
+"""Round trips URDF -> MJCF -> URDF, and back: whatever is lost or changed must be told.
+
+`python -m tests.support.round_trips FILE...` converts each file there and back. Both files of the
+start's format are read as XML, apart from the package, into tables of what links and joints state;
+of MJCFs MuJoCo's own numbers are compared. What differs and no line of "Not converted", of the
+notes or of the repairs is about is a silent loss.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from lxml import etree
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import PupperAnalysisError
+
+Table = dict[tuple[str, str], object]
+"""{(element, word): what is stated of it}."""
+
+NEAR = 1e-6
+
+
+def _floats(text: str | None) -> tuple[float, ...]:
+    return tuple(float(word) for word in (text or "").split())
+
+
+def of_urdf(path: Path) -> Table:
+    """Reads what a URDF states of masses, limits, dynamics, couplings and shapes that touch."""
+    found: Table = {}
+    root = etree.parse(path).getroot()
+    for link in root.findall("link"):
+        name = str(link.get("name"))
+        mass = link.find("inertial/mass")
+        if mass is not None and float(mass.get("value")) > 0:
+            found[name, "mass"] = float(mass.get("value"))
+        for shape in link.findall("collision"):
+            geometry = shape.find("geometry")
+            kinds = sorted(child.tag for child in geometry) if geometry is not None else []
+            counted = found.setdefault((name, "collision"), [])
+            counted += kinds  # type: ignore[operator]
+    for joint in root.findall("joint"):
+        name = str(joint.get("name"))
+        if joint.get("type") in ("fixed", "floating"):
+            continue
+        for tag, words in (
+            ("limit", ("lower", "upper", "effort", "velocity")),
+            ("dynamics", ("damping", "friction")),
+            ("mimic", ("multiplier", "offset")),
+            ("safety_controller", ("k_velocity", "soft_lower_limit")),
+            ("calibration", ("rising", "falling")),
+        ):
+            element = joint.find(tag)
+            for word in words if element is not None else ():
+                value = element.get(word)
+                ends = word in ("lower", "upper") and joint.get("type") == "continuous"
+                if value is not None and float(value) != 0.0 and not ends:
+                    found[name, word] = float(value)
+    for word in ("transmission", "gazebo", "sensor"):
+        if root.find(word) is not None:
+            found["robot", word] = "there"
+    return found
+
+
+_ARRAYS = {
+    "friction": "geom_friction", "condim": "geom_condim", "solref": "geom_solref",
+    "solimp": "geom_solimp", "margin": "geom_margin", "gap": "geom_gap",
+    "priority": "geom_priority", "solmix": "geom_solmix",
+}  # fmt: skip
+_OPTIONS = (
+    "timestep", "integrator", "cone", "impratio", "solver", "iterations", "noslip_iterations",
+    "density", "viscosity",
+)  # fmt: skip
+
+
+def of_mjcf(path: Path) -> Table:
+    """Reads what MuJoCo makes of an MJCF's joints, touching geoms, options and other elements."""
+    model = mujoco.MjModel.from_xml_path(str(path))
+    found: Table = {}
+    for word in _OPTIONS:
+        found["option", word] = float(np.ravel(getattr(model.opt, word))[0])
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+            name, dof = model.joint(joint).name, model.jnt_dofadr[joint]
+            found[name, "armature"] = float(model.dof_armature[dof])
+            found[name, "stiffness"] = float(model.jnt_stiffness[joint])
+            found[name, "damping"] = float(np.ravel(model.dof_damping[dof])[0])
+            found[name, "frictionloss"] = float(model.dof_frictionloss[dof])
+            found[name, "range"] = tuple(model.jnt_range[joint].tolist())
+    for geom in range(model.ngeom):
+        body = int(model.geom_bodyid[geom])
+        touches = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if model.body_weldid[body] and touches:
+            for word, array in _ARRAYS.items():
+                values = np.ravel(getattr(model, array)[geom])
+                used = 1 if word == "friction" else len(values)
+                # A capsule is a cylinder and two balls in a URDF: values count, not how often.
+                carrier = model.body(model.body_weldid[body]).name
+                row = found.setdefault((carrier, word), set())
+                row.add(tuple(values[:used].tolist()))  # type: ignore[attr-defined]
+    counts = {
+        "tendon": model.ntendon, "equality": model.neq, "sensor": model.nsensor,
+        "exclude": model.nexclude, "pair": model.npair, "keyframe": model.nkey,
+        "flex": model.nflex, "camera": model.ncam,
+    }  # fmt: skip
+    found |= {("number", word): count for word, count in counts.items()}
+    frames = [model.site(n).name for n in range(model.nsite)]
+    frames += [model.body(n).name for n in range(model.nbody)]  # what a site becomes in a URDF
+    found |= {(name, "site"): "there" for name in frames if name}
+    for motor in range(model.nu):
+        name = model.joint(model.actuator_trnid[motor, 0]).name
+        found[name, "gain"] = float(model.actuator_gainprm[motor, 0])
+    return found
+
+
+_SAID_AS = {
+    "effort": ("effort", "torque", "force"), "velocity": ("velocity",),
+    "k_velocity": ("safety",), "soft_lower_limit": ("safety",), "rising": ("calibration",),
+    "falling": ("calibration",), "multiplier": ("mimic", "coupl", "follow"),
+    "offset": ("mimic", "coupl", "follow"), "collision": ("shape", "mesh", "ball", "collision"),
+    "gain": ("servo", "actuator", "motor"), "stiffness": ("spring", "stiffness"),
+    "timestep": ("timestep", " ms"), "site": ("site",), "keyframe": ("keyframe", "key"),
+    "frictionloss": ("friction",),
+    "noslip_iterations": ("noslip",), "camera": ("camera",),
+    "exclude": ("exclude", "overlap", "touch"), "density": ("density", "fluid", "medium"),
+    "viscosity": ("viscosity", "fluid", "medium"), "range": ("range", "limit"),
+    "armature": ("armature",), "mass": ("mass", "inert", "gram"), "sensor": ("sensor",),
+}  # fmt: skip
+
+
+def _same(one: object, two: object) -> bool:
+    if isinstance(one, list) and isinstance(two, list):
+        return len(one) == len(two) and all(map(_same, sorted(one), sorted(two)))
+    if isinstance(one, set) and isinstance(two, set):
+        return _same(sorted(one), sorted(two))
+    if isinstance(one, str) or isinstance(two, str) or two is None:
+        return one == two
+    return bool(np.allclose(one, two, rtol=NEAR, atol=NEAR))  # type: ignore[arg-type]
+
+
+def silent_losses(before: Table, after: Table, said: str) -> dict[str, list[str]]:
+    """Returns {word: the elements that have another value, of which nothing is said}."""
+    lost: dict[str, list[str]] = {}
+    for (name, word), value in before.items():
+        more = name == "number" and int(value) <= int(after[name, word])  # type: ignore[call-overload]
+        if not (more or _same(value, after.get((name, word)))):
+            words = _SAID_AS.get(word, (word,))
+            if not any(each in said for each in words):
+                lost.setdefault(word, []).append(name)
+    return lost
+
+
+def round_trip(source: Path, folder: Path) -> tuple[dict[str, list[str]], int, int]:
+    """Converts a file there and back.
+
+    Returns:
+        What is lost silently, how many numbers there were, and how many are others now.
+    """
+    endings = (".xml", ".urdf") if source.suffix == ".urdf" else (".urdf", ".xml")
+    there, back = (folder / f"{name}{end}" for name, end in zip("ab", endings, strict=True))
+    said = []
+    for one, two in ((source, there), (there, back)):
+        done = pa.convert_model(one, two, force=True, repair_inertia=one.suffix == ".urdf")
+        said += [*done.not_converted, *done.notes, *done.failures]
+        said += [repair.diagnostic for repair in done.repairs]
+    read = of_urdf if source.suffix == ".urdf" else of_mjcf
+    before, after = read(source), read(back)
+    changed = sum(not _same(value, after.get(key)) for key, value in before.items())
+    return silent_losses(before, after, " ".join(map(str, said)).lower()), len(before), changed
+
+
+def main() -> None:
+    """Prints what each round trip loses without a word."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("files", nargs="+", type=Path)
+    silent = 0
+    for file in parser.parse_args().files:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                lost, count, changed = round_trip(file.resolve(), Path(folder))
+            except PupperAnalysisError as error:
+                print(f"{file.name}: refused: {str(error)[:150]}", flush=True)
+                continue
+        silent += bool(lost)
+        told = {word: (len(names), names[:2]) for word, names in lost.items()}
+        print(f"{file.name}: {count} numbers, {changed} are others; silent: {told}", flush=True)
+    sys.exit(bool(silent))
+
+
+if __name__ == "__main__":
+    main()
