@@ -265,9 +265,11 @@ def public_robots(folder: Path) -> Iterator[tuple[str, tuple[str, ...]]]:
         "solo_description/robots/solo12.urdf", "laikago_description/urdf/laikago.urdf",
         "anymal_c_simple_description/urdf/anymal.urdf", "b1_description/urdf/b1.urdf",
         "g1_description/urdf/g1_29dof_rev_1_0.urdf", "z1_description/urdf/z1.urdf",
+        "anymal_b_simple_description/robots/anymal.urdf", "go1_description/urdf/go1.urdf",
+        "hyq_description/robots/hyq_no_sensors.urdf",
     ):  # fmt: skip
         if (data / urdf).is_file():
-            yield f"{Path(urdf).stem}, URDF", (str(data / urdf),)
+            yield f"{urdf.partition('_description')[0]}, URDF", (str(data / urdf),)
 
 
 def main() -> None:
