@@ -5,6 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+EARTH = 9.81
+"""Gravity (m/s^2), as MuJoCo has it by default, and Pinocchio for each URDF."""
+
+DOWN = (0.0, 0.0, -EARTH)
+"""The same in the world's axes."""
+
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 

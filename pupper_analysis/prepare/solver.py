@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.additions import Options
 from pupper_analysis.robot.build import equipped_robot
 from pupper_analysis.robot.robot import Robot
@@ -20,8 +21,6 @@ _PUSH = 0.1
 _SOLVES = 20
 """Solvers of few iterations begin where they ended before, as they do from step to step."""
 
-_EARTH = 9.81  # m/s^2: what weighs nothing is pushed with a tenth of its weight there
-
 
 def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     """Returns how much of the weight is missing in M qacc = f when a free base is pushed.
@@ -34,7 +33,9 @@ def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     Returns:
         The largest of the base's three forces that is left out, in parts of the robot's weight.
     """
-    gravity = float(np.linalg.norm(model.opt.gravity)) or _EARTH
+    gravity = (
+        float(np.linalg.norm(model.opt.gravity)) or EARTH
+    )  # what weighs nothing is pushed with a tenth of its weight there
     weight = float(model.body_subtreemass[base]) * gravity
     first = int(model.body_dofadr[base])
     data.xfrc_applied[base, :3] = _PUSH * weight

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.arrays import placement_of
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.errors import ModelError, UnknownNameError
+from pupper_analysis.base.units import DOWN
 from pupper_analysis.models import mjcf as mjcf_description
 from pupper_analysis.models.additions import Addition
 from pupper_analysis.models.conversion import acting_gravity, joint_armature
@@ -353,8 +354,6 @@ def _root_link(model: pin.Model) -> str:
     return str(next(frame.name for frame in model.frames if frame.type == pin.FrameType.BODY))
 
 
-_EARTH = np.array([0.0, 0.0, -9.81])
-
 _GRAVITY_TOLERANCE = 0.05
 """Gravity that differs from 9.81 m/s^2 downwards by more is not the Earth's, or not upright: from
 pole to equator it changes by 0.05."""
@@ -372,7 +371,7 @@ _FLAGS = (
 def option_notes(model: mujoco.MjModel) -> Iterator[Diagnostic]:
     """Yields what a model's options make other than a robot on the Earth expects."""
     acts = acting_gravity(model)
-    if float(np.linalg.norm(acts - _EARTH)) > _GRAVITY_TOLERANCE:
+    if float(np.linalg.norm(acts - DOWN)) > _GRAVITY_TOLERANCE:
         yield diagnose("gravity-not-the-earths", gravity=acts)
     for bit, word in _FLAGS:
         if model.opt.disableflags & bit.value:

@@ -21,6 +21,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.attributes import PASSIVE
 from pupper_analysis.models.conversion import inertia_of_body
 from pupper_analysis.models.efforts import effort_limit
@@ -313,10 +314,6 @@ def _add_transmissions(tree: UrdfTree, model: mujoco.MjModel) -> None:
         ).text = write_numbers(gear)
 
 
-_GRAVITY = (0.0, 0.0, -9.81)
-"""That of Pinocchio, and whoever else loads a URDF (m/s^2)."""
-
-
 def tell_other_elements(model: mujoco.MjModel) -> list[Diagnostic]:
     """Tells what else a URDF cannot say."""
     moving = model.jnt_type != JointKind.FREE
@@ -400,7 +397,7 @@ def tell_surroundings(model: mujoco.MjModel, robot: set[int]) -> list[Diagnostic
         if count:
             some.append(diagnose("not-in-urdf", what=Term(what), count=count))
     gravity = model.opt.gravity
-    if not np.allclose(gravity, _GRAVITY):
+    if not np.allclose(gravity, DOWN):
         some.append(diagnose("gravity-not-in-urdf", gravity=gravity))
     if model.opt.density or model.opt.viscosity:
         some.append(diagnose("fluid-not-in-urdf"))

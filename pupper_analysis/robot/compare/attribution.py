@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.mujoco_tree import MujocoTree
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.robot.compare.behaviour import Behaviour, MujocoBehaviour, still_acting
@@ -52,8 +53,6 @@ them (see `_left`).
 
 _STATES = 10  # at which each difference is weighed
 
-_GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's and MuJoCo's default (m/s^2)
-
 
 def explain_differences(
     robot: Robot,
@@ -87,8 +86,8 @@ def explain_differences(
         robot.mj_model, robot.mj_model, robot.joint_names, robot.mj_base
     )
     first, raw = kinematic_trees(robot)
-    if float(np.linalg.norm(raw.gravity - _GRAVITY)) > tolerances.gravity:
-        first = replace(first, gravity=_GRAVITY)
+    if float(np.linalg.norm(raw.gravity - DOWN)) > tolerances.gravity:
+        first = replace(first, gravity=np.array(DOWN))
     alignment = alignment or align_robot(robot, tolerances)
     second = replace(alignment.values, gravity=raw.gravity)
     found = mjcf_only_effects(reference)

@@ -26,6 +26,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.frozen import FrozenDict
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EARTH
 
 Array = NDArray[np.float64]
 
@@ -267,7 +268,7 @@ class RelativeError:
         """
         least = 1e-300
         if name in ("gravity", "bias forces"):
-            least = 1e-3 * 9.81 * self.scale("mass matrix")
+            least = 1e-3 * EARTH * self.scale("mass matrix")
         return max(float(np.abs(self.one[name]).max()), least)
 
     def relative(self, name: str, one: Array, two: Array) -> float:

@@ -26,6 +26,7 @@ from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import EARTH
 from pupper_analysis.models.conversion import mujoco_from_urdf, pinocchio_from_mujoco
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mujoco_tree import MujocoTree
@@ -333,7 +334,7 @@ def _compare(
 def _least_scale(name: str, evaluation: Evaluation) -> float:
     """Returns below what a quantity is rounding alone: a ratio of that is no deviation."""
     if name in ("gravity", "bias forces"):  # a millionth of what the robot weighs
-        return 1e-6 * 9.81 * float(np.abs(evaluation["mass matrix"].values).max())
+        return 1e-6 * EARTH * float(np.abs(evaluation["mass matrix"].values).max())
     return {"body masses": 1e-12, "body inertias": 1e-15, "mass matrix": 1e-15}.get(name, 1e-6)
 
 

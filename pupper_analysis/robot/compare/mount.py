@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Result
+from pupper_analysis.base.units import DOWN
 from pupper_analysis.models.multibody import MultibodyTree
 from pupper_analysis.models.urdf_tree import UrdfTree
 from pupper_analysis.robot.matching.match import Match
@@ -22,8 +23,6 @@ from pupper_analysis.robot.matching.tolerances import Tolerances
 from pupper_analysis.robot.matching.trees import base_pose, kinematic_trees, poses_at_zero
 
 Array = NDArray[np.float64]
-
-_GRAVITY = np.array([0.0, 0.0, -9.81])  # Pinocchio's, of a URDF (m/s^2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ def mount_of(matched: Match, urdf: etree._Element, tolerances: Tolerances) -> Mo
         stands = stands @ matched.conventions.base.rotation
     turn = stands @ _in_root(urdf, matched.urdf_link[robot.base]).T
     one, two = kinematic_trees(robot)
-    down = turn @ _GRAVITY
+    down = turn @ DOWN
     tilt = math.atan2(float(np.linalg.norm(np.cross(down, two.gravity))), float(down @ two.gravity))
     if not two.gravity.any() or tilt <= tolerances.rotation:
         return None

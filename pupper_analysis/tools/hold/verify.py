@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
 from pupper_analysis.base.results import Tabular
+from pupper_analysis.base.units import EARTH
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import (
@@ -55,7 +56,6 @@ _LEVER = 1e-3
 """The robot's weight on this lever (m) is what deviations of torques are measured by where less is
 predicted: joints about vertical axes hold nothing."""
 
-_EARTH = 9.81  # m/s^2
 
 _SATURATED = 1e-6
 """A motor that is so near to its limit, in parts of it, gives all it can."""
@@ -202,12 +202,11 @@ def _run(drive: Servos, start: Array, ctrl: Array, duration: float, joints: Indi
     steps = round((1 - NUDGED) * duration / timestep)
     quiet = simulate(drive.model, start, np.tile(ctrl, (steps, 1)))
     settled = quiet[-round(LAST / timestep) :]
-    judged = evaluate_stability(drive, quiet[-1], ctrl, 0.0)
     diverged = monitor.has_diverged(quiet, timestep)
     # What threw it off grew where it began: where it hangs instead has a spectrum of its own.
-    if diverged or _left(quiet[-1, joints] - start[joints]):
-        judged = evaluate_stability(drive, start, ctrl, 0.0)
-    elif judged.speed > RESTING:
+    left = diverged or _left(quiet[-1, joints] - start[joints])
+    judged = evaluate_stability(drive, start if left else quiet[-1], ctrl, 0.0)
+    if not left and judged.speed > RESTING:
         judged = evaluate_stability(drive, start, ctrl)
     if diverged:
         return _Run(quiet, settled, diverged, judged, None)
@@ -256,7 +255,7 @@ def _measured(
 
 def _weight(robot: Robot) -> float:
     """Returns the weight (N); of what floats in space, that on Earth: a scale for what is off."""
-    return robot.total_mass * (float(np.linalg.norm(robot.gravity)) or _EARTH)
+    return robot.total_mass * (float(np.linalg.norm(robot.gravity)) or EARTH)
 
 
 def _left(moved: Array) -> bool:
