@@ -156,7 +156,8 @@ def _write_cells(axes: Axes, table: doc.Table, norm: LogNorm, size: float) -> No
     """Writes the numbers of a table into its cells, or what is there; frames those marked."""
     for row, cells in enumerate(table.rows):
         for column, cell in enumerate(cells[1:]):
-            at: dict[str, Any] = {"size": size, "ha": "center", "va": "center"}
+            # What is inside its cell makes no room for itself: it need not be measured for that.
+            at: dict[str, Any] = {"size": size, "ha": "center", "va": "center", "in_layout": False}
             if not isinstance(cell, doc.Number):
                 place = (column - 0.5, row - 0.5)
                 look: dict[str, Any] = {"fc": "#F1F1F1", "ec": style.GREY, "hatch": "////", "lw": 0}
