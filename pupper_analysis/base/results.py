@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ConfigurationError, MissingPackageError
 from pupper_analysis.base.frozen import freeze
-from pupper_analysis.base.kinds import GENERATOR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,7 +35,7 @@ def to_json(result: object) -> str:
         | orjson.OPT_PASSTHROUGH_DATACLASS
     )
     try:
-        return orjson.dumps(result, default=_fallback, option=options).decode()
+        return orjson.dumps(result, default=to_plain, option=options).decode()
     except orjson.JSONEncodeError as error:
         if isinstance(error.__cause__, ConfigurationError):
             raise error.__cause__ from None
@@ -44,19 +43,8 @@ def to_json(result: object) -> str:
         raise ConfigurationError("result", told) from error
 
 
-def marked_json(content: object) -> str:
-    """Returns a result, or a mapping of results, as a JSON file that tells what has made it.
-
-    Raises:
-        ConfigurationError: As ``to_json``.
-    """
-    from pupper_analysis import __version__
-
-    told = content if isinstance(content, Mapping) else _fallback(content)
-    return f"{to_json({'generator': f'{GENERATOR} {__version__}', **told})}\n"
-
-
-def _fallback(value: Any) -> Any:
+def to_plain(value: Any) -> Any:
+    """Returns what JSON is made of in place of a value that it does not know."""
     if isinstance(value, Diagnostic):
         return value.to_dict()
     if is_dataclass(value):

@@ -30,12 +30,14 @@ class Run:
         inputs: {file: the name by which it was read}.
         outputs: {file that is there: the name by which it was named as an output}.
         written: Files that the run has made; to read them again is no loss.
+        command: The words of the command that it is; none in Python.
     """
 
     force: bool = False
     inputs: dict[Identity, str] = field(default_factory=dict)
     outputs: dict[Identity, Path] = field(default_factory=dict)
     written: set[Identity] = field(default_factory=set)
+    command: tuple[str, ...] = ()
 
     def expect(self, path: Path) -> None:
         """Remembers that a file is to be written, so that reading it ends the run.

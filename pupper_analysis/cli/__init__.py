@@ -14,6 +14,7 @@ import click
 
 import pupper_analysis
 from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.base.kinds import GENERATOR
 from pupper_analysis.base.runs import running
 from pupper_analysis.base.tools import HEADINGS, other_tools, own_tools
 from pupper_analysis.cli.process import (
@@ -120,7 +121,8 @@ def run(command: click.Command, arguments: list[str] | None = None) -> None:
 def _status(command: click.Command, arguments: list[str], *, debug: bool) -> int:
     """Runs a command; says what went wrong, and returns the exit status."""
     try:
-        with running():  # from here, as options read files, too
+        with running() as run:  # from here, as options read files, too
+            run.command = (GENERATOR, *arguments)
             return command.main(args=arguments, standalone_mode=False) or VERIFIED
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message(), err=True)

@@ -342,9 +342,11 @@ def show_results(
 def show_report(report: Report, style: str = "text", *, everything: bool = False) -> None:
     """Shows a report on the terminal, or as Markdown; its arguments are ``show_results``'s."""
     if style == "markdown":
-        from pupper_analysis.present.markdown import write_markdown
+        from pupper_analysis.base.provenance import find_provenance
+        from pupper_analysis.present.markdown import fold_lines, write_markdown
 
-        click.echo(write_markdown(report), nl=False)
+        made = fold_lines("pupper_analysis", find_provenance().lines())
+        click.echo(f"{write_markdown(report)}\n{made}", nl=False)
     else:
         from pupper_analysis.present.terminal import make_console, print_report
 
@@ -364,7 +366,7 @@ def confirm_written(path: Path | str) -> None:
 def write_json(path: Path | None, content: object) -> None:
     """Writes results as JSON, if there is a file to write to."""
     from pupper_analysis.base.files import whole_file
-    from pupper_analysis.base.results import marked_json
+    from pupper_analysis.base.provenance import marked_json
     from pupper_analysis.cli.process import go_on
 
     go_on()

@@ -70,7 +70,7 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
     text, passed_over = without_retired(standard_input.read_content(path, MAX_BYTES))
     waiting = [text]
     while waiting:
-        for name in re.findall(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)', waiting.pop()):
+        for name in _INCLUDED.findall(waiting.pop()):
             file = path.parent / name.decode()
             if name.decode() not in included and file.is_file():
                 included[name.decode()], more = without_retired(read_input(file, MAX_BYTES))
@@ -79,6 +79,19 @@ def spec_of(path: Path, *, lenient: bool = False) -> tuple[mujoco.MjSpec, tuple[
     spec = mujoco.MjSpec.from_string(text.decode("utf-8-sig"), include=included)
     spec.modelfiledir = str(path.parent)
     return spec, tuple(dict.fromkeys(passed_over))
+
+
+_INCLUDED = re.compile(rb'<include\s[^>]*file\s*=\s*["\']([^"\']+)')
+
+
+def list_files(path: Path, spec: mujoco.MjSpec) -> Iterator[Path]:
+    """Yields the files of an MJCF: itself, what it includes, and its meshes."""
+    waiting = [path]
+    while waiting:
+        file = waiting.pop()
+        yield file
+        waiting += [path.parent / name.decode() for name in _INCLUDED.findall(file.read_bytes())]
+    yield from sorted({path.parent / spec.compiler.meshdir / mesh.file for mesh in spec.meshes})
 
 
 def compile_spec(spec: mujoco.MjSpec, source: Path) -> mujoco.MjModel:

@@ -8,7 +8,9 @@ Source: GitHub Flavored Markdown Spec, version 0.29-gfm.
 
 from __future__ import annotations
 
+import html
 import re
+from collections.abc import Iterable
 from functools import singledispatch
 
 from pupper_analysis.present.document import (
@@ -65,6 +67,12 @@ def write_markdown(report: Report) -> str:
     )
     told = "*Its tables are longer than a comment may be: `--json` has all numbers.*"
     return f"{short[:MOST_LETTERS]}\n\n{told}\n"
+
+
+def fold_lines(title: str, lines: Iterable[str]) -> str:
+    """Returns lines as they are, folded under a title."""
+    said = "\n".join(html.escape(line) for line in lines)
+    return f"<details><summary>{html.escape(title)}</summary><pre>{said}</pre></details>\n"
 
 
 def _document(document: Document, *, whole: bool) -> list[str]:

@@ -15,6 +15,7 @@ from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError, VariantError
 from pupper_analysis.base.files import Writing, write_together
 from pupper_analysis.base.kinds import MODEL
+from pupper_analysis.base.runs import note_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.places import one_line
@@ -48,6 +49,8 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     urdf_text, mjcf_spec = _derived(
         spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
     )
+    for file in (urdf_source, *mjcf.list_files(mjcf_source, mjcf_spec)):
+        note_input(file)  # each time: what is derived is kept
     return Description(
         name=spec.name,
         urdf=urdf_text,

@@ -80,7 +80,7 @@ def test_push_takes_a_urdf_and_its_mjcf_as_one_robot(
     options = ("--directions", "3", "--resolution", "0.5", "--json", str(page))
     status, _, _ = run_command(capfd, "push", str(URDF), str(MJCF), *options)
     assert status == 0
-    assert json.loads(page.read_text()).keys() == {"generator", "pupper_v3"}
+    assert json.loads(page.read_text()).keys() == {"generator", "provenance", "pupper_v3"}
 
 
 @pytest.mark.parametrize(

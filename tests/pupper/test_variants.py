@@ -1,6 +1,7 @@
 """Which variants there are, what they weigh and measure, and what is refused."""
 
 import math
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -9,6 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pupper_analysis as pa
+from pupper_analysis.base.runs import running
+from pupper_analysis.pupper.variants import model_folder
 from tests.support.bodies import BODIES
 from tests.support.engines import mujoco_at
 from tests.support.variants import NAMES, load
@@ -195,3 +198,16 @@ def test_scales_that_nobody_builds_are_refused(field: str) -> None:
     assert getattr(pa.pupper.VariantSpec("v3", **{field: 1000.0}), field) == 1000.0
     with pytest.raises(pa.VariantError, match="at most 1000"):
         pa.pupper.VariantSpec("v3", **{field: 1e8})
+
+
+def test_a_run_knows_the_files_of_a_variant_that_are_read() -> None:
+    """None of them is written over, also where what was derived of them is kept."""
+    for _ in range(2):
+        with running() as run:
+            pa.load_variant("v3-heavy")
+        meshes = {f"{name}.stl" for name in ("calf", "hip", "thigh", "torso")}
+        parts = {"pupper_v3.xml", "pupper_v3_body.xml", "pupper_v3_shared.xml"}
+        names = {Path(name).name for name in run.inputs.values()}
+        assert names == {"pupper_v3.urdf", *parts, *meshes}
+        with pytest.raises(pa.OutputError, match="which this run reads"):
+            run.expect(model_folder("mjcf") / "pupper_v3_body.xml")

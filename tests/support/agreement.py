@@ -165,7 +165,7 @@ def _compare_push(found: Agreement, run: Commands, stance: dict[str, Any]) -> No
             found.disagreements.append(f"push: {done.stderr.strip()[-120:]}")
         return
     pushed = content.get("robots", content)
-    one = next(value for name, value in pushed.items() if name != "generator")
+    one = next(value for name, value in pushed.items() if name not in ("generator", "provenance"))
     found.codes["push"] = one["verdict"]["code"]
     # It looks at the stand with feed-forward alone.
     if one["verdict"]["passed"] and not stance["verdict"]["passed"]:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import GENERATOR, PICTURE
+from pupper_analysis.base.provenance import find_provenance
 
 DPI = 180
 FONT = 8  # pt
@@ -88,5 +89,9 @@ def save_figure(figure: Figure, path: str | Path, *, force: bool = False) -> Non
     from pupper_analysis import __version__
 
     FigureCanvasAgg(figure)
+    made = {
+        "Software": f"{GENERATOR} {__version__}",
+        "Source": "\n".join(find_provenance().lines()),
+    }
     with whole_file(Path(path), PICTURE, force=force) as file:
-        figure.savefig(file, format="png", metadata={"Software": f"{GENERATOR} {__version__}"})
+        figure.savefig(file, format="png", metadata=made)

@@ -11,7 +11,7 @@ import re
 import reprlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.metadata import PackageNotFoundError, distribution
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -19,11 +19,13 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
+from pupper_analysis import __version__
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import PAGE
+from pupper_analysis.base.provenance import find_provenance
 from pupper_analysis.base.results import Result
 from pupper_analysis.present.document import (
     Block,
@@ -184,7 +186,8 @@ def render_page(shown: Report, language: str = "en") -> str:
         .render(
             title=shown.title,
             language=LANGUAGES[language],
-            version=_version(),
+            version=__version__,
+            provenance=find_provenance().lines(),
             sections=sections,
             overview=[_block(block, scenes) for block in shown.overview],
             counted=_counted(judged),
@@ -228,13 +231,6 @@ def _counted(judged: list[Document]) -> Text | None:
         return None
     good = sum(bool(section.passed) for section in judged)
     return text("count-passed", good=good, count=len(judged))
-
-
-def _version() -> str:
-    try:
-        return version("pupper-analysis")
-    except PackageNotFoundError:
-        return ""
 
 
 def _interface() -> dict[str, Any]:

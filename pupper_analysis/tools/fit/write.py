@@ -19,7 +19,7 @@ from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.files import Writing, write_together
 from pupper_analysis.base.inputs import MOST_TEXT, read_input
 from pupper_analysis.base.kinds import FIT_FOLDER
-from pupper_analysis.base.results import marked_json
+from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos
 from pupper_analysis.tools.fit.consistency import make_consistent

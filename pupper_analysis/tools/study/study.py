@@ -21,6 +21,7 @@ from pupper_analysis.base.arguments import check_finite, check_type
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, InputError, StudyError, VariantError
 from pupper_analysis.base.inputs import is_input, read_toml
+from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.joints import placed_joints
 from pupper_analysis.robot.robot import Robot
@@ -53,7 +54,7 @@ from pupper_analysis.tools.study.parameters import (
 from pupper_analysis.tools.study.running import Progress, Run, Settings
 from pupper_analysis.tools.study.store import Store, design_keys, require_library
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, Variable, make_variable
-from pupper_analysis.tools.study.worker import Chunk, Work, list_versions, measure_designs
+from pupper_analysis.tools.study.worker import Chunk, Work, measure_designs
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,30 +12,14 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib import metadata
 from multiprocessing import parent_process
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import StudyError
+from pupper_analysis.base.provenance import list_versions
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.study.design import Maker, RobotSource, Row, row_of
 from pupper_analysis.tools.study.measures import Function, Metric, metric_of
-
-LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
-"""Whose versions results depend on."""
-
-
-@lru_cache(maxsize=1)
-def list_versions() -> dict[str, str]:
-    """Returns the versions of what results depend on; the processor's kind is one of them."""
-    found = {"machine": platform.machine(), "python": platform.python_version()}
-    for library in LIBRARIES:
-        try:
-            found[library] = metadata.version(library)
-        except metadata.PackageNotFoundError:
-            found[library] = "unknown"
-    return found
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ def test_what_is_printed_and_written_is_what_python_finds(
     held = pa.hold_posture(arm(), joints, payload=0.2)
     json_written = json.loads(out[0].read_text())
     assert json_written.pop("generator").startswith("pupper-analysis ")
+    assert json_written.pop("provenance")["command"].startswith("pupper-analysis hold ")
     assert json_written == json.loads(held.to_json())
     assert held.posture.qpos[0] == pytest.approx(joints["elbow"])
     assert "HOLDS arm: Posture: the middle of the joints' ranges, but for" in told

@@ -24,8 +24,9 @@ def test_two_robots_are_pushed(capfd: pytest.CaptureFixture[str], tmp_path: Path
     status, out, err = run_command(capfd, "push", "original", "heavy", *COARSE, *output)
     assert status == 0, err
     content = json.loads(path.read_text())
-    assert list(content) == ["generator", "original", "heavy"]
+    assert list(content) == ["generator", "provenance", "original", "heavy"]
     assert content.pop("generator").startswith("pupper-analysis ")
+    assert content.pop("provenance")["files"]
     for name, stance in content.items():
         result = stance["recovery"]
         weakest = f"{result['weakest_impulse']:.2f} N s, "
@@ -83,7 +84,7 @@ def test_any_robot_in_any_stance(capfd: pytest.CaptureFixture[str], tmp_path: Pa
         capfd, "push", *own, *feet, *stance, *servos, *COARSE, "--json", str(file)
     )
     assert status == 0, err
-    generator, found = json.loads(file.read_text()).values()
+    generator, _, found = json.loads(file.read_text()).values()
     assert generator.startswith("pupper-analysis ")
     robot = load("heavy")
     task = pa.StandTask(height=0.15, swing={"FL": 0.01}, com="inside", com_margin=0.01)
@@ -104,7 +105,7 @@ def test_a_variant_and_a_derived_one(capfd: pytest.CaptureFixture[str], tmp_path
     arguments = ("original", "--leg-scale", "1.2", "--json", str(file))
     status, _, err = run_command(capfd, "push", *arguments, *COARSE)
     assert status == 0, err
-    made = ["generator", "original", "skeleton-leg1.2-torso1"]
+    made = ["generator", "provenance", "original", "skeleton-leg1.2-torso1"]
     assert list(json.loads(file.read_text())) == made
 
 

@@ -66,7 +66,8 @@ def test_payload_prints_its_limits(capfd: pytest.CaptureFixture[str], tmp_path: 
     assert content["point"] == [0.01, 0.0, 0.08]
     robot = load("original")
     limit = payload_limit(robot, StandTask(yaw=0.1), (0.01, 0.0, 0.08), kp=30.0, kd=1.0)
-    assert {**json.loads(limit.to_json()), "generator": content["generator"]} == content
+    marks = {name: content[name] for name in ("generator", "provenance")}
+    assert {**json.loads(limit.to_json()), **marks} == content
     assert content["trial"]["held"]
     assert "payload at (10, 0, 80) mm" in out
     assert f"base is ({1e3 * limit.offset[0]:.1f}, " in out

@@ -1,0 +1,50 @@
+"""Where a result comes from is written beside it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import mujoco
+from PIL import Image
+
+from pupper_analysis.base.provenance import find_provenance
+from tests.support.commands import answer
+from tests.support.repository import ROOT
+
+
+def test_json_page_markdown_and_pictures_say_where_they_come_from(tmp_path: Path) -> None:
+    file = tmp_path / "own.urdf"
+    file.write_bytes((ROOT / "urdf" / "pupper_skeleton.urdf").read_bytes())
+    words = ("push", "own.urdf", "--directions", "3", "--format", "markdown", "--json", "p.json",
+             "--report", "p.html", "--figure", "p.png")  # fmt: skip
+    done = answer(*words, folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "p.json").read_text())["provenance"]
+    assert found["command"] == " ".join(("pupper-analysis", *words))
+    age = datetime.now(UTC) - datetime.fromisoformat(found["date"])
+    assert timedelta() <= age < timedelta(minutes=5)
+    assert found["versions"]["mujoco"] == mujoco.__version__
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    assert found["files"] == {"own.urdf": digest}
+    with Image.open(tmp_path / "p.png") as opened:
+        picture = opened.info["Source"]
+    for shown in (done.stdout, (tmp_path / "p.html").read_text(), picture):
+        assert found["command"] in shown
+        assert f"own.urdf sha256:{digest[:12]}" in shown
+        assert f"mujoco {mujoco.__version__}" in shown
+
+
+def test_in_python_there_is_no_command() -> None:
+    found = find_provenance()
+    assert (found.command, found.files) == ("", {})
+    assert found.lines()[0] == found.date
+
+
+def test_of_many_files_a_page_lists_the_first() -> None:
+    many = replace(find_provenance(), files={f"{n:02}.stl": "0" * 64 for n in range(20)})
+    assert "11.stl" in many.lines()[-2]
+    assert many.lines()[-1].startswith("... 8 more")
