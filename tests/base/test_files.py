@@ -28,7 +28,7 @@ from pupper_analysis.base.kinds import (
     RESULTS,
     Kind,
 )
-from pupper_analysis.base.results import marked_json
+from pupper_analysis.base.provenance import marked_json
 from pupper_analysis.base.runs import note_input, running
 from tests.support.commands import answer, run_command
 from tests.support.repository import ROOT

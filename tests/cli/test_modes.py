@@ -10,9 +10,11 @@ import click
 import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
+from pupper_analysis.base.runs import current_run
 from pupper_analysis.cli import COMMANDS, find_command
 from pupper_analysis.cli.modes import refuse_unused
 from pupper_analysis.cli.robots import RobotOptions
+from pupper_analysis.cli.shared import Command
 from pupper_analysis.cli.stance_fields import TYPED
 from tests.support.commands import answer
 from tests.support.repository import ROOT
@@ -43,10 +45,20 @@ class _Calls:
 
     def of(self, name: str, result: Any = None) -> Any:
         def call(*words: Any, **given: Any) -> Any:
-            self.noted.append(f"{name}{words}{sorted(given.items())}")
+            self.noted.append(f"{name}{[_told(word) for word in words]}{sorted(given.items())}")
             return result
 
         return call
+
+
+def _told(word: object) -> object:
+    """What a function learns of an argument: of a context, where what is written goes, and how."""
+    if not isinstance(word, click.Context):
+        return word
+    run, command = current_run(), word.command
+    assert run is not None
+    assert isinstance(command, Command)
+    return run.force, [word.params.get(str(one.name)) for one in command.outputs]
 
 
 def calls(patch: pytest.MonkeyPatch) -> _Calls:
