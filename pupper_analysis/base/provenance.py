@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 from pupper_analysis.base.kinds import GENERATOR
-from pupper_analysis.base.results import Result, to_json, to_plain
+from pupper_analysis.base.results import to_json, to_plain
 from pupper_analysis.base.runs import current_run
 
 LIBRARIES = ("pupper-analysis", "mujoco", "pin", "placo", "numpy", "clarabel", "scipy")
@@ -26,7 +26,7 @@ _MOST_FILES = 12
 
 
 @dataclass(frozen=True)
-class Provenance(Result):
+class Provenance:
     """What a result was made with.
 
     Attributes:

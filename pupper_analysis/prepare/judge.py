@@ -17,7 +17,7 @@ from pupper_analysis.prepare.self_check import (
     own_run_explained,
     with_lines,
 )
-from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
 from pupper_analysis.robot.as_published import Cause, Published
 from pupper_analysis.robot.asked_efforts import efforts_nobody_meant
 from pupper_analysis.robot.configuration import Configuration
@@ -83,6 +83,7 @@ def judge(
         converted=robot.description.converted,
         remarks=(
             *limbs_without_feet(robot),
+            *joints_unlike(robot),
             *robot.description.replaced_soles(),
             *_made_up(robot),
             *efforts_nobody_meant(robot),
@@ -155,7 +156,12 @@ def judge_held(
         own=own_run_held(robot, posture.qpos),
         published=as_published_held(robot, posture.qpos, bare.joint_torques),
         converted=robot.description.converted,
-        remarks=(*_made_up(robot), *efforts_nobody_meant(robot), *import_refused(robot)),
+        remarks=(
+            *joints_unlike(robot),
+            *_made_up(robot),
+            *efforts_nobody_meant(robot),
+            *import_refused(robot),
+        ),
     )
 
 

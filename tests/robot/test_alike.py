@@ -8,7 +8,7 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.prepare.judge import judge_stand
-from pupper_analysis.robot.alike import limbs_without_feet
+from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
 from pupper_analysis.simulation.verdict import VerdictCode
 from tests.tools.convert.test_model import standing_urdf
 
@@ -50,3 +50,32 @@ def test_feet_that_are_named_are_as_they_are_meant(tmp_path: Path) -> None:
     robot = pa.load_robot(standing_urdf(tmp_path), feet=["FL_calf", "FR_calf", "RL_calf"])
     assert len(robot.feet) == 3
     assert limbs_without_feet(robot) == ()
+
+
+@pytest.mark.parametrize(
+    ("slip", "said"),
+    [
+        ('effort="8"', "RR_knee has effort 8, FL_knee 80"),
+        ('upper="-1.8"', "RR_knee has range 0.8, FL_knee 2.2"),
+    ],
+)
+def test_a_joint_with_another_number_than_its_like_is_in_the_verdict(
+    slip: str, said: str, tmp_path: Path
+) -> None:
+    robot = pa.load_robot(standing_urdf(tmp_path))
+    assert joints_unlike(robot) == ()
+    old = 'effort="80"' if "effort" in slip else 'upper="-0.4"'
+    robot = pa.load_robot(slipped(tmp_path, old, slip))
+    [told] = joints_unlike(robot)
+    assert said in str(told)
+    assert told in judge_stand(robot, pa.solve_stand(robot)).remarks
+
+
+@pytest.mark.parametrize(("factor", "told"), [(10.0, True), (2.0, False), (0.1, True)])
+def test_what_was_measured_of_each_joint_may_differ_by_half(factor: float, told: bool) -> None:
+    robot = pa.load_variant("v3")
+    assert joints_unlike(robot) == ()
+    model = robot.mj_model
+    model.dof_armature[model.jnt_dofadr[model.joint("leg_back_l_3").id]] *= factor
+    found = joints_unlike(robot)
+    assert ["leg_back_l_3 has armature" in str(one) for one in found] == [True] * told
