@@ -33,9 +33,8 @@ def left_out(model: mujoco.MjModel, data: mujoco.MjData, base: int) -> float:
     Returns:
         The largest of the base's three forces that is left out, in parts of the robot's weight.
     """
-    gravity = (
-        float(np.linalg.norm(model.opt.gravity)) or EARTH
-    )  # what weighs nothing is pushed with a tenth of its weight there
+    # What weighs nothing is pushed with a tenth of its weight on Earth.
+    gravity = float(np.linalg.norm(model.opt.gravity)) or EARTH
     weight = float(model.body_subtreemass[base]) * gravity
     first = int(model.body_dofadr[base])
     data.xfrc_applied[base, :3] = _PUSH * weight
