@@ -60,7 +60,7 @@ def verdict_clauses(verdict: Verdict) -> tuple[Clause, ...]:
         *_replaced(verdict.servos.replaced),
         *_computed(verdict),
         *(Clause(remark.severity is not Severity.ERROR, remark) for remark in verdict.remarks),
-        *_published(verdict.published),
+        *published_clauses(verdict.published),
         *_beyond(verdict),
         *(() if fails else own),
     )
@@ -196,7 +196,7 @@ def _computed(verdict: Verdict) -> Iterator[Clause]:
         yield Clause(False, diagnose("fails-alone", collapses=collapses, failures=failures))
 
 
-def _published(published: Published | None) -> Iterator[Clause]:
+def published_clauses(published: Published | None) -> Iterator[Clause]:
     """Says how far the robot as published is from the computed one."""
     if published is None:
         return

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.errors import ConfigurationError, OutputError
+from pupper_analysis.base.errors import ConfigurationError, OutputError, PupperAnalysisError
 from pupper_analysis.base.files import Writing, check_writable, write_together
 from pupper_analysis.base.kinds import MODEL
 from pupper_analysis.base.results import Result
@@ -19,14 +20,19 @@ from pupper_analysis.models.mjcf_file import read_mjcf
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
 from pupper_analysis.prepare.convert.conversion import ConversionDraft, KeyframeRun, keyframe_run
 from pupper_analysis.prepare.convert.from_urdf import check_joints
+from pupper_analysis.prepare.convert.load import load_robot
 from pupper_analysis.prepare.convert.repair import Repair
 from pupper_analysis.prepare.convert.to_mjcf import MjcfOptions, mjcf_draft
 from pupper_analysis.prepare.convert.to_urdf import urdf_draft
+from pupper_analysis.prepare.judge import judge_stand
 from pupper_analysis.prepare.load import Feet, robot_of
+from pupper_analysis.present.verdict import published_clauses
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
 from pupper_analysis.robot.compare.differences import OF_INERTIALS
+from pupper_analysis.simulation.verdict import VerdictCode
 from pupper_analysis.simulation.verify import StandVerification, verify_stand
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
+from pupper_analysis.stance.stand import solve_stand
 from pupper_analysis.tools.sync.models import FINE
 
 
@@ -131,6 +137,8 @@ def convert_model(
             kept = keyframe_run(mjcf)
             why = [] if kept is None else kept.failures
             failures += [diagnose("fails-from-keyframe", problem=problem) for problem in why]
+        if mjcf == output and not failures:
+            failures += _of_the_import(source, feet, packages)
     return Conversion(
         source=str(source),
         output=str(output),
@@ -167,6 +175,21 @@ def _disagreements(comparison: Comparison, draft: ConversionDraft) -> Iterator[D
         if not (mended or on_ball):
             yield difference.diagnostic
     yield from comparison.objections
+
+
+def _of_the_import(
+    source: Path, feet: Feet | None, packages: Mapping[str, str | Path] | None
+) -> Iterator[Diagnostic]:
+    """Yields what MuJoCo's own import of a URDF does otherwise than what was written: ``stand``'s.
+
+    On its own shapes, which may be soles of meshes where the new file has balls.
+    """
+    with suppress(PupperAnalysisError):  # what cannot be judged is judged by the new file alone
+        robot = load_robot(source, feet=feet, packages=packages)
+        verdict = judge_stand(robot, solve_stand(robot))
+        if verdict.code is VerdictCode.DIFFERS_AS_PUBLISHED:
+            for clause in published_clauses(verdict.published):
+                yield diagnose("import-does-otherwise", problem=clause.told)
 
 
 def _stood(urdf: UrdfFile, mjcf: Path, feet: Feet | None) -> StandVerification:
