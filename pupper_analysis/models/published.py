@@ -14,6 +14,7 @@ from typing import Final
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.runs import note_input
 from pupper_analysis.models.places import Place, one_line, refuse_file
 
 SCHEME: Final = "robot_descriptions:"
@@ -89,8 +90,13 @@ def expand_xacro(path: Path) -> str:
         raise refuse_file(Place(path), diagnose("file-is-xacro")) from error
     if not path.is_file():
         raise refuse_file(Place(path), diagnose("file-not-read", message="no such file"))
+    # It lists what is included by all files that are expanded, one after another.
+    before = len(getattr(xacro, "all_includes", ()))
     try:
-        return str(xacro.process_file(str(path)).toxml())
+        text = str(xacro.process_file(str(path)).toxml())
     except Exception as error:  # whatever a macro's Python raises
         problem = diagnose("xacro-not-expanded", message=one_line(error))
         raise refuse_file(Place(path), problem) from error
+    for name in getattr(xacro, "all_includes", ())[before:]:
+        note_input(name)
+    return text

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.base.errors import ModelError
+from pupper_analysis.base.errors import ModelError, OutputError
+from pupper_analysis.base.runs import running
 from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.places import Place
 from pupper_analysis.models.published import find_file
@@ -97,9 +98,22 @@ def test_xacro_is_expanded_if_it_is_installed(
     file = tmp_path / "rex.urdf.xacro"
     file.write_text('<robot name="rex" xmlns:xacro="http://ros.org/wiki/xacro"/>')
     package = types.ModuleType("xacro")
-    package.process_file = lambda path: _Expanded()  # type: ignore[attr-defined]
+    part = tmp_path / "leg.xacro"
+    part.write_text("<robot/>")
+    package.all_includes = ["another.xacro"]  # type: ignore[attr-defined]
+
+    def expand(path: str) -> _Expanded:
+        assert path == str(file)
+        package.all_includes.append(str(part))
+        return _Expanded()
+
+    package.process_file = expand  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "xacro", package)
-    read = read_model(file)
+    with running() as run:
+        read = read_model(file)
+        # What it includes is read as well, and never written over.
+        with pytest.raises(OutputError, match="which this run reads"):
+            run.expect(part)
     assert isinstance(read, UrdfFile)
     assert list(read.tree.links) == ["base"]
     # The lines are those of no file that anyone has.
