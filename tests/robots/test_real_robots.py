@@ -132,7 +132,8 @@ def test_mini_cheetah_has_the_base_of_another_robot() -> None:
 
 def test_what_else_differs_in_mini_cheetah() -> None:
     comparison = comparison_of("mini cheetah")
-    assert found(comparison)[:3] == [("mass", "base"), ("com", "base"), ("inertia", "base")]
+    assert found(comparison)[0] == ("mass", "base")
+    assert set(found(comparison)[1:3]) == {("com", "base"), ("inertia", "base")}
     # 0.2 of each in the MJCF's default class; the URDF states none.
     notes = " ".join(map(str, comparison.notes))
     assert "damping (0.2 N m s/rad on 12 joints) is stated by the MJCF alone" in notes
@@ -164,8 +165,8 @@ def test_the_old_urdf_of_mini_cheetah_has_other_legs_too() -> None:
 def test_go1_lacks_the_hip_motors_rotors() -> None:
     """The URDF has a rotor of 0.089 kg per motor; the MJCF put 8 into the legs, and 4 nowhere."""
     comparison = comparison_of("go1")
-    first = comparison.differences[0]
-    assert (first.kind, first.element, first.mjcf) == ("mass", "base", 5.204)
+    first = next(one for one in comparison.differences if one.kind == "mass")
+    assert (first.element, first.mjcf) == ("base", 5.204)
     rest = 1e-6 + 0.001 + 8e-5  # the root link, the IMU, cameras and sonars
     assert first.urdf == pytest.approx(5.204 + 4 * 0.089 + rest, abs=1e-12)
     assert str(first.mjcf_place).endswith("go1.xml:84")
@@ -214,9 +215,9 @@ def test_go2_lacks_all_rotors() -> None:
         assert masses[f"{leg}_thigh_joint"] == pytest.approx((1.152 + 0.089, 1.152), abs=1e-12)
         # The calf of 0.154 kg and the foot of 0.04 kg are 0.241352 kg in the MJCF.
         assert masses[f"{leg}_calf_joint"] == pytest.approx((0.194, 0.241352), abs=1e-12)
-    assert found(comparison)[0] == ("mass", "base")
-    assert comparison.causes[0].kind == "links"
-    assert "12 *_rotor of 0.089 kg each" in comparison.causes[0].message
+    assert found(comparison)[0][0] == "mass"
+    (rotors,) = [cause for cause in comparison.causes if cause.kind == "links"]
+    assert "12 *_rotor of 0.089 kg each" in rotors.message
 
 
 def test_what_else_differs_in_go2() -> None:
@@ -448,16 +449,21 @@ CONVERTED = {
     "a1": (URDF, "a1_description/urdf/a1.urdf"),
     "hyq, whose feet MuJoCo refuses": (URDF, "hyq_description/robots/hyq_no_sensors.urdf"),
     "solo 12, on round meshes": (URDF, "solo_description/robots/solo12.urdf"),
-    "mini cheetah, without its meshes": (MJCF, "mini_cheetah/mini_cheetah.urdf"),
+    "mini cheetah": (MJCF, "mini_cheetah/mini_cheetah.urdf"),
     "hyqreal2, on a floating joint": (MJCF, "hyqreal2/hyqreal2.urdf"),
     "panda, an arm with a mimic joint": (URDF, "panda_description/urdf/panda.urdf"),
 }
 
 
+LOST = {"mini cheetah", "hyqreal2, on a floating joint"}
+"""Those whose collision meshes are not beside them: all else of them agrees and stands."""
+
+
 @pytest.mark.parametrize("name", CONVERTED)
 def test_a_urdf_converts_agrees_and_stands(name: str, tmp_path: Path) -> None:
     found = pa.convert_model(file(*CONVERTED[name]), tmp_path / "new.xml")
-    assert found.passed, found.failures
+    lost = [one.code for one in found.failures]
+    assert set(lost) == ({"collision-meshes-lost"} if name in LOST else set()), found.failures
     assert found.comparison.differences == ()
     assert (found.verification is None) == name.startswith("panda")
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 from pupper_analysis.base.diagnostics import (
@@ -256,14 +257,19 @@ def _blocks(comparison: Comparison) -> Iterable[doc.Block]:
     for part in comparison.parts:
         off = text("part-it-was-taken-off", part=doc.tell(part))
         yield doc.Lines((off,), "bad", text("only-in-one-file"))
+    # One order for the headline and for all below it: that of the differences.
+    listed: list[tuple[int, doc.Block]] = []
     for cause in causes:
         first = comparison.differences[cause.differences[0]]
         made = text("this-alone-makes-count-differences", count=len(cause.differences))
         such = text("the-kind-of-element", kind=word(first.kind), element=first.element)
-        yield _sides(comparison, first, doc.tell(cause.diagnostic), made, such)
+        sides = _sides(comparison, first, doc.tell(cause.diagnostic), made, such)
+        listed.append((-1 if cause.leads else cause.differences[0], sides))
+    numbers = {id(one): number for number, one in enumerate(comparison.differences)}
     for place, group in enumerate(groups[:SHOWN]):
         sides = _sides(comparison, group[0], doc.tell(group[0].diagnostic), *_likewise(group))
-        yield replace(sides, detail=place >= SHORT)
+        listed.append((numbers[id(group[0])], replace(sides, detail=place >= SHORT)))
+    yield from (block for _, block in sorted(listed, key=itemgetter(0)))
     if len(groups) > SHOWN:
         more = text("count-more-are-in-the-table", count=len(groups) - SHOWN)
         yield doc.Lines((more,), detail=True)
