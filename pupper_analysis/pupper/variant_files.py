@@ -49,7 +49,7 @@ def describe_variant(variant: str | VariantSpec) -> Description:
     urdf_text, mjcf_spec = _derived(
         spec, spec.name, urdf_source, mjcf_source, _stamp(urdf_source), _stamp(mjcf_source)
     )
-    for file in (urdf_source, *mjcf.list_files(mjcf_source, mjcf_spec)):
+    for file in (urdf_source, *_files(mjcf_source, _stamp(mjcf_source))):
         note_input(file)  # each time: what is derived is kept
     return Description(
         name=spec.name,
@@ -102,6 +102,12 @@ def _derived(
 def _read(source: Path, _stamp: tuple[int, int]) -> mujoco.MjSpec:
     """Reads a base MJCF once, unless the file changes; that it compiles is known then."""
     return mjcf.load_mjcf(source)
+
+
+@lru_cache(maxsize=8)
+def _files(source: Path, stamp: tuple[int, int]) -> tuple[Path, ...]:
+    """Lists the files of a base MJCF once, unless it changes."""
+    return tuple(mjcf.list_files(source, _read(source, stamp)))
 
 
 def write_variant(
