@@ -146,18 +146,18 @@ def joints_unlike(robot: Robot) -> tuple[Diagnostic, ...]:
 
 
 def _numbers_of(robot: Robot) -> dict[str, Array]:
-    """Returns {attribute: (njnt,) number} of what alike joints have alike."""
+    """Returns {attribute: (njnt,) number} of what alike joints have alike; inf of no limit."""
     model = robot.mj_model
     at = model.jnt_dofadr
     found = {
         "armature": model.dof_armature[at],
         "damping": model.dof_damping[at],
         "frictionloss": model.dof_frictionloss[at],
-        "range": np.ptp(model.jnt_range, axis=1),
+        "range": np.where(model.jnt_limited, np.ptp(model.jnt_range, axis=1), np.inf),
         "effort": np.zeros(model.njnt),
     }
     for name, limit in zip(robot.joint_names, robot.effort_limits, strict=True):
-        found["effort"][model.joint(name).id] = limit if np.isfinite(limit) else 0.0
+        found["effort"][model.joint(name).id] = limit
     return found
 
 

@@ -71,6 +71,13 @@ def test_a_joint_with_another_number_than_its_like_is_in_the_verdict(
     assert told in judge_stand(robot, pa.solve_stand(robot)).remarks
 
 
+def test_a_joint_without_the_limits_of_its_like_has_an_infinite_range() -> None:
+    robot = pa.load_variant("v3")
+    robot.mj_model.jnt_limited[robot.mj_model.joint("leg_back_l_3").id] = 0
+    [told] = joints_unlike(robot)
+    assert "leg_back_l_3 has range inf" in str(told)
+
+
 @pytest.mark.parametrize(("factor", "told"), [(10.0, True), (2.0, False), (0.1, True)])
 def test_what_was_measured_of_each_joint_may_differ_by_half(factor: float, told: bool) -> None:
     robot = pa.load_variant("v3")
