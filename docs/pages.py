@@ -106,7 +106,7 @@ def diagnostic_codes(words: Mapping[str, Any], language: str) -> str:
     for whose, path in word_files().items():
         if path.name not in LINED:
             entries = tomllib.loads(path.read_text("utf-8"))
-            for lined in ("texts", "meanings"):
+            for lined in ("texts", "meanings", "terms"):
                 entries.pop(lined, None)
             if not entries:
                 continue

@@ -1,14 +1,18 @@
-"""Which tools there are: our own by their folders, others' by their entry points.
+"""Which tools and formats there are: our own by their folders, others' by their entry points.
 
 A tool is a package that answers one question. Its docstring's first line says which, its
 ``HEADING`` under which heading ``--help`` lists it; ``command.py`` has its ``command``,
 ``document.py`` the pages of its results, ``words.toml`` its words. None is imported here: whoever
 lists them reads these lines.
+
+A format is a package that reads model files: ``format.toml`` says which, ``reader.py`` reads them
+(`models.readers`), ``rules.toml`` has rules of the audit for it alone.
 """
 
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping
 from functools import cache
 from importlib.util import find_spec
@@ -18,6 +22,9 @@ from typing import NamedTuple
 
 GROUP = "pupper_analysis.tools"
 """The group of entry points by which a distribution offers tools: ``name = "its_package"``."""
+
+FORMATS_GROUP = "pupper_analysis.formats"
+"""Likewise of formats."""
 
 OWN = Path(__file__).parents[1] / "tools"
 
@@ -56,27 +63,94 @@ class Tool(NamedTuple):
         return (self.folder / "__init__.py").read_text(encoding="utf-8")
 
 
-@cache
+class Format(NamedTuple):
+    """A format of model files besides URDF and MJCF.
+
+    Attributes:
+        name: What it is called, in lower case.
+        package: The name of the package that reads it.
+        folder: Where that is.
+        suffixes: How the names of its files end.
+        begins: How the files themselves begin, as far as that tells.
+    """
+
+    name: str
+    package: str
+    folder: Path
+    suffixes: tuple[str, ...]
+    begins: tuple[bytes, ...]
+
+
 def own_tools() -> Mapping[str, Tool]:
     """Returns {name: tool} of the tools of this package, by name."""
-    found = sorted(OWN.glob("*/command.py"))
+    return _own("command.py")
+
+
+def other_tools() -> Mapping[str, Tool]:
+    """Returns {name: tool} of the tools of other distributions, by name; ours keep their names.
+
+    One whose package is not there, or is no folder, is left out.
+    """
+    return _others(GROUP, "command.py")
+
+
+def own_packages() -> Mapping[str, Tool]:
+    """Returns {name: package} of what in this package has words: tools and formats."""
+    return MappingProxyType({**own_tools(), **_own("format.toml")})
+
+
+def other_packages() -> Mapping[str, Tool]:
+    """Returns the same of other distributions."""
+    return MappingProxyType({**other_tools(), **_others(FORMATS_GROUP, "format.toml")})
+
+
+@cache
+def formats() -> Mapping[str, Format]:
+    """Returns {name: format} of all formats, our own before others'."""
+    found = {}
+    packages = {**_own("format.toml"), **_others(FORMATS_GROUP, "format.toml")}
+    for name, one in packages.items():
+        said = tomllib.loads((one.folder / "format.toml").read_text(encoding="utf-8"))
+        begins = tuple(text.encode() for text in said.get("begins", ()))
+        found[name] = Format(name, one.package, one.folder, tuple(said["suffixes"]), begins)
+    return MappingProxyType(found)
+
+
+def format_of(path: Path) -> Format | None:
+    """Returns the format of a file by its name; None of a URDF's or an MJCF's."""
+    ending = path.suffix.lower()
+    if ending in _USUAL:
+        return None
+    return next((one for one in formats().values() if ending in one.suffixes), None)
+
+
+def format_begun(data: bytes) -> Format | None:
+    """Returns the format of what a file holds; None where it may be XML."""
+    if data.lstrip()[:1] == b"<":
+        return None
+    return next((one for one in formats().values() if data.startswith(one.begins)), None)
+
+
+_USUAL = ("", ".urdf", ".xml", ".mjcf", ".xacro")
+"""What ends so is no other's: nobody is asked, which takes time."""
+
+
+@cache
+def _own(mark: str) -> Mapping[str, Tool]:
+    found = sorted(OWN.glob(f"*/{mark}"))
     return MappingProxyType(
         {path.parent.name: Tool(f"{GROUP}.{path.parent.name}", path.parent) for path in found}
     )
 
 
 @cache
-def other_tools() -> Mapping[str, Tool]:
-    """Returns {name: tool} of the tools of other distributions, by name; ours keep their names.
-
-    One whose package is not there, or is no folder, is left out.
-    """
+def _others(group: str, mark: str) -> Mapping[str, Tool]:
     from importlib.metadata import entry_points  # takes 20 ms
 
     found = {}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+    for point in sorted(entry_points(group=group), key=lambda point: point.name):
         spec = find_spec(point.module)
         places = spec.submodule_search_locations if spec else None
-        if places and point.name not in own_tools():
+        if places and point.name not in _own(mark):
             found[point.name] = Tool(point.module, Path(next(iter(places))))
     return MappingProxyType(found)

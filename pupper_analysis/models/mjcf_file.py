@@ -60,6 +60,10 @@ class MjcfFile:
         as_it_is: The same of what was made up for, as `notes` tell: flat meshes.
         unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
             for a file of another format that can leave open what an MJCF sets to zero.
+        stands_for: What the file of another format is called for which this stands, such as
+            ``"the SDF"``; "" if for none.
+        gains: {joint: stiffness and damping of its servo} (N m/rad, N m s/rad; N/m, N s/m) that
+            such a file states; None where its format states none.
         of_urdf: Whether it was made of a URDF, which states nothing of ground and contacts.
     """
 
@@ -74,6 +78,8 @@ class MjcfFile:
     _index: Mapping[tuple[str, str], Node] = field(default_factory=dict, repr=False)
     _roots: tuple[Node, ...] = field(default=(), repr=False)
     of_urdf: bool = False
+    stands_for: str = ""
+    gains: Mapping[str, tuple[float, float]] | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {**plain_state(self), "spec": state_of(self.spec)}

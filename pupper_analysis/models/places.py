@@ -22,12 +22,12 @@ class Place:
     Attributes:
         file: The file.
         line: Its line, from 1; None where the file as a whole is meant, or has no lines.
-        prim: The path of its prim, in a USD; None in other files.
+        element: What a file without lines calls it; None in other files.
     """
 
     file: Path
     line: int | None = None
-    prim: str | None = None
+    element: str | None = None
 
     def __str__(self) -> str:
         return f"{self.file.name}{self.within}"
@@ -35,8 +35,8 @@ class Place:
     @property
     def within(self) -> str:
         """Where in the file: ``":7"``, ``":</Robot/base>"``, or "" for all of it."""
-        if self.prim is not None:
-            return f":<{self.prim}>"
+        if self.element is not None:
+            return f":<{self.element}>"
         return "" if self.line is None else f":{self.line}"
 
     @property
@@ -46,8 +46,8 @@ class Place:
 
     @property
     def source(self) -> Source:
-        """The same, as a diagnostic has it; a prim is its element."""
-        return Source(str(self.file), self.line, self.prim or "")
+        """The same, as a diagnostic has it."""
+        return Source(str(self.file), self.line, self.element or "")
 
 
 def innermost_element(element: T, path: str | None, child: Callable[[T, str], T | None]) -> T:
@@ -89,7 +89,7 @@ def refusal_at(path: Path, element: etree._Element, problem: Diagnostic) -> Mode
 def refuse_file(place: Place, problem: Diagnostic) -> ModelError:
     """Returns the error that tells what is wrong with a file, or in a line of it."""
     sources = problem.sources or (place.source,)
-    name = source_name(place.file, place.line) + (place.within if place.prim is not None else "")
+    name = source_name(place.file, place.line) + (place.within if place.element is not None else "")
     return ModelError(name, replace(problem, sources=sources))
 
 

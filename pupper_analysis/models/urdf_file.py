@@ -45,6 +45,10 @@ class UrdfFile:
         notes: What was assumed on reading.
         unknown: {kind of a joint's number: the joints of which it is not known}, where this stands
             for a file of another format that can leave open what a URDF takes for none.
+        stands_for: What the file of another format is called for which this stands, such as
+            ``"the SDF"``; "" if for none.
+        gains: {joint: stiffness and damping of its servo} (N m/rad, N m s/rad; N/m, N s/m) that
+            such a file states; None where its format states none.
     """
 
     path: Path
@@ -53,6 +57,8 @@ class UrdfFile:
     packages: Mapping[str, Path] = field(default_factory=dict)
     notes: tuple[Diagnostic, ...] = ()
     unknown: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    stands_for: str = ""
+    gains: Mapping[str, tuple[float, float]] | None = None
 
     @cached_property
     def tree(self) -> UrdfTree:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import InputError
 from pupper_analysis.base.inputs import MOST_TEXT, decode_input
+from pupper_analysis.base.tools import format_begun
 from pupper_analysis.models import standard_input
 from pupper_analysis.models.places import (
     Place,
@@ -33,9 +34,6 @@ MAX_ELEMENTS: Final = 30_000
 
 LFS_POINTER: Final = b"version https://git-lfs.github.com/spec/"
 """How a file begins that Git LFS leaves in place of one whose content was not brought along."""
-
-USD: Final = (b"#usda", b"PXR-USDC")
-"""How files of USD begin, of text and of bytes."""
 
 NUMBER: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """A number as a model file writes it; what XML Schema calls a decimal or a double."""
@@ -106,8 +104,11 @@ def _text(path: Path) -> str:
         data = standard_input.read_content(path, MAX_BYTES)
         if data.startswith(LFS_POINTER):
             raise refuse_file(Place(path), diagnose("model-is-lfs-pointer"))
-        if data.startswith(USD):
-            raise refuse_file(Place(path), diagnose("usd-not-here"))
+        other = format_begun(data)
+        if other is not None:
+            raise refuse_file(
+                Place(path), diagnose("file-of-other-format", format=other.name.upper())
+            )
         text = decode_input(path, data)
     except InputError as error:
         raise refuse_input(path, error) from error

@@ -347,7 +347,12 @@ def servos_of(
     left = {*(own_servos(robot) if own is None else own), *idle}
     missing = [index for index, name in enumerate(robot.joint_names) if name not in left]
     stiffness = describe_span(kp[missing], "N m/rad")
-    told = diagnose("servos-made", kp=stiffness, kd=describe_span(kd[missing], "N m s/rad"))
+    told = diagnose(
+        "servos-made",
+        kp=stiffness,
+        kd=describe_span(kd[missing], "N m s/rad"),
+        timestep=Quantity(timestep, "s"),
+    )
     made: list[Addition] = [
         Options(told, {"integrator": "implicitfast", "timestep": timestep}),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
@@ -48,9 +49,9 @@ _CALMING = 3
 _MARGINS = (0.2, 0.05, 0.0)
 """How far a start pose has its joints off their limits (rad); the first with which there is one."""
 
-_SPREAD, _INWARDS, _BENT = 0.6, 0.4, 0.5
-"""Feet that are further aside from their hips than the first part of their distance are drawn in to
-the second, and stand below the hips by the third."""
+_BELOW, _ASIDE, _SPREAD, _BENT = 0.1, 0.4, 0.6, 0.5
+"""Feet that are not aside from their hips by a part of their distance between the first and the
+third are put aside by the second, and stand below the hips by the fourth."""
 
 _KEY_DIGITS = 6
 """Decimals of a keyframe's angles and height: a micrometre, which the servos make up for."""
@@ -99,7 +100,7 @@ def found_start(robot: Robot, poses: Iterable[Array]) -> Robot | None:
         The robot with that as its nominal stand; None if it stands nowhere.
     """
     poses = list(poses)
-    return _found(robot, poses) or _found(robot, [_drawn_in(robot, pose) for pose in poses])
+    return _found(robot, poses) or _found(robot, [_put_aside(robot, pose) for pose in poses])
 
 
 def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
@@ -123,11 +124,12 @@ def _found(robot: Robot, poses: Sequence[Array]) -> Robot | None:
     return None
 
 
-def _drawn_in(robot: Robot, pose: Array) -> Array:
-    """Returns joint positions (nu,) with feet that are spread in a pose nearer to their hips.
+def _put_aside(robot: Robot, pose: Array) -> Array:
+    """Returns joint positions (nu,) with each foot aside from its hip, neither far nor below it.
 
     Legs that are straight to the side, as a spider's at zero angles, reach no ground where they
-    end.
+    end. A leg that first turns about the vertical has to point to where its foot is: to anywhere,
+    if that is below the axis and the base moves aside.
     """
     qpos = robot.posed(pose)
     config = Configuration(robot, qpos)
@@ -140,9 +142,10 @@ def _drawn_in(robot: Robot, pose: Array) -> Array:
         for foot in limb.feet:
             out = feet[foot] - hip
             length = float(np.linalg.norm(out))
-            aside = float(np.linalg.norm(out[:2]))
-            if aside > _SPREAD * length:
-                targets[foot] = hip + _INWARDS / aside * length * np.append(out[:2], 0.0)
+            aside = math.hypot(*out[:2])
+            if not _BELOW * length < aside < _SPREAD * length:
+                way = out if aside > _BELOW * length else hip - np.mean([*feet.values()], axis=0)
+                targets[foot] = hip + _ASIDE * length * way / max(math.hypot(*way[:2]), 1e-9)
             drops.append(float(hip[2]) - _BENT * length)
     for foot, place in targets.items():
         targets[foot] = np.array([*place[:2], min(drops)])
@@ -329,10 +332,7 @@ def find_start_pose(
                 if nominal is home:
                     notes.append(diagnose("feet-placed-by-start-pose"))
                 return _kept(whole, tried), notes
-    poses = [
-        *(clip_to_limits(robot, pose) for pose in known.values()),
-        clip_to_limits(robot),
-    ]
+    poses = [*(clip_to_limits(robot, pose) for pose in known.values()), clip_to_limits(robot)]
     bounded = np.isfinite(robot.lower_limits) & np.isfinite(robot.upper_limits)
     low, high = (np.where(bounded, x, 0.0) for x in (robot.lower_limits, robot.upper_limits))
     middle = (low + high) / 2

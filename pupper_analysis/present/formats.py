@@ -63,7 +63,7 @@ class Annotation:
 
     @property
     def file_and_line(self) -> tuple[str, int | None]:
-        """The file ("" if there is none), and the line in it; a prim of a USD has none."""
+        """The file ("" if there is none), and the line in it, if it has lines."""
         file, _, line = (self.place or "").rpartition(":")
         if line.startswith("<"):
             return file, None

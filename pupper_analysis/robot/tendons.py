@@ -3,7 +3,7 @@
 What an MJCF lets joints do together a URDF has no words for.
 
 A fixed tendon's length is a sum of joint positions, l = C q, so that its range bounds C q as a
-joint's range bounds q. A spatial one's is a way through space: stands are found without it.
+joint's range bounds q. A spatial one's is a way through space: postures are found without it.
 """
 
 from __future__ import annotations
@@ -48,9 +48,21 @@ class TendonRanges(NamedTuple):
     lower: Array
     upper: Array
 
+    def room(self, joints: Array) -> Array:
+        """Returns how far lengths are from their ends (2 n,) (rad, m), with joints there (nu,)."""
+        lengths = self.coefficients @ joints
+        return np.concatenate([lengths - self.lower, self.upper - lengths])
+
+    def at_ends(self, joints: Array, within: float) -> Iterator[Diagnostic]:
+        """Tells which tendons are no further within their ranges (rad, m), joints there (nu,)."""
+        for number in np.flatnonzero(self.room(joints) < within).tolist():
+            end = float(np.concatenate([self.lower, self.upper])[number])
+            name = self.names[number % len(self.names)]
+            yield diagnose("tendon-at-its-end", subject=("tendon", name), end=end)
+
 
 def tendon_ranges(robot: Robot) -> TendonRanges:
-    """Returns the ranges of a robot's tendons that stands are kept in; found once."""
+    """Returns the ranges of a robot's tendons that postures are kept in; found once."""
     return robot.once(_found)
 
 
@@ -100,17 +112,14 @@ def tell_bonds_not_kept(model: mujoco.MjModel) -> list[Diagnostic]:
     return [diagnose("equalities-not-kept", kinds=left)] if left else []
 
 
-def tell_ranges_not_kept(
-    model: mujoco.MjModel, joints: tuple[str, ...], *, stands: bool
-) -> list[Diagnostic]:
+def tell_ranges_not_kept(model: mujoco.MjModel, joints: tuple[str, ...]) -> list[Diagnostic]:
     """Tells which tendons have a range that MuJoCo keeps, and no posture knows of.
 
     Args:
         model: The robot's.
         joints: In actuator order.
-        stands: Whether its base is free: a posture that is held is what is asked for.
     """
-    kept = {*_kept(model, joints)} if stands else set()
+    kept = {*_kept(model, joints)}
     told = []
     for tendon in _limited(model):
         if tendon not in kept:

@@ -276,9 +276,7 @@ class TendonLimits(Constraint):
         return beyond if beyond > TOUCHING else 0.0
 
     def _room(self, at: Kinematics) -> Array:
-        ranges = self._ranges
-        lengths = ranges.coefficients @ at.qpos[-ranges.coefficients.shape[1] :]
-        return np.concatenate([lengths - ranges.lower, ranges.upper - lengths])
+        return self._ranges.room(at.qpos[-self._ranges.coefficients.shape[1] :])
 
 
 class GroundClearance(Constraint):

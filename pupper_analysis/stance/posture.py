@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg, optimize
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
@@ -16,12 +17,20 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.joints import check_in_range, joint_unit, named_positions
 from pupper_analysis.robot.robot import Robot
+from pupper_analysis.robot.tendons import tendon_ranges
 
 Array = NDArray[np.float64]
 
 _SLACK = 1e-3
 """What keyframes may be beyond limits (rad, m), as they are rounded: they are cut to these; and by
 which joints of a loop that are given may be moved to close it."""
+
+_OFF_ENDS = 0.1
+"""Part of a tendon's range that joints in the middle of theirs are kept off its ends: MuJoCo's
+limits are soft, and push before a joint is there."""
+
+AT_END = 1e-6
+"""What is nearer to a tendon's end is at it (rad, m): rounding."""
 
 
 class PostureSource(StrEnum):
@@ -88,7 +97,8 @@ def find_posture(
     """Finds the posture that is asked for.
 
     Joints that are not given are where a keyframe has them, or else in the middle of their ranges,
-    at zero where they have none. Joints that follow others are where these take them.
+    at zero where they have none, moved by what tendons of the MJCF ask for. Joints that follow
+    others are where these take them.
 
     Args:
         robot: A robot whose base is held.
@@ -98,8 +108,8 @@ def find_posture(
             it is within the joints' ranges.
 
     Raises:
-        ConfigurationError: If the base is free, a position is out of its joint's range, or loops
-            and couplings of joints cannot be closed there.
+        ConfigurationError: If the base is free, a position is out of its joint's range, a tendon
+            would be beyond its own, or loops and couplings of joints cannot be closed there.
         UnknownNameError: If a joint or the keyframe is not there; the message lists what is.
     """
     check_held(robot)
@@ -108,22 +118,60 @@ def find_posture(
     given = named_positions(robot, joints or {})
     for joint, position in given.items():
         qpos[robot.joint_names.index(joint)] = position
-    if robot.closure is not None:
-        placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
-        moving = np.ones(robot.nu)
-        moving[placed] = 0.0
-        closed = robot.closure.closed(qpos, moving)
-        if closed is None:  # which are rounded, if two of a loop are given
-            closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
-            if closed is not None and (np.abs(closed - qpos)[placed] > _SLACK).any():
-                closed = None
-        if closed is None:
-            problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
-            raise ConfigurationError("joints", problem)
-        qpos = closed
+    placed = np.array([robot.joint_names.index(joint) for joint in given], dtype=np.int64)
+    qpos, tendons = _closed(robot, qpos, placed), tendon_ranges(robot)
+    if source is PostureSource.MIDDLE and (tendons.room(qpos) < 0).any():
+        qpos = _closed(robot, _within(robot, qpos, ranges, placed), placed)
     for joint, position, ends in zip(robot.joint_names, qpos, ranges, strict=True):
         check_in_range(robot, joint, float(position), tuple(ends.tolist()), "joints")
+    for problem in tendons.at_ends(qpos, -AT_END):
+        raise ConfigurationError("joints", problem)
     return Posture(robot.joint_names, qpos, source, name, tuple(given))
+
+
+def _closed(robot: Robot, qpos: Array, placed: NDArray[np.int64]) -> Array:
+    """Closes loops and couplings near a posture (nu,), some joints of which are given.
+
+    Raises:
+        ConfigurationError: If they cannot be closed there.
+    """
+    if robot.closure is None:
+        return qpos
+    moving = np.ones(robot.nu)
+    moving[placed] = 0.0
+    closed = robot.closure.closed(qpos, moving)
+    if closed is None:  # which are rounded, if two of a loop are given
+        closed = robot.closure.closed(qpos, robot.closure.readiness(placed))
+        if closed is not None and (np.abs(closed - qpos)[placed] > _SLACK).any():
+            closed = None
+    if closed is None:
+        problem = diagnose("posture-does-not-close", bonds=robot.closure.bonds)
+        raise ConfigurationError("joints", problem)
+    return closed
+
+
+def _within(robot: Robot, qpos: Array, ranges: Array, placed: NDArray[np.int64]) -> Array:
+    """Returns the posture (nu,) next to another that leaves tendons in their ranges, if any does.
+
+    Joints that are given stay, and loops and couplings closed to first order.
+    """
+    tendons = tendon_ranges(robot)
+    ways = np.eye(robot.nu) if robot.closure is None else robot.closure.ways(qpos)
+    ways = ways @ linalg.null_space(ways[placed]) if len(placed) else ways
+    rows, here = tendons.coefficients @ ways, tendons.coefficients @ qpos
+    off = _OFF_ENDS * (tendons.upper - tendons.lower)
+    limits = (
+        optimize.LinearConstraint(rows, tendons.lower + off - here, tendons.upper - off - here),
+        optimize.LinearConstraint(ways, *(ranges.T - qpos)),
+    )
+    found = optimize.minimize(
+        lambda along: along @ ways.T @ ways @ along / 2,
+        np.zeros(ways.shape[1]),
+        jac=lambda along: ways.T @ ways @ along,
+        method="SLSQP",
+        constraints=limits,
+    )
+    return qpos + ways @ found.x if found.success else qpos
 
 
 def with_give(robot: Robot, qpos: Array) -> Array:

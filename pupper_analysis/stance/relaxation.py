@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
@@ -82,7 +82,7 @@ def explain_refusal(
         for index in np.flatnonzero((np.abs(joints - limits) < 1e-6) & ~placed):
             at_limit[robot.joint_names[index]] = float(limits[index])
     missed = {foot: gap for foot, gap in gaps.items() if gap >= TASK_TOLERANCE}
-    tendons = _tendons_at_their_ends(robot, joints)
+    tendons = tuple(tendon_ranges(robot).at_ends(joints, TOUCHING))
     blocked = tendons if missed else (*nearest.blocked, *tendons)
     if not missed and not blocked:  # the feet are in place with loops or couplings open
         blocked = (diagnose("loops-stay-open", most=nearest.foot_error),)
@@ -107,21 +107,6 @@ def explain_refusal(
             for name, way in named.items()
         },
         find_missing_joints(robot, goal),
-    )
-
-
-def _tendons_at_their_ends(robot: Robot, joints: Array) -> tuple[Diagnostic, ...]:
-    """Tells which tendons are at an end of their range, or beyond, with joints there (nu,)."""
-    ranges = tendon_ranges(robot)
-    lengths = ranges.coefficients @ joints
-    low, high = lengths < ranges.lower + TOUCHING, lengths > ranges.upper - TOUCHING
-    return tuple(
-        diagnose(
-            "tendon-at-its-end",
-            subject=("tendon", ranges.names[number]),
-            end=float((ranges.lower if low[number] else ranges.upper)[number]),
-        )
-        for number in np.flatnonzero(low | high)
     )
 
 

@@ -15,6 +15,7 @@ from pupper_analysis.base.errors import StanceUnreachableError
 from pupper_analysis.prepare import start
 from pupper_analysis.prepare.start import clip_to_limits
 from pupper_analysis.robot.servos import own_servos
+from tests.support import random_legged
 from tests.support.legged import biped, quadruped
 from tests.support.variants import load
 
@@ -69,6 +70,20 @@ def test_a_start_pose_is_one_in_which_the_nominal_stand_exists(
 
     monkeypatch.setattr(start, "solve_stand", solve_high)
     assert least < pa.load_robot(*files).stand_height < 0.8
+
+
+def test_feet_below_axes_about_the_vertical_are_put_aside(tmp_path: Path) -> None:
+    """A leg points to its foot: wherever the base moves, if the foot is below the leg's first axis.
+
+    With the com in the centre each leg would have to turn another way, and may by 57 degrees alone.
+    """
+    files = random_legged.written(random_legged.ring(40040, 3, 4.0), tmp_path)
+    robot = pa.load_robot(files.urdf, files.mjcf)
+    assert "start-pose-found" in {note.code for note in robot.notes}
+    stand = pa.solve_stand(robot)
+    turned = stand.joint_positions(robot)[::3]
+    assert np.abs(turned).max() < 0.2
+    assert stand.com_error < 1e-9
 
 
 def test_a_robot_that_stands_nowhere_has_servos_all_the_same(tmp_path: Path) -> None:

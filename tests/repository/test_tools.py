@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from pupper_analysis.base.tools import HEADINGS, own_tools
+from pupper_analysis.base.tools import HEADINGS, own_packages, own_tools
 from tests.support.repository import ROOT
 
 QUICK = (
@@ -34,7 +34,7 @@ def known_to() -> dict[str, set[str]]:
     pairs = re.findall(
         r'"pupper_analysis\.tools\.(\w+)\.\*\* -> pupper_analysis\.tools\.(\w+)\.', text
     )
-    found: dict[str, set[str]] = {name: set() for name in own_tools()}
+    found: dict[str, set[str]] = {name: set() for name in own_packages()}
     for one, other in pairs:
         found[one].add(other)
     return found
@@ -106,8 +106,16 @@ def check_without(tool: str, folder: Path) -> None:
     )
 
 
+def test_the_core_names_no_tool_that_only_reads() -> None:
+    for name in own_packages().keys() - own_tools().keys():
+        for path in (ROOT / "pupper_analysis").rglob("*.*"):
+            if path.suffix in (".py", ".toml", ".pyi") and "tools" not in path.parts:
+                text = path.read_text(encoding="utf-8")
+                assert not re.search(rf"\b{name}", text, re.I), path
+
+
 @pytest.mark.longest
-@pytest.mark.parametrize("tool", own_tools())
+@pytest.mark.parametrize("tool", own_packages())
 def test_each_tool_goes_with_its_folders(tool: str, tmp_path: Path) -> None:
     check_without(tool, tmp_path)
 
@@ -118,5 +126,5 @@ def test_some_tool_goes_with_its_folders(which: int, tmp_path: Path) -> None:
     head = subprocess.run(
         ["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    tools = random.Random(head.stdout.strip()).sample(sorted(own_tools()), 3)
+    tools = random.Random(head.stdout.strip()).sample(sorted(own_packages()), 3)
     check_without(tools[which], tmp_path)

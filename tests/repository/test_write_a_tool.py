@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import re
@@ -86,3 +87,23 @@ def test_it_has_options_a_page_json_and_markdown(installed: Path, tmp_path: Path
     page = (tmp_path / "inertia.html").read_text("utf-8")
     assert "Rotational inertia" in page
     assert "轴" in page  # and what has no Chinese is there in English
+
+
+def test_a_format_from_outside_is_audited_and_compared(tmp_path: Path) -> None:
+    package, about = tmp_path / "urdfz_format", tmp_path / "urdfz-1.0.dist-info"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    for name in ("format.toml", "reader.py"):
+        (package / name).write_text(PARTS[name], encoding="utf-8")
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: urdfz\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[pupper_analysis.formats]\nurdfz = urdfz_format\n")
+    sound = (ROOT / "urdf/pupper_v3.urdf").read_bytes()
+    heavy = re.sub(rb'<mass value="[^"]*"', b'<mass value="-1"', sound, count=1)
+    for name, text in (("sound", sound), ("heavy", heavy)):
+        (tmp_path / f"{name}.urdfz").write_bytes(gzip.compress(text))
+    mjcf = str(ROOT / "mjcf/pupper_v3.xml")
+    run(tmp_path, tmp_path, "audit", "sound.urdfz")
+    assert "AGREE" in run(tmp_path, tmp_path, "crosscheck", "sound.urdfz", mjcf)
+    with pytest.raises(AssertionError, match="mass-not-positive"):
+        run(tmp_path, tmp_path, "audit", "heavy.urdfz")

@@ -29,7 +29,7 @@ from functools import cache
 from pathlib import Path
 from types import MappingProxyType
 
-from pupper_analysis.base.tools import other_tools, own_tools
+from pupper_analysis.base.tools import other_packages, own_packages
 
 LANGUAGES = ("en", "zh")
 
@@ -40,7 +40,7 @@ LINED = (_TERMS, _TEXTS, _MEANINGS)
 """Files with a line per entry."""
 
 _FOLDER = Path(__file__).parent / "catalogue"
-_TABLES = {_TEXTS: "texts", _MEANINGS: "meanings"}
+_TABLES = {_TERMS: "terms", _TEXTS: "texts", _MEANINGS: "meanings"}
 """{file: the table of a tool's words that has the like}."""
 
 
@@ -123,7 +123,7 @@ def meaning(kind: type, field: str, language: str) -> str:
 def word_files() -> Mapping[str, Path]:
     """Returns {whose: file} of all words of this package: rooms, and tools that have their own."""
     rooms = {path.stem: path for path in sorted(_FOLDER.glob("*.toml"))}
-    tools = {name: tool.folder / "words.toml" for name, tool in own_tools().items()}
+    tools = {name: tool.folder / "words.toml" for name, tool in own_packages().items()}
     return rooms | {f"tools/{name}": path for name, path in tools.items() if path.is_file()}
 
 
@@ -141,7 +141,7 @@ def _tables_of(path: Path) -> Mapping[str, str]:
 @cache
 def _others() -> Mapping[str, str]:
     """Returns {code: its table's text} of what tools of other packages say."""
-    paths = [tool.folder / "words.toml" for tool in other_tools().values()]
+    paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     tables = [_tables_of(path) for path in paths if path.is_file()]
     return MappingProxyType({code: text for table in tables for code, text in table.items()})
 
@@ -149,7 +149,7 @@ def _others() -> Mapping[str, str]:
 @cache
 def _others_lines(file: str) -> Mapping[str, str]:
     """Returns {key: its entry as TOML} of other packages' tools."""
-    paths = [tool.folder / "words.toml" for tool in other_tools().values()]
+    paths = [tool.folder / "words.toml" for tool in other_packages().values()]
     texts = [_tables_of(path).get(_TABLES[file], "") for path in paths if path.is_file()]
     return MappingProxyType(
         {key: f"entry = {line}" for text in texts for key, line in _LINE.findall(text)}

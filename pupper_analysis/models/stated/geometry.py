@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
+from pupper_analysis.base.tools import format_of
 from pupper_analysis.models.places import one_line
 from pupper_analysis.models.stated.model import (
     Array,
@@ -67,7 +68,7 @@ def mesh_problem(path: Path) -> Diagnostic | None:
     opened.
     """
     ending = path.suffix.lower()
-    if ending not in _FORMATS:
+    if ending not in _FORMATS and format_of(path) is None:
         return diagnose("mesh-of-no-format", ending=ending)
     if path.stat().st_size > LARGEST_MESH:
         return None
@@ -83,9 +84,9 @@ def mesh_problem(path: Path) -> Diagnostic | None:
 
 _FORMATS = (
     ".stl", ".obj", ".msh", ".dae", ".ply", ".off", ".glb", ".gltf", ".fbx", ".3ds", ".mesh",
-    ".wrl", ".iv", ".usd", ".usda", ".usdc", ".usdz",
+    ".wrl", ".iv",
 )  # fmt: skip
-"""Endings of meshes that MuJoCo, Gazebo, Bullet, Drake, RViz or Isaac Sim read."""
+"""Endings of meshes that MuJoCo, Gazebo, Bullet, Drake or RViz read; whole formats have theirs."""
 
 _PROLOGUE = 4096
 """Bytes of an XML before its first element, with comments."""

@@ -209,7 +209,7 @@ class RobotModel:
     """A model.
 
     Attributes:
-        format: ``"urdf"`` or ``"mjcf"``.
+        format: ``"urdf"``, ``"mjcf"``, or the name of another.
         link_tag: What a body is called in the format.
         base: The name of the base; "" if there is no body.
         links: By name, parents first.
@@ -239,6 +239,11 @@ class RobotModel:
             if body.parent is not None:
                 children[body.parent].append(body)
         return children
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the file states angles in degrees."""
+        return False
 
     def inertial_part(self, part: str) -> str:
         """Returns where the mass, origin or inertia of a body stands below it in the format."""
@@ -313,3 +318,8 @@ class MjcfModel(RobotModel):
     mj_model: mujoco.MjModel | None
     refusal: tuple[Diagnostic, Place] | None
     body_names: tuple[str, ...]
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the file states angles in degrees."""
+        return bool(self.file.spec.compiler.degree)

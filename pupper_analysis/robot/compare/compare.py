@@ -20,14 +20,8 @@ from pupper_analysis.base.results import Tabular
 from pupper_analysis.models.missing import gives_mass
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile, read_mjcf
-from pupper_analysis.models.stated.as_files import (
-    UsdAsMjcf,
-    UsdAsUrdf,
-    read_usd_as_mjcf,
-    read_usd_as_urdf,
-)
+from pupper_analysis.models.readers import reader_of
 from pupper_analysis.models.urdf_file import UrdfFile, read_urdf
-from pupper_analysis.models.usd_file import is_usd
 from pupper_analysis.robot.compare.attribution import (
     EXPLAINED,
     align_robot,
@@ -145,11 +139,11 @@ def compare_models(
 ) -> Comparison:
     """Compares a URDF with an MJCF of the same robot, and explains how they differ.
 
-    A USD (UsdPhysics) may stand in the place of either.
+    A file of another format (`base.tools.formats`) may stand in the place of either.
 
     Args:
-        urdf: Path of the URDF, or a USD.
-        mjcf: Path of the MJCF, or a USD.
+        urdf: Path of the URDF, or what stands for it.
+        mjcf: Path of the MJCF, or what stands for it.
         names: {name in the URDF: name in the MJCF} of joints and frames whose names differ.
         packages: {ROS package: its folder}, for ``package://`` paths.
         feet: Frames, by their names in the MJCF, that count as feet; by default all frames that
@@ -171,7 +165,7 @@ def compare_models(
 
     Raises:
         ModelError: If a file cannot be read, or the two cannot be matched.
-        MissingPackageError: If one is a USD, and usd-core is not installed.
+        MissingPackageError: If what reads the format of one is not installed.
         UnknownNameError: If a name is not in its file.
         ConfigurationError: If an argument is out of its range.
     """
@@ -267,8 +261,8 @@ def _legs_without_base(matched: Match) -> Iterator[Diagnostic]:
 def _touching(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, found: Iterable[Difference]
 ) -> tuple[list[Difference], list[Diagnostic]]:
-    """Compares what the robot stands on; a USD's shapes are not read for that."""
-    if is_usd(urdf.path) or is_usd(mjcf.path):
+    """Compares what the robot stands on; other formats' shapes are not read for that."""
+    if urdf.stands_for or mjcf.stands_for:
         return [], []
     moved = {difference.element for difference in found if difference.kind in _PLACED}
     return compare_collisions(matched, urdf, mjcf, moved)
@@ -280,12 +274,14 @@ _PLACED = ("type", "parent", "base frame", "zero", "position", "rotation", "axis
 
 def _first(path: str | Path, packages: Mapping[str, Path] | None) -> UrdfFile:
     """Reads the first file: a URDF, or what stands for one."""
-    return read_usd_as_urdf(Path(path)) if is_usd(Path(path)) else read_urdf(path, packages)
+    reader = reader_of(Path(path))
+    return read_urdf(path, packages) if reader is None else reader.read_as_urdf(Path(path))
 
 
 def _second(path: str | Path) -> MjcfFile:
     """Reads the second file: an MJCF, or what stands for one."""
-    return read_usd_as_mjcf(Path(path)) if is_usd(Path(path)) else read_mjcf(path)
+    reader = reader_of(Path(path))
+    return read_mjcf(path) if reader is None else reader.read_as_mjcf(Path(path))
 
 
 def _in_any_coordinates(matched: Match) -> Match:
@@ -310,17 +306,17 @@ def _placed(
 ) -> Iterator[Difference]:
     """Yields the differences, names that are another, and gains, with where they stand."""
     one, two = matched.sources(urdf, mjcf)
-    usds = {
-        term: Term("the USD")
+    others = {
+        term: Term(file.stands_for)
         for term, file in (("the URDF", urdf), ("the MJCF", mjcf))
-        if is_usd(file.path)
+        if file.stands_for
     }
     servos = _servo_gains(matched, urdf, mjcf, tolerances)
     renamed = (_name(*pair) for pair in names.items())
     for difference in (*explanation.differences, *renamed, *servos):
         yield replace(
             difference,
-            diagnostic=with_names_of_models(difference.diagnostic, usds),
+            diagnostic=with_names_of_models(difference.diagnostic, others),
             urdf_place=one.place(difference.kind, difference.element).path,
             mjcf_place=two.place(difference.kind, difference.element).path,
             made_of=mass_shares(difference, one, two),
@@ -362,9 +358,9 @@ def _servo_gains(
     matched: Match, urdf: UrdfFile, mjcf: MjcfFile, tolerances: Tolerances
 ) -> Iterator[Difference]:
     """Yields gains of servos that both files state and that differ; a URDF states none."""
-    if not isinstance(urdf, UsdAsUrdf):
+    if urdf.gains is None:
         return
-    theirs = mjcf.gains if isinstance(mjcf, UsdAsMjcf) else own_servos(matched.robot)
+    theirs = own_servos(matched.robot) if mjcf.gains is None else mjcf.gains
     joints = kinematic_trees(matched.robot)[0].joints
     for name in matched.robot.joint_names:
         mine = urdf.gains.get(matched.urdf_joint[name])

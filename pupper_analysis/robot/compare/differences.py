@@ -108,7 +108,7 @@ class Stated:
             ``parent``, ``type``, ``gravity``, ``base frame`` or ``zero`` (conventions, see
             `conventions`), or ``armature`` (which a URDF cannot state: then it
             differs from that of the joints at the same place of other legs); ``mimic``, that the
-            URDF alone has; ``servo stiffness`` or ``servo damping``, of a USD in the URDF's place;
+            URDF alone has; ``servo stiffness`` or ``servo damping``, of another format;
             ``name``, where names count; or what the MJCF alone has, the kinds of
             `mjcf_only.effect.MjcfOnlyEffect`. Of two versions of a file also ``joint``, that one
             of them lacks, and ``motor``.

@@ -16,19 +16,17 @@ from pupper_analysis.models.loading import read_model
 from pupper_analysis.models.mjcf import silence_mujoco
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.readers import Check, Found, ModelFile, reader_of
 from pupper_analysis.models.stated.mjcf import read_mjcf_model
 from pupper_analysis.models.stated.model import RobotModel
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.stated.usd import read_usd_model
 from pupper_analysis.models.urdf_file import UrdfFile
-from pupper_analysis.models.usd_file import UsdFile, is_usd, read_usd
 from pupper_analysis.tools.audit import rules as _rules  # noqa: F401  (registers the rules)
 from pupper_analysis.tools.audit.registry import (
     CHECKS,
     RULES,
     Audit,
     Finding,
-    Found,
     Rule,
 )
 
@@ -42,7 +40,7 @@ def audit_model(
     packages: Mapping[str, Path] | None = None,
     disabled: Iterable[str] = (),
 ) -> Audit:
-    """Finds what is physically or practically wrong in a URDF, an MJCF or a USD.
+    """Finds what is physically or practically wrong in a model file, of any format.
 
     Args:
         path: The file.
@@ -52,7 +50,7 @@ def audit_model(
     Raises:
         ModelError: If the file cannot be read.
         ConfigurationError: If a rule in ``disabled`` is unknown.
-        MissingPackageError: If the file is a USD, and usd-core is not installed.
+        MissingPackageError: If what reads its format, such as usd-core for a USD, is not installed.
     """
     if isinstance(disabled, str):
         disabled = (disabled,)
@@ -61,20 +59,31 @@ def audit_model(
     if unknown:
         told = diagnose("rules-unknown", names=unknown, known=RULES)
         raise ConfigurationError("disabled", told)
-    file = read_usd(path) if is_usd(Path(path)) else read_model(path, packages)
+    reader = reader_of(Path(path))
     with warnings.catch_warnings(), np.errstate(all="ignore"), silence_mujoco():
         warnings.simplefilter("ignore")  # MuJoCo's, about models that the rules are about
-        return _audited(str(path), file, unwanted)
+        if reader is not None:
+            read = reader.read_file(Path(path))
+            return _audited(str(path), read, reader.read_model(read), unwanted, reader.CHECKS)
+        file = read_model(path, packages)
+        return _audited(str(path), file, _read(file), unwanted, {})
 
 
-def _audited(path: str, file: UrdfFile | MjcfFile | UsdFile, unwanted: tuple[str, ...]) -> Audit:
-    robot = _read(file)
+def _audited(
+    path: str,
+    file: ModelFile,
+    robot: RobotModel,
+    unwanted: tuple[str, ...],
+    theirs: Mapping[str, Check],
+) -> Audit:
+    """Runs the rules; ``theirs`` are the checks of a format of its own."""
     findings, run = [], []
     for rule in RULES.values():
         if robot.format not in rule.formats or rule.id in unwanted:
             continue
         run.append(rule.id)
-        findings += [_finding(file, rule, found) for found in CHECKS[rule.id](robot)]
+        checks = [each[rule.id] for each in (CHECKS, theirs) if rule.id in each]
+        findings += [_finding(file, rule, found) for check in checks for found in check(robot)]
     findings.sort(
         key=lambda finding: (
             finding.severity.rank,
@@ -99,13 +108,11 @@ def _audited(path: str, file: UrdfFile | MjcfFile | UsdFile, unwanted: tuple[str
     )
 
 
-def _read(file: UrdfFile | MjcfFile | UsdFile) -> RobotModel:
-    if isinstance(file, UsdFile):
-        return read_usd_model(file)
+def _read(file: UrdfFile | MjcfFile) -> RobotModel:
     return read_urdf_model(file) if isinstance(file, UrdfFile) else read_mjcf_model(file)
 
 
-def _finding(file: UrdfFile | MjcfFile | UsdFile, rule: Rule, found: Found) -> Finding:
+def _finding(file: ModelFile, rule: Rule, found: Found) -> Finding:
     place = found.place
     if place is None and found.name:
         place = file.place(found.kind, found.name.strip("()"), found.child)
@@ -123,7 +130,7 @@ def _finding(file: UrdfFile | MjcfFile | UsdFile, rule: Rule, found: Found) -> F
         severity=severity,
         file=str(place.file),
         line=place.line,
-        prim=place.prim,
+        prim=place.element,
         element=f"{found.kind} {found.name!r}" if found.name else found.kind,
         why=rule.why,
         todo=rule.todo,

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from pupper_analysis.base.diagnostics import Diagnostic, Severity
 from pupper_analysis.base.results import Result, Tabular
+from pupper_analysis.base.tools import formats
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.readers import Check
 
-Check = Callable[[Any], Iterator["Found"]]
-"""Takes a ``RobotModel`` (a ``UrdfModel`` and the like, if it is for that format alone)."""
-
-FORMATS = ("urdf", "mjcf", "usd")
+FORMATS = ("urdf", "mjcf", *formats())
 
 
 @dataclass(frozen=True)
@@ -31,7 +28,7 @@ class Rule:
         why: Why it matters.
         todo: What to do.
         chinese: {``"title"``, ``"why"`` or ``"todo"``: the same in Simplified Chinese}.
-        formats: Which of ``"urdf"``, ``"mjcf"`` and ``"usd"`` it is for.
+        formats: Which of ``FORMATS`` it is for.
     """
 
     id: str
@@ -43,38 +40,24 @@ class Rule:
     formats: tuple[str, ...] = FORMATS
 
 
-@dataclass(frozen=True)
-class Found:
-    """What a check yields.
-
-    Attributes:
-        kind: The tag of the element at fault.
-        name: Its name; "" where the file as a whole is at fault.
-        told: What is wrong with it.
-        child: A path below the element, for the line.
-        place: Where it is, if the element cannot be found by its name.
-        severity: If less bad than the rule says.
-    """
-
-    kind: str
-    name: str
-    told: Diagnostic
-    child: str | None = None
-    place: Place | None = None
-    severity: Severity | None = None
-
-
 def _catalogue() -> dict[str, Rule]:
-    """Reads what the rules are called, how bad they are, and their reasons and remedies."""
-    file = files("pupper_analysis.tools.audit").joinpath("rules/catalogue.toml")
-    entries = tomllib.loads(file.read_text(encoding="utf-8"))
+    """Reads what the rules are called, how bad they are, and their reasons and remedies.
+
+    Those for a format of its own stand in ``rules.toml`` of its folder.
+    """
+    own = Path(__file__).parent / "rules/catalogue.toml"
+    entries = tomllib.loads(own.read_text(encoding="utf-8"))
+    for format in formats().values():
+        if (file := format.folder / "rules.toml").is_file():
+            theirs = tomllib.loads(file.read_text(encoding="utf-8"))
+            entries |= {name: {"formats": [format.name], **entry} for name, entry in theirs.items()}
     rules = {}
     for name, entry in entries.items():
         words = _words(entry, entries[entry.get("like", name)], " ")
-        chinese = _words(entry["zh"], entries[entry.get("like", name)]["zh"], "")
-        formats = tuple(entry.get("formats", FORMATS))
+        chinese = _words(entry.get("zh", {}), entries[entry.get("like", name)]["zh"], "")
+        stated = tuple(entry.get("formats", FORMATS))
         severity = Severity(entry["severity"])
-        rules[name] = Rule(name, severity, **words, chinese=chinese, formats=formats)
+        rules[name] = Rule(name, severity, **words, chinese=chinese, formats=stated)
     return rules
 
 
@@ -90,7 +73,7 @@ RULES: Mapping[str, Rule] = MappingProxyType(_catalogue())
 """All rules, by id."""
 
 CHECKS: Mapping[str, Check] = MappingProxyType(_CHECKS)
-"""The function of each rule."""
+"""The function of each rule that is not of a format of its own."""
 
 
 def rule(check: Check) -> Check:
@@ -150,7 +133,7 @@ class Audit(Tabular):
 
     Attributes:
         file: The file.
-        format: ``"urdf"``, ``"mjcf"`` or ``"usd"``.
+        format: One of ``FORMATS``.
         passed: Whether nothing of severity ERROR was found.
         counts: How many findings of each severity.
         findings: The worst first, then by line.

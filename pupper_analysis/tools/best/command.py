@@ -47,7 +47,7 @@ def command(
     Examples:
       pupper-analysis best utilisation v3
       pupper-analysis best payload v3-heavy --at 0,0,8cm --figure best.png
-      pupper-analysis best margin original --swing FL=2cm --com inside --self-clearance 5mm
+      pupper-analysis best margin original --swing FL=2cm --com inside --self-clearance 4mm
 
     \b
     Exit status: 0 it holds (and so does its payload), 1 it fails in simulation,

@@ -60,9 +60,9 @@ def command(
     For arms, hands, and any robot that is bolted down. Gravity torques are computed by Pinocchio
     from the URDF and by MuJoCo from the MJCF, and held against the motors' limits; the sag of the
     position servos is predicted at each joint and at the tool; then MuJoCo simulates 12 s with
-    feed-forward and 12 s without, and nudges the robot. Also: the worst posture of each motor, with
-    a bound that no posture exceeds; the payload at the tool, here and in every posture; and the
-    force at the tool that the motors withstand, each way.
+    feed-forward and 12 s without, and nudges the robot. Also: the worst posture of each motor that
+    a search finds; the payload at the tool, here and in the worst posture found; and the force at
+    the tool that the motors withstand, each way.
 
     The joints that --joints does not name are where a keyframe of the MJCF has them, or else in the
     middle of their ranges. Servos are added where the MJCF has none, and a note says so.

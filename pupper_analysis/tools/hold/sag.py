@@ -14,6 +14,7 @@ from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servo_gains
+from pupper_analysis.robot.tendons import tendon_ranges
 from pupper_analysis.robot.tool import Tool
 from pupper_analysis.stance.posture import (
     Posture,
@@ -126,7 +127,7 @@ def _balance(config: Configuration, commanded: Array, kp: Array) -> tuple[Array,
 
 
 def _beyond(robot: Robot, qpos: Array, torques: Array) -> Diagnostic | None:
-    """Says so if a motor would have to give more than it can, or a joint is at its limit."""
+    """Says so if a motor would have to give more than it can, or a limit keeps a joint."""
     weakest, strongest = robot.effort_ranges.T
     for joint in np.flatnonzero((torques < weakest) | (torques > strongest)).tolist():
         return diagnose(
@@ -141,4 +142,4 @@ def _beyond(robot: Robot, qpos: Array, torques: Array) -> Diagnostic | None:
         name = robot.joint_names[joint]
         beyond = Quantity(max(low[joint] - qpos[joint], qpos[joint] - high[joint]), unit)
         return diagnose("sags-to-joint-limit", subject=("joint", name), beyond=beyond)
-    return None
+    return next(tendon_ranges(robot).at_ends(qpos, -_REACHED), None)

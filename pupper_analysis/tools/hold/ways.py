@@ -1,8 +1,10 @@
-"""How the joints of a robot whose base is held move: alone, with others, or in loops."""
+"""How joints of a robot whose base is held move: alone, with others, along tendons, in loops."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from typing import TypeGuard
 
 import mujoco
 import numpy as np
@@ -10,7 +12,8 @@ from numpy.typing import NDArray
 
 from pupper_analysis.robot.closure import Closure
 from pupper_analysis.robot.robot import Robot
-from pupper_analysis.stance.posture import Posture, joint_ranges
+from pupper_analysis.robot.tendons import tendon_ranges
+from pupper_analysis.stance.posture import AT_END, Posture, joint_ranges
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,7 +47,8 @@ class Ways:
 
     Attributes:
         origin: (nu,) the posture.
-        free: Numbers of the joints that follow none; there is a way for each of these.
+        free: Numbers of the joints that lead ways: those that follow none, each by itself, and
+            then of each two on a tendon one, which move so that it keeps its length.
         steps: (nu, n) how all joints move with each, near the posture.
         moved: Numbers of the joints that move with each.
         bent: (n,) whether joints follow it otherwise than in proportion: in a loop.
@@ -71,8 +75,10 @@ class Ways:
         self.moved = [np.array([joint]) for joint in self.free]
         self._loop = [np.zeros(0, dtype=np.int64) for _ in self.free]
         self._closed: dict[tuple[float, ...], Array | None] = {}
+        self._tendons = tendon_ranges(robot)
         if self._closure is not None:
             self._bind(self._closure)
+        self._go_along_tendons()
 
     def random(self, count: int, *, between: bool = False) -> list[Array]:
         """Returns random postures (nu,), their loops closed: the same ones each time.
@@ -88,10 +94,10 @@ class Ways:
                 share = random.uniform()
                 if bends:
                     place = self._place(qpos, way, round(share * (self._places(way) - 1)))
-                    qpos = qpos if place is None else place
+                    qpos = place if self._kept(place) else qpos
                     low, high = self.ranges[self.free[way]]
                     near = self.bend(qpos, way, low + share * (high - low)) if between else None
-                    qpos = qpos if near is None else near
+                    qpos = near if self._kept(near) else qpos
                 else:
                     low, high = self.span(qpos, way)
                     qpos = self.along(qpos, way, low + share * (high - low))
@@ -103,10 +109,15 @@ class Ways:
         step, lead = self.steps[:, way], self.free[way]
         moving = self.moved[way]
         if len(moving) == 1 and step[lead] == 1.0:
-            low, high = self.ranges[lead] - qpos[lead]
-            return min(float(low), 0.0), max(float(high), 0.0)
-        moving = moving[np.abs(step[moving]) > _UNMOVED]  # near the posture, of one that bends
-        ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
+            ends = self.ranges[[lead]] - qpos[lead]
+        else:
+            moving = moving[np.abs(step[moving]) > _UNMOVED]  # near the posture, of one that bends
+            ends = (self.ranges[moving] - qpos[moving, None]) / step[moving, None]
+        tendons = self._tendons
+        rates = tendons.coefficients @ step
+        pulled = np.abs(rates) > _UNMOVED
+        room = tendons.room(qpos).reshape(2, -1)[:, pulled] / rates[pulled]
+        ends = np.vstack([ends, np.column_stack([-room[0], room[1]])])
         ends.sort(axis=1)
         return min(float(ends[:, 0].max()), 0.0), max(float(ends[:, 1].min()), 0.0)
 
@@ -118,7 +129,7 @@ class Ways:
     def places(self, qpos: Array, way: int) -> list[Array]:
         """Returns postures (nu,) along a way that bends, over its range, with loops closed."""
         found = [self._place(qpos, way, number) for number in range(self._places(way))]
-        return [place for place in found if place is not None]
+        return [place for place in found if self._kept(place)]
 
     def closed_before(self, qpos: Array, way: int) -> list[Array]:
         """Returns postures (nu,) with the loop of a way, which bends, as it was closed so far."""
@@ -130,7 +141,7 @@ class Ways:
                 moved = qpos.copy()
                 moved[leading], moved[self._followers(way)] = positions, own
                 found.append(moved)
-        return found
+        return [place for place in found if self._kept(place)]
 
     def around(self, qpos: Array, way: int) -> tuple[float, float]:
         """Returns positions a place before and after that of the joint of a way (rad, m)."""
@@ -141,8 +152,13 @@ class Ways:
     def bend(self, qpos: Array, way: int, position: float) -> Array | None:
         """Returns the posture (nu,) with the joint of a way, which bends, elsewhere (rad, m).
 
-        None if its loop does not close there, or takes others beyond their ranges.
+        None if its loop does not close there, or takes others, or tendons, beyond their ranges.
         """
+        moved = self._bent(qpos, way, position)
+        return moved if self._kept(moved) else None
+
+    def _bent(self, qpos: Array, way: int, position: float) -> Array | None:
+        """Returns the same, wherever that takes tendons."""
         assert self._closure is not None
         moved, followers = qpos.copy(), self._followers(way)
         moved[self.free[way]] = position
@@ -166,13 +182,30 @@ class Ways:
         key = tuple(np.concatenate([leading, moved[leading].round(9)]).tolist())
         followers = self._followers(way)
         if key not in self._closed:
-            closed = self.bend(moved, way, float(moved[lead]))
+            closed = self._bent(moved, way, float(moved[lead]))
             self._closed[key] = None if closed is None else closed[followers]
         own = self._closed[key]
         if own is None:
             return None
         moved[followers] = own
         return moved
+
+    def _kept(self, qpos: Array | None) -> TypeGuard[Array]:
+        """Tells whether there is a posture (nu,), with tendons in their ranges."""
+        return qpos is not None and bool((self._tendons.room(qpos) >= -AT_END).all())
+
+    def _go_along_tendons(self) -> None:
+        """Adds the ways of two joints on one tendon: at its end neither has a way of its own."""
+        rates = self._tendons.coefficients @ self.steps
+        for row in rates:
+            pulled = [way for way in np.flatnonzero(row).tolist() if not self.bent[way]]
+            for one, other in itertools.combinations(pulled, 2):
+                step = self.steps[:, one] - self.steps[:, other] * row[one] / row[other]
+                self.steps = np.column_stack([self.steps, step])
+                self.free += (self.free[one],)
+                self.moved.append(np.flatnonzero(np.abs(step) > _UNMOVED))
+                self.bent = np.append(self.bent, False)
+                self._loop.append(np.zeros(0, dtype=np.int64))
 
     def _followers(self, way: int) -> IntArray:
         """Returns the joints of the loop of a way that follow."""

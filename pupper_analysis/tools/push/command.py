@@ -51,7 +51,7 @@ def command(
     \b
     Examples:
       pupper-analysis push v3 v3-heavy --figure push.png
-      pupper-analysis push original --height 0.12 --directions 4 --resolution 0.1
+      pupper-analysis push original --height 0.14 --directions 4 --resolution 0.1
       pupper-analysis push v3 --swing FL=2cm --com inside --com-margin 1cm
       pupper-analysis push --base v3 --torso-mass-scale 1.5 --kp 20 --kd 0.5
 

@@ -44,7 +44,9 @@ WORDS = {
 TEXTS = WORDS.pop("texts") | {
     k: v for one in WORDS.values() for k, v in one.pop("texts", {}).items()
 }
-TERMS = WORDS.pop("terms")
+TERMS = WORDS.pop("terms") | {
+    k: v for one in WORDS.values() for k, v in one.pop("terms", {}).items()
+}
 MEANINGS = WORDS.pop("meanings") | {
     k: v for one in WORDS.values() for k, v in one.pop("meanings", {}).items()
 }

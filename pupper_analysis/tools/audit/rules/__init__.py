@@ -11,6 +11,5 @@ from pupper_analysis.tools.audit.rules import (  # noqa: F401
     shapes,
     simulation,
     start,
-    usd,
     values,
 )

@@ -11,6 +11,7 @@ from pupper_analysis.base.diagnostics import Diagnostic, Severity, Term, diagnos
 from pupper_analysis.models.mjcf_file import MjcfFile
 from pupper_analysis.models.packages import existing_file, is_pointer
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.geometry import mesh_problem
 from pupper_analysis.models.stated.model import (
     FIXED,
@@ -18,7 +19,7 @@ from pupper_analysis.models.stated.model import (
     RobotModel,
     UrdfModel,
 )
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 
 
 @rule

@@ -18,6 +18,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.efforts import Motor, placeholder_efforts
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -26,7 +27,7 @@ from pupper_analysis.models.stated.model import (
     RobotModel,
     UrdfModel,
 )
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.mirror import mirror_plane
 
 _MOTIONS = (Term("rolls (about x)"), Term("pitches (about y)"), Term("yaws (about z)"))
@@ -180,8 +181,7 @@ def limits_in_wrong_unit(robot: RobotModel) -> Iterator[Found]:
             lower, upper = (Quantity(value, "rad") for value in limits)
             told = diagnose("limits-look-like-degrees", lower=lower, upper=upper)
             yield Found("joint", joint.name, told, "limit")
-    mjcf = isinstance(robot, MjcfModel) and robot.file.spec.compiler.degree
-    if not (mjcf or robot.format == "usd") or len(hinges) < 3:
+    if not robot.in_degrees or len(hinges) < 3:
         return
     widest = max(hinges, key=lambda j: max(abs(j.lower), abs(j.upper)))
     low, high = np.rad2deg((widest.lower, widest.upper))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.model import (
     HINGE,
     Array,
@@ -16,7 +17,7 @@ from pupper_analysis.models.stated.model import (
     Link,
     RobotModel,
 )
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 
 PARALLEL, LEVEL = 0.99, 0.3
 """Cosine of axes that count as parallel; and the most that an axis of pitch points up."""

@@ -14,6 +14,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.geometry import (
     extent_points,
     known_points,
@@ -29,7 +30,7 @@ from pupper_analysis.models.stated.model import (
     MjcfModel,
     RobotModel,
 )
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 
 LIGHT, HEAVY = 0.05, 500.0
 """Total masses between which a legged robot is expected (kg)."""

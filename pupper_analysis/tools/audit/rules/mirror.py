@@ -17,6 +17,7 @@ from pupper_analysis.base.diagnostics import (
     diagnose,
 )
 from pupper_analysis.models.attributes import PASSIVE
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.geometry import known_points
 from pupper_analysis.models.stated.model import (
     HINGE,
@@ -26,7 +27,7 @@ from pupper_analysis.models.stated.model import (
     Link,
     RobotModel,
 )
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 
 # Left and right: which names are each other's mirror image, and in which plane.
 

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from pupper_analysis.base.diagnostics import Quantity, diagnose
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.geometry import extent_points, known_points, link_points
 from pupper_analysis.models.stated.model import Array, Link, RobotModel
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 
 DENSEST = 20_000.0
 """Mass per volume of the convex hull (kg/m^3) above which no link is: tungsten has 19300.

@@ -13,13 +13,14 @@ from pupper_analysis.base.diagnostics import (
     Term,
     diagnose,
 )
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.model import (
     Array,
     Link,
     RobotModel,
     Shape,
 )
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 
 TOLERANCE = 1e-3
 """How exactly shapes are expected at joints and frames (m)."""

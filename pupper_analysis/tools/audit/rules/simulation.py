@@ -13,11 +13,12 @@ from pupper_analysis.base.diagnostics import (
     Vector,
     diagnose,
 )
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.geometry import solid_of
 from pupper_analysis.models.stated.model import MjcfModel, Shape, UrdfModel
 from pupper_analysis.robot.contact import combine_geoms, ground_geom
 from pupper_analysis.robot.stability import servo_stability
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import drives
 from pupper_analysis.tools.audit.rules.files import first_place
 

@@ -18,11 +18,12 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.models.efforts import effort_limit
 from pupper_analysis.models.joint_kinds import JointKind
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.mjcf import joint_name
 from pupper_analysis.models.stated.model import Array, MjcfModel, RobotModel
 from pupper_analysis.robot.contact import ground_geom
 from pupper_analysis.robot.fall import own_motion
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import drives
 
 FLOOR_DEPTH = 5e-3

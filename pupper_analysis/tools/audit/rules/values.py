@@ -11,7 +11,6 @@ from lxml import etree
 from pupper_analysis.base.diagnostics import (
     Quantity,
     Severity,
-    Term,
     Vector,
     diagnose,
 )
@@ -19,11 +18,11 @@ from pupper_analysis.models.attributes import JOINT_ATTRIBUTES, PASSIVE
 from pupper_analysis.models.joint_kinds import JointKind
 from pupper_analysis.models.mjcf import TIMESTEPS
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.readers import Found
 from pupper_analysis.models.stated.mjcf import line_of
-from pupper_analysis.models.stated.model import MjcfModel, UrdfModel
-from pupper_analysis.models.stated.usd import UsdModel
+from pupper_analysis.models.stated.model import MjcfModel, RobotModel, UrdfModel
 from pupper_analysis.models.xml import parse_numbers
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.files import first_place
 
 _SIZES = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
@@ -33,7 +32,7 @@ _PASSIVE = tuple(one.mjcf[0] for one in PASSIVE)
 
 
 @rule
-def value_impossible(robot: UrdfModel | MjcfModel | UsdModel) -> Iterator[Found]:
+def value_impossible(robot: RobotModel) -> Iterator[Found]:
     """Finds sizes of 0 and less, and negative damping, dry friction, armature, stiffness, limits.
 
     A cylinder of length 0 is a disc, and a capsule of length 0 a ball. Of MuJoCo's polynomials the
@@ -49,8 +48,7 @@ def value_impossible(robot: UrdfModel | MjcfModel | UsdModel) -> Iterator[Found]
     if isinstance(robot, UrdfModel):
         yield from _impossible_sizes(robot)
         return
-    if isinstance(robot, UsdModel):
-        yield from _impossible_numbers(robot)
+    if not isinstance(robot, MjcfModel):
         return
     for at, tendon in enumerate(robot.file.spec.tendons):
         for word in _PASSIVE:
@@ -64,22 +62,6 @@ def value_impossible(robot: UrdfModel | MjcfModel | UsdModel) -> Iterator[Found]
             place = None if geom.name else line_of(robot.file, geom, geom.parent.name)
             told = diagnose("friction-negative", friction=Vector(tuple(geom.friction), "1"))
             yield Found("geom", geom.name, told, place=place)
-
-
-def _impossible_numbers(robot: UsdModel) -> Iterator[Found]:
-    for name, edge in robot.edges.items():
-        if edge.drive is None:
-            continue
-        for attribute in ("stiffness", "damping"):
-            value = getattr(edge.drive, attribute)
-            if value < 0:
-                told = diagnose("value-impossible", attribute=attribute, value=value)
-                yield Found("joint", name, told)
-    for link in robot.links.values():
-        for shape in link.shapes:
-            if shape.size and not min(shape.size) > 0:
-                told = diagnose("shape-without-size", shape=shape.name, kind=Term(shape.kind))
-                yield Found(robot.link_tag, link.name, told)
 
 
 def _impossible_sizes(robot: UrdfModel) -> Iterator[Found]:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Final
 
 import numpy as np
 
-from pupper_analysis.base.diagnostics import Quantity, Severity, diagnose
+from pupper_analysis.base.diagnostics import Quantity, Severity, Term, diagnose
 from pupper_analysis.models.attributes import BY_KIND
 from pupper_analysis.models.places import Place
+from pupper_analysis.models.readers import Check, Found
 from pupper_analysis.models.stated.model import HINGE, SLIDE
-from pupper_analysis.models.stated.usd import BALL, WATER, Origin, UsdModel
-from pupper_analysis.tools.audit.registry import Found, rule
+from pupper_analysis.tools.usd.model import BALL, WATER, Origin, UsdModel
 
 CONTRADICTION = 1e-3
 """Relative: one schema has single precision, 1e-7, and some writers five digits."""
@@ -35,7 +36,6 @@ SMALL = 0.05
 """m: the extent of the joints of a robot that was drawn in m and is read in cm, at most: 5 m."""
 
 
-@rule
 def mass_of_water(robot: UsdModel) -> Iterator[Found]:
     """Finds bodies whose mass, or some of it, is of shapes without any stated density."""
     for name, weighed in robot.weights.items():
@@ -49,7 +49,6 @@ def mass_of_water(robot: UsdModel) -> Iterator[Found]:
             yield Found(robot.link_tag, name, told)
 
 
-@rule
 def mass_unstated(robot: UsdModel) -> Iterator[Found]:
     """Finds bodies of whose mass nothing is known; NOTE of those that are fixed to another."""
     for name, weighed in robot.weights.items():
@@ -60,7 +59,6 @@ def mass_unstated(robot: UsdModel) -> Iterator[Found]:
             yield Found(robot.link_tag, name, told, severity=None if alone else Severity.NOTE)
 
 
-@rule
 def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
     """Finds stated masses without a stated inertia; WARNING where there is no shape either."""
     for name, weighed in robot.weights.items():
@@ -84,7 +82,6 @@ def inertia_unstated(robot: UsdModel) -> Iterator[Found]:
             yield Found(robot.link_tag, name, diagnose("principal-axes-unstated"))
 
 
-@rule
 def inertias_contradict(robot: UsdModel) -> Iterator[Found]:
     """Compares newton:inertia with the tensor of physics:diagonalInertia and principalAxes."""
     for name, weighed in robot.weights.items():
@@ -101,7 +98,6 @@ def inertias_contradict(robot: UsdModel) -> Iterator[Found]:
         yield Found(robot.link_tag, name, told)
 
 
-@rule
 def mass_not_counted(robot: UsdModel) -> Iterator[Found]:
     """Finds masses on what is neither a body nor touches things."""
     for path, mass in robot.idle.items():
@@ -110,7 +106,6 @@ def mass_not_counted(robot: UsdModel) -> Iterator[Found]:
         yield Found("prim", name, told, place=Place(robot.file.path, None, path))
 
 
-@rule
 def joint_frames_apart(robot: UsdModel) -> Iterator[Found]:
     """Compares a joint's frames in its two bodies, as these stand, but for its own motion."""
     for name, (gap, turn) in robot.apart.items():
@@ -121,7 +116,6 @@ def joint_frames_apart(robot: UsdModel) -> Iterator[Found]:
             yield Found("joint", name, told)
 
 
-@rule
 def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
     """Compares the numbers of a joint that several schemas state."""
     for name, edge in robot.edges.items():
@@ -143,7 +137,6 @@ def joint_numbers_contradict(robot: UsdModel) -> Iterator[Found]:
             yield Found("joint", name, told)
 
 
-@rule
 def drive_gain_in_wrong_unit(robot: UsdModel) -> Iterator[Found]:
     """Finds hinges' drives that are at their limit within 2 degrees, and would not be per radian.
 
@@ -165,7 +158,6 @@ def drive_gain_in_wrong_unit(robot: UsdModel) -> Iterator[Found]:
             yield Found("joint", name, told, severity=Severity.NOTE)
 
 
-@rule
 def units_unstated(robot: UsdModel) -> Iterator[Found]:
     """Finds stages without metersPerUnit; NOTE unless the robot is as small as if drawn in m."""
     if robot.file.stage.HasAuthoredMetadata("metersPerUnit"):
@@ -179,3 +171,38 @@ def units_unstated(robot: UsdModel) -> Iterator[Found]:
         drawn=Quantity(size / robot.units.length, "m"),
     )
     yield Found("file", "", told, severity=None if 0 < size < SMALL else Severity.NOTE)
+
+
+def value_impossible(robot: UsdModel) -> Iterator[Found]:
+    """Finds negative gains of drives, and shapes of size 0 and less."""
+    for name, edge in robot.edges.items():
+        if edge.drive is None:
+            continue
+        for attribute in ("stiffness", "damping"):
+            value = getattr(edge.drive, attribute)
+            if value < 0:
+                told = diagnose("value-impossible", attribute=attribute, value=value)
+                yield Found("joint", name, told)
+    for link in robot.links.values():
+        for shape in link.shapes:
+            if shape.size and not min(shape.size) > 0:
+                told = diagnose("shape-without-size", shape=shape.name, kind=Term(shape.kind))
+                yield Found(robot.link_tag, link.name, told)
+
+
+CHECKS: Final[Mapping[str, Check]] = {
+    check.__name__.replace("_", "-"): check
+    for check in (
+        mass_of_water,
+        mass_unstated,
+        inertia_unstated,
+        inertias_contradict,
+        mass_not_counted,
+        joint_frames_apart,
+        joint_numbers_contradict,
+        drive_gain_in_wrong_unit,
+        units_unstated,
+        value_impossible,
+    )
+}
+"""{rule: what looks for it}."""

@@ -16,7 +16,7 @@ from pupper_analysis.base.diagnostics import Vector, diagnose
 from pupper_analysis.models.places import Place, refuse_file
 from pupper_analysis.models.stated.geometry import Solid, solid_of
 from pupper_analysis.models.stated.model import Array, Pose, Shape
-from pupper_analysis.models.usd_file import UsdFile
+from pupper_analysis.tools.usd.file import UsdFile
 
 SCALE_ROUNDING: Final = 1e-6
 """A scale so near to 1 is 1: orientations are written in single precision."""

@@ -21,7 +21,7 @@ from pupper_analysis.models.stated.model import (
     SLIDE,
     Pose,
 )
-from pupper_analysis.models.stated.usd_shapes import (
+from pupper_analysis.tools.usd.shapes import (
     AXES,
     StageUnits,
     axis_of,

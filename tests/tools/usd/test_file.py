@@ -11,8 +11,8 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from pupper_analysis.base.errors import MissingPackageError, ModelError
 from pupper_analysis.models.loading import read_model
-from pupper_analysis.models.usd_file import MAX_DEPTH, read_usd
-from tests.support import usd
+from pupper_analysis.tools.usd.file import MAX_DEPTH, read_usd
+from tests.tools.usd import written as usd
 
 HEAD = "#usda 1.0\n"
 BODY = 'def Xform "b" ( prepend apiSchemas = ["PhysicsRigidBodyAPI"] )\n{\n}\n'

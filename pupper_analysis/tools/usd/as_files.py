@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -38,13 +39,15 @@ from pupper_analysis.models.stated.model import (
     Link,
     Pose,
 )
-from pupper_analysis.models.stated.usd import UsdModel, read_usd_model
-from pupper_analysis.models.stated.usd_joints import Edge
 from pupper_analysis.models.unlimited import ENDLESS_SLIDE
 from pupper_analysis.models.urdf_file import UrdfFile, urdf_from
 from pupper_analysis.models.urdf_tree import UrdfTree
-from pupper_analysis.models.usd_file import PrimPlaces, UsdFile, read_usd
 from pupper_analysis.models.xml import to_text
+from pupper_analysis.tools.usd.file import PrimPlaces, UsdFile, read_usd
+from pupper_analysis.tools.usd.joints import Edge
+from pupper_analysis.tools.usd.model import UsdModel, read_usd_model
+
+STANDS_FOR: Final = "the USD"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +56,9 @@ class UsdAsUrdf(PrimPlaces, UrdfFile):
 
     Attributes:
         usd: The file, to whose prims the places lead.
-        gains: {joint: stiffness and damping of its servo}, see `UsdModel.gains`.
     """
 
     usd: UsdFile | None = None
-    gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
@@ -79,7 +80,9 @@ def read_usd_as_urdf(path: Path) -> UsdAsUrdf:
     if unknown["effort"]:
         notes.append(diagnose("usd-efforts-unknown", joints=unknown["effort"]))
     told = (*notes, *(note for note in made.notes if note.code != "effort-or-velocity-unstated"))
-    return UsdAsUrdf(path, made.text, made.root, {}, told, unknown, file, model.gains)
+    return UsdAsUrdf(
+        path, made.text, made.root, {}, told, unknown, STANDS_FOR, model.gains, usd=file
+    )
 
 
 def urdf_of(model: UsdModel) -> UrdfTree:
@@ -146,17 +149,15 @@ class UsdAsMjcf(PrimPlaces, MjcfFile):
 
     Attributes:
         usd: The file, to whose prims the places lead.
-        gains: {joint: stiffness and damping of its servo}, see `UsdModel.gains`.
     """
 
     usd: UsdFile | None = None
-    gains: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def stated(self, kind: str, name: str, attributes: Collection[str]) -> Place | None:
         """Returns the prim of a joint: what it states, it states itself."""
         del attributes
         found = self.place(kind, name)
-        return None if found.prim is None else found
+        return None if found.element is None else found
 
     def weighing(self, body: str) -> Place:
         """Returns the prim of a body."""
@@ -192,8 +193,9 @@ def read_usd_as_mjcf(path: Path) -> UsdAsMjcf:
         notes=notes,
         unknown={kind: names for kind, names in unknown.items() if names},
         _model=compile_spec(spec.copy(), path),
-        usd=file,
+        stands_for=STANDS_FOR,
         gains=model.gains,
+        usd=file,
     )
 
 

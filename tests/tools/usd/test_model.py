@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.stated.model import Array
 from pupper_analysis.models.stated.urdf import read_urdf_model
-from pupper_analysis.models.stated.usd import Origin, UsdModel, read_usd_model
 from pupper_analysis.models.urdf_file import read_urdf
-from pupper_analysis.models.usd_file import read_usd
-from tests.support import usd
+from pupper_analysis.tools.usd.file import read_usd
+from pupper_analysis.tools.usd.model import Origin, UsdModel, read_usd_model
+from tests.tools.usd import written as usd
 
 
 def model(path: Path) -> UsdModel:

@@ -13,12 +13,12 @@ pytest.importorskip("pxr", reason="usd-core is not installed")
 
 from pupper_analysis.base.errors import ModelError
 from pupper_analysis.models.spec_tree import SpecTree
-from pupper_analysis.models.stated.as_files import mjspec_of
-from pupper_analysis.models.stated.usd import read_usd_model
-from pupper_analysis.models.usd_file import read_usd
 from pupper_analysis.robot.compare.compare import Comparison, compare_models
-from tests.support import usd
+from pupper_analysis.tools.usd.as_files import mjspec_of
+from pupper_analysis.tools.usd.file import read_usd
+from pupper_analysis.tools.usd.model import read_usd_model
 from tests.support.repository import ROOT
+from tests.tools.usd import written as usd
 
 
 @pytest.mark.longest

@@ -25,9 +25,6 @@ from pupper_analysis.models.places import (
 )
 from pupper_analysis.models.xml import LFS_POINTER
 
-SUFFIXES: Final = (".usd", ".usda", ".usdc", ".usdz")
-"""Names that end so are USD files."""
-
 MAX_BYTES: Final = 500_000_000
 """Largest layer that is opened: meshes are in it, as they are not in a URDF."""
 
@@ -73,11 +70,6 @@ class UsdFile:
         joints = kind in ("joint", "actuator", "equality")
         first, second = (self.joints, self.bodies) if joints else (self.bodies, self.joints)
         return Place(self.path, None, first.get(name, second.get(name)))
-
-
-def is_usd(path: Path) -> bool:
-    """Says whether a file is to be read as USD, by its name."""
-    return path.suffix.lower() in SUFFIXES
 
 
 class PrimPlaces:

@@ -35,8 +35,9 @@ from pupper_analysis.models.stated.model import (
     Pose,
     RobotModel,
 )
-from pupper_analysis.models.stated.usd_joints import Edge, UsdDrive, edge_of
-from pupper_analysis.models.stated.usd_shapes import (
+from pupper_analysis.tools.usd.file import UsdFile
+from pupper_analysis.tools.usd.joints import Edge, UsdDrive, edge_of
+from pupper_analysis.tools.usd.shapes import (
     Placed,
     StageUnits,
     UsdShape,
@@ -50,7 +51,6 @@ from pupper_analysis.models.stated.usd_shapes import (
     value_of,
     world_matrix,
 )
-from pupper_analysis.models.usd_file import UsdFile
 
 WATER: Final = 1000.0
 """kg/m^3: what a shape has of which no density is stated."""
@@ -281,6 +281,11 @@ class UsdModel(RobotModel):
     def words(self, attribute: JointAttribute) -> tuple[str, str | None]:
         """Returns what a joint's number is: several schemas have several names for it."""
         return attribute.kind, None
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the file states angles in degrees: UsdPhysics does."""
+        return True
 
     @property
     def gains(self) -> dict[str, tuple[float, float]]:

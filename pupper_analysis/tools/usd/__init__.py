@@ -1,0 +1,1 @@
+"""Read USD files (UsdPhysics), as Isaac Sim's, for `audit` and `crosscheck`."""
