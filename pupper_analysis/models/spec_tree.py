@@ -243,9 +243,17 @@ class SpecTree:
         )
         equality.data[:5] = (rest, float(multiplier), 0.0, 0.0, 0.0)
         equality.objtype = mujoco.mjtObj.mjOBJ_JOINT
-        step = float(self.spec.option.timestep)
-        equality.solref = (max(COUPLING_TIME, 2 * step), 1.0)
+        self._stiffen(equality)
         return equality
+
+    def stiffen_couplings(self) -> None:
+        """Makes couplings of joints as stiff as ``add_coupling`` does: a URDF's mimics are exact."""
+        for equality in self.spec.equalities:
+            if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+                self._stiffen(equality)
+
+    def _stiffen(self, equality: mujoco.MjsEquality) -> None:
+        equality.solref = (max(COUPLING_TIME, 2 * float(self.spec.option.timestep)), 1.0)
 
     def motor_at(self, joint: str) -> mujoco.MjsActuator | None:
         """Returns the last motor at a joint; None if there is none."""

@@ -29,6 +29,7 @@ from pupper_analysis.models.transmission import (
     is_at_one_joint,
     law_of,
 )
+from pupper_analysis.robot.floor import leave_ground
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_elsewhere
 
@@ -79,20 +80,24 @@ class Bare:
         return int(self.model.body_dofnum[self.base]) >= 6
 
 
-def published_model(mjcf: MjcfFile, robot: Robot, *, floor: bool = True) -> mujoco.MjModel | None:
+def published_model(mjcf: MjcfFile, robot: Robot) -> mujoco.MjModel | None:
     """Returns the model of an MJCF as it was published; None if it lacks the robot's base.
 
     It has names, and a floor if it is to stand, if it has none: nothing else is put into it. What
-    is only seen stays: the geoms of a body have the order that they have in the robot's.
+    is only seen stays: the geoms of a body have the order that they have in the robot's. A base
+    that is held, and free in the file, is held in it, too.
     """
     model = mjcf.model
-    grounded = not floor or _ground(model) is not None or len(_fixed_geoms(model)) > 0
-    if grounded and _has(model, robot):
+    grounded = not robot.floating or _ground(model) is not None or len(_fixed_geoms(model)) > 0
+    free = None if robot.floating or not _has(model, robot) else _free_joint(model, robot.mj_base)
+    if grounded and free is None and _has(model, robot):
         return mjcf.model
     spec = mjcf.spec.copy()
     name_all(spec, set())
     if not grounded:
         SpecTree(spec).add_floor()
+    if free is not None:
+        _hold_base(spec, robot.mj_base, model, free)
     model = compile_spec(spec, mjcf.path)
     return model if _has(model, robot) else None
 
@@ -100,8 +105,8 @@ def published_model(mjcf: MjcfFile, robot: Robot, *, floor: bool = True) -> mujo
 def imported_model(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
     """Returns the model of a URDF as MuJoCo itself imports it, with what no URDF can state.
 
-    That is a free base, and what the robot was given: a floor, how MuJoCo steps and contacts hold,
-    which bodies overlap and do not touch, and servos. Its shapes are the file's.
+    That is a free base, and what the robot was given: a floor, how MuJoCo steps, and contacts and
+    couplings hold, which bodies overlap and do not touch, and servos. Its shapes are the file's.
 
     Raises:
         ModelError: If MuJoCo refuses it.
@@ -116,11 +121,36 @@ def imported_model(own: UrdfImport, robot: Robot) -> mujoco.MjModel:
     kinds = Floor | Options | Servo | Apart
     given = (one for one in robot.description.added if isinstance(one, kinds))
     put_all(given, SpecTree(spec))
+    SpecTree(spec).stiffen_couplings()
     try:
         return compile_with_shells(spec.copy)[0]
     except (ValueError, RuntimeError) as error:
         problem = diagnose("urdf-not-imported", message=one_line(error))
         raise ModelError(own.path, problem) from error
+
+
+def _free_joint(model: mujoco.MjModel, base: str) -> int | None:
+    """Returns the free joint that carries a body; None if none does."""
+    body = model.body(base).id
+    joint = int(model.body_jntadr[model.body_rootid[body]])
+    kind = None if joint < 0 else int(model.jnt_type[joint])
+    return joint if kind == mujoco.mjtJoint.mjJNT_FREE.value else None
+
+
+def _hold_base(spec: mujoco.MjSpec, base: str, model: mujoco.MjModel, free: int) -> None:
+    """Removes a base's free joint and its numbers in keyframes, in place; the ground lets go."""
+    qpos = np.arange(7) + model.jnt_qposadr[free]
+    qvel = np.arange(6) + model.jnt_dofadr[free]
+    body = spec.body(base)
+    while not (joints := [one for one in body.joints if one.type == mujoco.mjtJoint.mjJNT_FREE]):
+        body = body.parent
+    spec.delete(joints[0])
+    for key in spec.keys:
+        for name, own in (("qpos", qpos), ("qvel", qvel)):
+            numbers = np.asarray(getattr(key, name))
+            if numbers.size:
+                setattr(key, name, np.delete(numbers, own[own < numbers.size]))
+    leave_ground(spec)
 
 
 def _has(model: mujoco.MjModel, robot: Robot) -> bool:

@@ -85,7 +85,7 @@ def raw_model(robot: Robot) -> mujoco.MjModel | None:
         found = robot.once(_imported)
         model = None if isinstance(found, Diagnostic) else found
     else:
-        model = published_model(robot.published.file, robot, floor=robot.floating)
+        model = published_model(robot.published.file, robot)
     if model is not None and robot.published.options:
         model = copy.copy(model)
         for name, value in robot.published.options:
