@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support import every_command
+from tests.support import arm_features, every_command
 from tests.support.every_command import COMMANDS, Truth
 
 EDITS = dict(every_command.edits())
@@ -27,6 +27,31 @@ def test_no_command_is_better_than_bare_mujoco(name: str, tmp_path: Path) -> Non
     row = every_command.row_of(name, EDITS[name], tmp_path)
     assert row.cells.keys() == COMMANDS.keys()
     assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
+
+
+@pytest.mark.parametrize("name", arm_features.FEATURES)
+def test_what_holds_an_arm_is_no_better_than_bare_mujoco(name: str, tmp_path: Path) -> None:
+    row = every_command.row_of_arm(name, tmp_path)
+    assert row.cells.keys() == every_command.HELD.keys()
+    assert not row.wrong, {one: row.cells[one].word for one in row.wrong}
+
+
+ARMS = {
+    "as it is": Truth.STANDS,
+    "kp 0 at a joint": Truth.FALLS,
+    "a bias of 500": Truth.FALLS,
+    "kp a thousandfold": Truth.FALLS,
+    "gear 2": Truth.ELSEWHERE,
+    "a loose joint": Truth.SHAKES,
+    "a keyframe without ctrl": Truth.UNTOLD,
+    "motors": Truth.LIMP,
+}
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_what_becomes_of_an_arms_file_by_itself(name: str, tmp_path: Path) -> None:
+    _, mjcf = arm_features.files(tmp_path, arm_features.FEATURES[name])
+    assert every_command.truth_of_arm(mjcf) is ARMS[name]
 
 
 def test_what_is_lost_in_its_first_step_passes_nowhere(tmp_path: Path) -> None:

@@ -1,9 +1,9 @@
 """Whether a command says more of a file than bare MuJoCo does: features and slips, by commands.
 
 Run as ``python -m tests.support.every_command [--only WORDS] [--csv FILE]`` it prints a row for
-each edit of the file of a quadruped that stands, and ends with status 1 if a cell is better than
-the truth. The truth is MuJoCo's alone: the file as it is, as ``mj_resetDataKeyframe`` leaves it,
-nudged, for five seconds.
+each edit of the file of a quadruped that stands, and of an arm that is held, and ends with status 1
+if a cell is better than the truth. The truth is MuJoCo's alone: the file as it is, as
+``mj_resetDataKeyframe`` leaves it, nudged, for five seconds.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 
@@ -26,10 +26,15 @@ import numpy as np
 import pupper_analysis as pa
 from pupper_analysis.base.errors import NotStandingError, PupperAnalysisError
 from pupper_analysis.models.mjcf import silence_mujoco
+from pupper_analysis.prepare.convert.files import RobotFiles
 from pupper_analysis.prepare.judge import judge_stand
+from pupper_analysis.tools.live import model as live
+from pupper_analysis.tools.live.documents import simulation_document
+from pupper_analysis.tools.live.render import Language, render_panel
+from pupper_analysis.tools.live.state import State, load_source
 from pupper_analysis.tools.study.design import Maker
 from pupper_analysis.tools.study.outcome import rests_on
-from tests.support import features, legged, slips
+from tests.support import arm, arm_features, features, legged, slips
 from tests.support.commands import answer
 
 SECONDS = 5.0
@@ -62,6 +67,7 @@ class Truth(StrEnum):
     STANDS = "stands"
     FALLS = "falls"
     SHAKES = "shakes"
+    ELSEWHERE = "is commanded elsewhere"
     LIMP = "has no servos"
     UNTOLD = "has no ctrl"
     REFUSED = "is refused"
@@ -151,6 +157,12 @@ class Row:
     cells: dict[str, Cell] = field(default_factory=dict)
     seconds: float = 0.0
 
+    def show(self) -> None:
+        words = {one: cell.word for one, cell in self.cells.items()}
+        print(f"{self.name}: {self.truth} ({self.seconds:.0f} s) {words}", flush=True)
+        for command, how in self.wrong.items():
+            print(f"    BETTER {command}: {how}", flush=True)
+
     @property
     def wrong(self) -> dict[str, str]:
         """What is better than the truth: {command: how}."""
@@ -204,6 +216,19 @@ def _python(urdf: Path, mjcf: Path, _: Path) -> Cell:
     return Cell(verdict.passed, False, own is not None, added, verdict.code.name, falls)
 
 
+def _live(urdf: Path, mjcf: Path, _: Path) -> Cell:
+    """The simulation that the page of ``live`` shows."""
+    try:
+        asked = live.Model(load_source(RobotFiles.of(str(urdf), mjcf=str(mjcf)))).answer(State())
+        if asked.refusal is not None:
+            raise asked.refusal
+        stance = live.simulate_stance(asked)
+    except PupperAnalysisError as error:
+        return Cell(False, True, False, False, type(error).__name__)
+    page = render_panel(simulation_document(stance, feedforward=True), Language())
+    return replace(_cell(not stance.verdict.passed, page, ""), word=stance.verdict.code.name)
+
+
 COMMANDS: dict[str, Ask] = {
     "stand": _command("stand"),
     "payload": _command("payload", "--at", "0,0,5cm"),
@@ -213,7 +238,55 @@ COMMANDS: dict[str, Ask] = {
     "analyze": _command("analyze", "--no-figures", alone=True),
     "study": _study,
     "python": _python,
+    "live": _live,
 }
+
+HELD: dict[str, Ask] = {"hold": _command("hold")}
+"""Those that are asked of arms."""
+
+
+def truth_of_arm(path: Path) -> Truth:
+    """Simulates an arm's file from its keyframe; a joint that ends far from there has left it.
+
+    It is commanded elsewhere if it stays when its servos are commanded the angles there instead.
+    """
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError:
+        return Truth.REFUSED
+    if not (model.actuator_biasprm[:, 1] < 0).any():
+        return Truth.LIMP
+    off, speed, lost = _arm_run(model, angles=False)
+    if lost:
+        return Truth.FALLS
+    if off <= LEANS:
+        return Truth.SHAKES if speed > SHAKES else Truth.STANDS
+    if _arm_run(model, angles=True)[0] > LEANS:
+        return Truth.FALLS
+    stated = re.search(r"<key\b[^>]*\bctrl=", path.read_text())
+    return Truth.ELSEWHERE if stated else Truth.UNTOLD
+
+
+def _arm_run(model: mujoco.MjModel, *, angles: bool) -> tuple[float, float, bool]:
+    """Returns how far the joints of the arm are off in the end, how fast, and whether it is lost.
+
+    Args:
+        model: What MuJoCo makes of its file.
+        angles: Whether the servos are commanded where it begins.
+    """
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    places = model.jnt_qposadr[[model.joint(name).id for name in arm.RANGES]]
+    if angles:
+        driven = model.jnt_qposadr[model.actuator_trnid[:, 0]]
+        data.ctrl[:] = data.qpos[driven] * model.actuator_gear[:, 0]
+    data.qvel[:] += NUDGE * np.random.default_rng(43).standard_normal(model.nv)
+    start = data.qpos[places].copy()
+    mujoco.mj_step(model, data, round(SECONDS / model.opt.timestep))
+    off = float(np.abs(data.qpos[places] - start).max())
+    lost = any(data.warning[kind].number for kind in DIVERGED)
+    return off, float(np.abs(data.qvel).max()), lost
 
 
 def edits() -> Iterator[tuple[str, Callable[[Path], legged.Pair]]]:
@@ -228,6 +301,16 @@ def _slipped(folder: Path, slip: slips.Slip) -> legged.Pair:
     pair = slips.standing(folder)
     pair.mjcf.write_text(slip(pair.mjcf.read_text(), np.random.default_rng(0)))
     return pair
+
+
+def row_of_arm(name: str, folder: Path) -> Row:
+    """Asks what is asked of arms of a feature's file."""
+    begun = time.monotonic()
+    urdf, mjcf = arm_features.files(folder, arm_features.FEATURES[name])
+    row = Row(name, truth_of_arm(mjcf))
+    row.cells = {command: ask(urdf, mjcf, folder) for command, ask in HELD.items()}
+    row.seconds = time.monotonic() - begun
+    return row
 
 
 def row_of(
@@ -256,30 +339,38 @@ def main() -> None:
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--only", default="", help="part of the names of edits to try")
     options.add_argument("--truth", nargs="*", choices=[*Truth], help="only what comes to this")
-    options.add_argument("--commands", nargs="*", choices=[*COMMANDS], default=[*COMMANDS])
+    options.add_argument(
+        "--commands", nargs="*", choices=[*COMMANDS, *HELD], default=[*COMMANDS, *HELD]
+    )
     options.add_argument("--csv", type=Path, help="Write the table here.")
     asked = options.parse_args()
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as top:
-        for number, (name, write) in enumerate(edits()):
+        standing = [one for one in asked.commands if one in COMMANDS]
+        for number, (name, write) in enumerate(edits() if standing else ()):
             if asked.only not in name:
                 continue
             folder = Path(top) / str(number)
             folder.mkdir()
-            row = row_of(name, write, folder, asked.commands, asked.truth)
+            row = row_of(name, write, folder, standing, asked.truth)
             if not row.cells:
                 continue
             rows.append(row)
-            words = {one: cell.word for one, cell in row.cells.items()}
-            print(f"{name}: {row.truth} ({row.seconds:.0f} s) {words}", flush=True)
-            for command, how in row.wrong.items():
-                print(f"    BETTER {command}: {how}", flush=True)
+            row.show()
+        for name in arm_features.FEATURES:
+            if asked.only not in name or not {*HELD} & {*asked.commands}:
+                continue
+            folder = Path(top) / f"arm {len(rows)}"
+            folder.mkdir()
+            rows.append(row_of_arm(name, folder))
+            rows[-1].show()
     if asked.csv is not None:
         with asked.csv.open("w", encoding="utf-8", newline="") as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(("edit", "bare MuJoCo", *asked.commands))
             for row in rows:
-                table.writerow((row.name, row.truth, *(c.word for c in row.cells.values())))
+                cells = (row.cells.get(one) for one in asked.commands)
+                table.writerow((row.name, row.truth, *(c and c.word for c in cells)))
     sys.exit(any(row.wrong for row in rows))
 
 
