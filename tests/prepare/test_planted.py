@@ -26,8 +26,9 @@ NEVER = {
 }
 """Codes of what is seen, and is no cause."""
 
-CONSEQUENCES = {"motors-overloaded"}
-"""Of what is too weak, or loads it: told beside the cause, and true."""
+CONSEQUENCES = {"motors-overloaded", "joints-unlike"}
+"""Of what is too weak, or loads it; of one joint whose range is no longer its like's: told beside
+the cause, and true."""
 
 
 def causes(verdict: Verdict) -> list[str]:

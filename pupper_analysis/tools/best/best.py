@@ -86,9 +86,9 @@ def best_stance(
     The best of a stance is the least of the greatest of many smooth functions: a kink, at which
     descents that see one number get stuck. So the common bound of all these functions is itself
     a variable, and they, and what may not be used up, are constraints of a smooth programme
-    (SLSQP). It starts at the nominal stand and at the best of Sobol's samples, with the feet moving
-    together (and, if nothing in the task tells left from right, without y, roll and yaw); from the
-    best of these ends it goes on with all coordinates free. It is the same every time, and never
+    (SLSQP). It starts at the nominal stand and at the best of Latin samples, with the feet moving
+    together (and, if nothing in the task tells left from right, without y, roll and yaw); from each
+    of the best of these ends it goes on with all coordinates free. It is the same every time, and never
     worse than the nominal stand.
 
     Payload: the search goes by first order (``FirstOrder``): the least of the masses at which a
