@@ -247,7 +247,7 @@ class SpecTree:
         return equality
 
     def stiffen_couplings(self) -> None:
-        """Makes couplings of joints as stiff as ``add_coupling`` does: a URDF's mimics are exact."""
+        """Makes couplings of joints as stiff as ``add_coupling``: a URDF's mimics are exact."""
         for equality in self.spec.equalities:
             if equality.type == mujoco.mjtEq.mjEQ_JOINT:
                 self._stiffen(equality)

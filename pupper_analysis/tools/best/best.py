@@ -88,8 +88,8 @@ def best_stance(
     a variable, and they, and what may not be used up, are constraints of a smooth programme
     (SLSQP). It starts at the nominal stand and at the best of Latin samples, with the feet moving
     together (and, if nothing in the task tells left from right, without y, roll and yaw); from each
-    of the best of these ends it goes on with all coordinates free. It is the same every time, and never
-    worse than the nominal stand.
+    of the best of these ends it goes on with all coordinates free. It is the same every time, and
+    never worse than the nominal stand.
 
     Payload: the search goes by first order (``FirstOrder``): the least of the masses at which a
     motor saturates, a foot lets go, the servos buckle, and feet have sunk so deep that another part
