@@ -47,11 +47,24 @@ def jobs(variant: str) -> list[Job]:
 
 def _stand(robot: pa.Robot) -> Job:
     stand, context = pa.solve_stand(robot), Context(robot)
+    return Job(
+        "solve_stand",
+        lambda: pa.solve_stand(robot),
+        lambda: Accuracy(pa.solve_stand(robot).foot_error, 1e-9, "m, the feet"),
+        Rival("PlaCo's loop, as many steps", _placos_stand(robot, context, stand)),
+        1.3,
+        stand_peers(robot, stand),
+    )
+
+
+def _placos_stand(robot: pa.Robot, context: Context, stand: pa.Stand) -> Callable[[], None]:
+    """Returns what finds a stand by PlaCo's loop, in as many steps, from the home pose."""
     height, start = float(stand.qpos[2]), robot.home.copy()
     start[2] = height
     q = robot.pin_convention.q(start)
+    turned = robot.pin_convention.q(stand.qpos)[3:7]
 
-    def bare() -> None:
+    def run() -> None:
         wrapper = context.solver.engine.placo  # lent for as long as the context is held
         wrapper.state.q = q
         wrapper.update_kinematics()
@@ -61,7 +74,8 @@ def _stand(robot: pa.Robot) -> Job:
         for foot, target in stand.foot_targets.items():
             feet.append(solver.add_position_task(robot.contact_frames[foot], target))
             feet[-1].configure(foot, "soft", 1.0)
-        solver.add_orientation_task(robot.base, np.eye(3)).configure("turn", "hard")
+        turn = pin.Quaternion(turned).toRotationMatrix()
+        solver.add_orientation_task(robot.base, turn).configure("turn", "hard")
         tall = solver.add_position_task(robot.base, np.array([0.0, 0.0, height]))
         tall.mask.set_axises("z")
         tall.configure("height", "hard")
@@ -74,14 +88,7 @@ def _stand(robot: pa.Robot) -> Job:
             solver.solve(True)
             wrapper.update_kinematics()
 
-    return Job(
-        "solve_stand",
-        lambda: pa.solve_stand(robot),
-        lambda: Accuracy(pa.solve_stand(robot).foot_error, 1e-9, "m, the feet"),
-        Rival("PlaCo's loop, as many steps", bare),
-        1.3,
-        stand_peers(robot, stand),
-    )
+    return run
 
 
 def wave(robot: pa.Robot, count: int) -> list[pa.StandTask]:
@@ -98,13 +105,16 @@ def wave(robot: pa.Robot, count: int) -> list[pa.StandTask]:
 
 
 def _stands(robot: pa.Robot) -> Job:
-    tasks = wave(robot, 1000)
+    tasks, context = wave(robot, 1000), Context(robot)
+    singly = [pa.solve_stand(robot, task) for task in tasks]
+    loops = [_placos_stand(robot, context, stand) for stand in singly]
 
-    def singly() -> list[pa.Stand]:
-        return [pa.solve_stand(robot, task) for task in tasks]
+    def bare() -> None:
+        for loop in loops:
+            loop()
 
     def accuracy() -> Accuracy:
-        pairs = zip(pa.solve_stands(robot, tasks), singly(), strict=True)
+        pairs = zip(pa.solve_stands(robot, tasks), singly, strict=True)
         away = max(float(np.abs(one.qpos - other.qpos).max()) for one, other in pairs)
         return Accuracy(away, SAME, "m, rad off the single calls'")
 
@@ -112,8 +122,8 @@ def _stands(robot: pa.Robot) -> Job:
         "solve_stands, 1,000 in a sequence",
         lambda: pa.solve_stands(robot, tasks),
         accuracy,
-        Rival("1,000 single calls", singly),
-        0.7,
+        Rival("PlaCo's loops, as many steps as single calls", bare),
+        1.3,
     )
 
 
@@ -191,17 +201,21 @@ def _mujocos(robot: pa.Robot, stand: pa.Stand) -> Callable[[], tuple[np.ndarray,
     return run
 
 
-def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
-    config, context = pa.Configuration(robot, stand.qpos), Context(robot)
+def _placos_statics(
+    robot: pa.Robot, states: np.ndarray, kind: str
+) -> Callable[[], list[np.ndarray]]:
+    """Returns what finds the torques of each state by PlaCo's solver, made beforehand."""
+    context = Context(robot)
     wrapper = context.solver.engine.placo
-    wrapper.state.q = robot.pin_convention.q(stand.qpos)
-    wrapper.update_kinematics()
+    qs = [robot.pin_convention.q(state) for state in states]
     solver = placo.DynamicsSolver(wrapper)
-    held = solver.add_frame_task(robot.base, wrapper.get_T_world_frame(robot.base))
+    held = solver.add_frame_task(robot.base, np.eye(4))
     held.configure("base", "hard", 1.0, 1.0)
+    feet = []
     for foot, frame in robot.contact_frames.items():
-        task = solver.add_position_task(frame, wrapper.get_T_world_frame(frame)[:3, 3])
+        task = solver.add_position_task(frame, np.zeros(3))
         task.configure(foot, "hard", 1.0)
+        feet.append((frame, task))
         contact = solver.add_unilateral_point_contact(task)
         contact.mu = robot.contacts[foot].sliding_friction
         if kind == "minimum tangential":
@@ -209,11 +223,34 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
     solver.torque_cost = 1.0 if kind == "minimum torque" else 0.0
     kept = solver, context  # which the solver does not keep itself
 
-    def bare() -> np.ndarray:
+    def place(q: np.ndarray) -> None:
+        wrapper.state.q = q
+        wrapper.update_kinematics()
+        held.T_world_frame = wrapper.get_T_world_frame(robot.base)
+        for frame, task in feet:
+            task.target_world = wrapper.get_T_world_frame(frame)[:3, 3]
+
+    def solve() -> np.ndarray:
         result = kept[0].solve(False)
         if not result.success:
             raise ArithmeticError("PlaCo finds no forces")
         return np.array(result.tau)
+
+    def run() -> list[np.ndarray]:
+        torques = []
+        for q in qs:
+            if len(qs) > 1:  # a state alone is placed once
+                place(q)
+            torques.append(solve())
+        return torques
+
+    place(qs[0])
+    return run
+
+
+def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
+    config = pa.Configuration(robot, stand.qpos)
+    bare = _placos_statics(robot, stand.qpos[None], kind)
 
     def ours() -> pa.statics.GravityCompensation:
         return pa.gravity_compensation(config, distribution=kind)
@@ -221,7 +258,7 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
     def accuracy() -> Accuracy:
         found = ours()
         left = max(found.residual_force, found.residual_torque)
-        placos = bare()[robot.pin_convention.v_index]
+        placos = bare()[0][robot.pin_convention.v_index]
         away = np.abs(found.joint_torques - placos).max()
         return Accuracy(left, 1e-9, f"N, N m out of balance (PlaCo's torques {away:.0e} N m off)")
 
@@ -231,20 +268,23 @@ def _statics(robot: pa.Robot, stand: pa.Stand, kind: str) -> Job:
 
 def _statics_of_many(robot: pa.Robot) -> Job:
     states = np.array([one.qpos for one in pa.solve_stands(robot, wave(robot, 1000))])
-
-    def singly() -> list[pa.statics.GravityCompensation]:
-        return [pa.gravity_compensation(pa.Configuration(robot, state)) for state in states]
+    bare = _placos_statics(robot, states, "minimum tangential")
 
     def accuracy() -> Accuracy:
         many = pa.statics.gravity_compensations(robot, states).joint_torques
-        away = np.abs(many - [one.joint_torques for one in singly()]).max()
-        return Accuracy(float(away), SAME, "N m off the single calls'")
+        singly = [pa.gravity_compensation(pa.Configuration(robot, state)) for state in states]
+        away = np.abs(many - [one.joint_torques for one in singly]).max()
+        placos = np.array(bare())[:, robot.pin_convention.v_index]
+        apart = np.abs(many - placos).max()
+        return Accuracy(
+            float(away), SAME, f"N m off the single calls' (PlaCo's torques {apart:.0e} N m off)"
+        )
 
     return Job(
         "gravity_compensations, 1,000 states",
         lambda: pa.statics.gravity_compensations(robot, states),
         accuracy,
-        Rival("1,000 single calls", singly),
+        Rival("PlaCo's dynamics, a loop", bare),
         0.7,
     )
 

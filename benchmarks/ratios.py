@@ -88,14 +88,12 @@ def record_rows(record: Record) -> list[tuple[str, ...]]:
 
 
 def expected(record: Record, name: str) -> dict[str, float]:
-    """Returns {job: ratio} of a family; of one without a record the largest of all families'."""
-    if name in record:
-        return record[name]
+    """Returns {job: ratio} of a family; of a job it has no record of the largest of all families'."""
     largest: dict[str, float] = {}
     for own in record.values():
         for job, ratio in own.items():
             largest[job] = max(ratio, largest.get(job, 0.0))
-    return largest
+    return largest | record.get(name, {})
 
 
 def measure_ratio(job: Job) -> float:
