@@ -88,7 +88,7 @@ def record_rows(record: Record) -> list[tuple[str, ...]]:
 
 
 def expected(record: Record, name: str) -> dict[str, float]:
-    """Returns {job: ratio} of a family; of a job it has no record of the largest of all families'."""
+    """Returns {job: ratio} of a family; of what it lacks the largest of all families'."""
     largest: dict[str, float] = {}
     for own in record.values():
         for job, ratio in own.items():
