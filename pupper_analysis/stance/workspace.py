@@ -92,7 +92,8 @@ def base_workspace(robot: Robot, task: StandTask | None = None) -> BaseWorkspace
     reach, with the com where the task has it; if that may lie anywhere inside the support polygon,
     where the task's stand has it, or anywhere for legs that cannot hold it there (those of two
     joints). Shifts are those of the base; the com follows, and must stay
-    inside with the task's margin.
+    inside with the task's margin. Roll and yaw are searched up to pi, pitch up to pi / 2: beyond
+    that, angles of roll, pitch and yaw name turns that others name, too.
 
     Args:
         robot: The robot.

@@ -33,6 +33,12 @@ INSIDE, OUTSIDE = 0.97, 1.03
 """Parts of a limit that is printed: what holds, and what does not. Limits that a simulation finds
 are found to two percent."""
 
+EDGE = 0.01
+"""Part of the base's range by which an end is passed."""
+
+TURNS = {"roll": math.pi, "pitch": math.pi / 2, "yaw": math.pi}
+"""Up to which turns the base's range is searched (rad), as ``workspace`` says."""
+
 SAME = 1e-9
 """rad, m, N m: numbers of one computation. (Processes order sums alike.)"""
 
@@ -89,6 +95,9 @@ def of_robot(name: str, folder: Path, *files: str) -> Agreement:
         _compare_push(found, run, stance)
     _compare_path(found, run, stood, stance)
     _compare_payload(found, run, stood)
+    if stood.returncode == 0:
+        _compare_best(found, run)
+        _compare_workspace(found, run)
     if len(files) == 1 and files[0].endswith(".urdf"):
         _compare_conversion(found, run, stood, stance)
     found.seconds = time.monotonic() - begun
@@ -205,6 +214,76 @@ def _compare_payload(found: Agreement, run: Commands, stood: Answer) -> None:
         found.codes[f"stand, {part} of it"] = code
         if (loaded.returncode == 0) is not (part < 1):
             found.disagreements.append(f"stand with {part} of {mass:.4g} kg: {code}")
+
+
+def _compare_best(found: Agreement, run: Commands) -> None:
+    """The stance that ``best`` finds is the one that ``stand`` and ``payload`` answer of."""
+    for objective in ("utilisation", "margin", "payload"):
+        at = ("--at", PAYLOAD_PLACE) if objective == "payload" else ()
+        done, content = run("best", *at, robot=(objective, *run.robot))
+        found.codes[f"best {objective}"] = f"exit {done.returncode}"
+        if not content:
+            continue
+        best, told = content["best"], content["stance"]
+        typed = _typed(best["stand"]["task"])
+        if objective == "payload":
+            loaded, answered = run("payload", *at, *typed)
+            found.codes["payload of the best"] = f"exit {loaded.returncode}"
+            if loaded.returncode != done.returncode:
+                found.disagreements.append(f"best payload: payload exits {loaded.returncode}")
+            mass = answered.get("mass", math.nan)
+            if not math.isclose(mass, best["payload"]["mass"], rel_tol=SAME):
+                found.disagreements.append(
+                    f"best payload: {best['payload']['mass']:.6g} kg, payload {mass:.6g} kg"
+                )
+            continue
+        stood, stance = run("stand", *typed)
+        code = _code(stood, stance)
+        if code != told["verdict"]["code"]:
+            found.disagreements.append(f"best {objective}: {told['verdict']['code']}, stand {code}")
+        if not stance:
+            continue
+        for what, one, other in (
+            ("stand", told["stand"]["qpos"], stance["stand"]["qpos"]),
+            ("torques", told["statics"]["joint_torques"], stance["statics"]["joint_torques"]),
+        ):
+            off = float(np.abs(np.asarray(one) - np.asarray(other)).max(initial=0.0))
+            if not off <= SAME:
+                found.disagreements.append(f"best {objective}: {what} off by {off:.1e} in stand")
+
+
+def _typed(task: dict[str, Any]) -> list[str]:
+    """Returns a task's pose and feet as options."""
+    options = [f"--{name}={task[name]!r}" for name in ("height", "roll", "pitch", "yaw")]
+    if task["offset"] is not None:
+        options.append("--offset={!r},{!r}".format(*task["offset"]))
+    moved = task["foot_offsets"].items()
+    return options + ["--move={}={!r},{!r}".format(foot, *place) for foot, place in moved]
+
+
+def _compare_workspace(found: Agreement, run: Commands) -> None:
+    """What is within the base's range is in reach of ``stand``, and what is beyond is not."""
+    done, content = run("workspace")
+    found.codes["workspace"] = f"exit {done.returncode}"
+    if not content:
+        found.disagreements.append(f"workspace: {done.stderr.strip()[-120:]}")
+        return
+    start, ends = content["start"]["task"], content["intervals"]
+    for name in ("height", "roll", "pitch", "yaw"):
+        for end, sign in (("low", -1), ("high", 1)):
+            value, size = ends[name][end], abs(ends[name]["high"] - ends[name]["low"])
+            for part in (-EDGE, EDGE):
+                there = value + part * sign * size
+                if abs(there) >= TURNS.get(name, math.inf) or (name == "height" and there <= 0):
+                    continue  # it is searched no further
+                asked = [one for one in _typed(start) if not one.startswith(f"--{name}=")]
+                stood, _ = run("stand", f"--{name}={there!r}", *asked)
+                reached = "out of reach" not in stood.stderr
+                if reached is not (part < 0):
+                    found.disagreements.append(
+                        f"workspace: {name} {end} {value:.4g}, stand at {there:.4g}: "
+                        f"{_code(stood, {})} {stood.stderr.strip()[:160]}"
+                    )
 
 
 def _compare_conversion(

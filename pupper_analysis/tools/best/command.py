@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -16,9 +15,6 @@ from pupper_analysis.cli.stance_options import (
     draw_stand,
     robot_and_task,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("best")

@@ -1,4 +1,4 @@
-"""``pupper-analysis path`` and ``push``: how robots come to stand, and what makes them fall."""
+"""``pupper-analysis path``: how a robot moves to a stance."""
 
 from __future__ import annotations
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
@@ -12,9 +11,6 @@ from pupper_analysis.cli.stance_options import (
     at_option,
     robot_and_task,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("payload")

@@ -1,9 +1,8 @@
-"""``pupper-analysis stand``, ``workspace``, ``payload`` and ``best``: how robots stand."""
+"""``pupper-analysis stand``: whether a robot holds a stance."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -14,9 +13,6 @@ from pupper_analysis.cli.stance_options import (
     draw_stand,
     robot_and_task,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("stand")

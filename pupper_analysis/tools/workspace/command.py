@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pupper_analysis.cli import shared
 from pupper_analysis.cli.robots import robot_argument
 from pupper_analysis.cli.stance_options import RobotAndTask, robot_and_stance
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared.command("workspace")
