@@ -8,7 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, optimize
+from scipy import linalg
 
 from pupper_analysis.base.arguments import check_arguments
 from pupper_analysis.base.diagnostics import diagnose
@@ -155,6 +155,8 @@ def _within(robot: Robot, qpos: Array, ranges: Array, placed: NDArray[np.int64])
 
     Joints that are given stay, and loops and couplings closed to first order.
     """
+    from scipy import optimize  # slow to import
+
     tendons = tendon_ranges(robot)
     ways = np.eye(robot.nu) if robot.closure is None else robot.closure.ways(qpos)
     ways = ways @ linalg.null_space(ways[placed]) if len(placed) else ways
