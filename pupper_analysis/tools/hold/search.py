@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import optimize
 
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.robot.robot import Robot
@@ -128,6 +127,7 @@ class Search:
 
     def _between(self, joint: int, sign: float, qpos: Array, way: int) -> Array:
         """Returns where along a way that bends, near a posture, a torque is greatest."""
+        from scipy import optimize  # slow to import
 
         def lacking(position: float) -> float:
             there = self._ways.bend(qpos, way, position)
@@ -191,6 +191,8 @@ def _crest(cosine: float, sine: float, rate: float, low: float, high: float) -> 
 
 def _sampled(at: Callable[[float], float], low: float, high: float) -> float:
     """Returns where in [low, high] a function is greatest that is no single wave."""
+    from scipy import optimize  # slow to import
+
     looks = np.linspace(low, high, _SAMPLES)
     top = int(np.argmax([at(look) for look in looks]))
     ends = looks[max(top - 1, 0)], looks[min(top + 1, _SAMPLES - 1)]
