@@ -21,7 +21,7 @@ from peers import stand_peers
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import FORCED, forced_commands, place_on_ground
-from pupper_analysis.stance.context import Context
+from pupper_analysis.stance.solver import Context
 
 SIMULATED = 12.0  # s: until a robot that is let go rests
 SWEPT, AMPLITUDE, FREQUENCY = 4.0, 2.0, 1.2  # s, N, Hz: a cell of a gain sweep, as by default

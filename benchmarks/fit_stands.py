@@ -43,8 +43,7 @@ from pupper_analysis.stance.sag.homotopy_path import HomotopyPath
 from pupper_analysis.stance.sag.steady_state import describe_pose, release_margin
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import bodies_of
-from pupper_analysis.tools.fit.stands.fit import fit_stands
-from pupper_analysis.tools.fit.stands.result import StandFit
+from pupper_analysis.tools.fit.stands.fit import StandFit, fit_stands
 from pupper_analysis.tools.study.parameters import scale_robot
 
 MASS, COM, OFFSET, KP, FRICTION = 0.15, 0.01, math.radians(1.5), 0.15, 0.3

@@ -26,14 +26,14 @@ import click
 import numpy as np
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live import render
+from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.documents import stance_document
 from pupper_analysis.tools.live.model import Answer, Model, predict_sag
 from pupper_analysis.tools.live.panels import Panels
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.server import LOOPBACK, Page
 from pupper_analysis.tools.live.state import State
-from pupper_analysis.tools.live.variants import LiveVariants
 
 
 class Still:
@@ -46,8 +46,8 @@ class Still:
 def measure(variant: str, moves: int) -> dict[str, list[float]]:
     """Returns the times (s) of the parts of each move."""
     model = Model(LiveVariants(pa.VARIANTS[variant]))
-    port = viser_parts.free_port(LOOPBACK, None)
-    server = viser_parts.start_server(LOOPBACK, port, "benchmark")
+    port = render.free_port(LOOPBACK, None)
+    server = render.start_server(LOOPBACK, port, "benchmark")
     taken: dict[str, list[float]] = {name: [] for name in ("solve and forces", "scene", "words")}
     wall = taken["all, by the clock"] = []
     try:
@@ -73,7 +73,7 @@ def measure(variant: str, moves: int) -> dict[str, list[float]]:
         predict_sag(answer)
         taken["sag, once it is still"] = [time.thread_time() - since]
     finally:
-        viser_parts.stop_server(server)
+        render.stop_server(server)
     return taken
 
 

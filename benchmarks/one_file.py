@@ -26,7 +26,7 @@ import pupper_analysis as pa
 from pupper_analysis.models.loading import kind_of
 from pupper_analysis.present.verdict import verdict_word
 from pupper_analysis.pupper.variant_files import write_variant
-from pupper_analysis.stance.footholds import nominal_feet
+from pupper_analysis.stance.problem import nominal_feet
 from pupper_analysis.tools.stand.stance import study_stance
 
 CONFIGURATIONS = 100

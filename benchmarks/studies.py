@@ -298,7 +298,7 @@ def overhead() -> None:
 def finding() -> None:
     """How long legs and how heavy a torso do v3's motors (3 N m) and servos (5 N m/rad) bear?"""
     from pupper_analysis.present.figures import style
-    from pupper_analysis.tools.study.pareto import pareto_front
+    from pupper_analysis.tools.study.outcome import pareto_front
 
     vary = {
         "leg_scale": pa.study.linspace(0.8, 1.6, 9),

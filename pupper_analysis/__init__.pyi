@@ -35,7 +35,7 @@ from .simulation.verify import verify_stand as verify_stand
 from .stance.judge import Stand as Stand
 from .stance.sag.steady_state import steady_state as steady_state
 from .stance.stand import solve_stand as solve_stand
-from .stance.stands import solve_stands as solve_stands
+from .stance.stand import solve_stands as solve_stands
 from .stance.task import StandTask as StandTask
 from .statics.equilibrium import gravity_compensation as gravity_compensation
 from .tools import check as _check

@@ -19,7 +19,7 @@ from pupper_analysis.prepare.self_check import (
 )
 from pupper_analysis.robot.alike import joints_unlike, limbs_without_feet
 from pupper_analysis.robot.as_published import Cause, Published
-from pupper_analysis.robot.asked_efforts import efforts_nobody_meant
+from pupper_analysis.robot.build import efforts_nobody_meant
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import servos_used

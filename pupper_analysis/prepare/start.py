@@ -21,10 +21,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.stance.branches import combine_branches, find_branches, find_limbs
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import Goal, make_goal
-from pupper_analysis.stance.search import meet_constraints, search_from_joints
-from pupper_analysis.stance.seeds import make_seed
+from pupper_analysis.stance.search import make_seed, meet_constraints, search_from_joints
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 

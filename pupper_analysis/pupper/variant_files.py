@@ -19,7 +19,6 @@ from pupper_analysis.base.runs import note_input
 from pupper_analysis.models import mjcf
 from pupper_analysis.models.description import Description
 from pupper_analysis.models.places import one_line
-from pupper_analysis.pupper import derive_mjcf
 from pupper_analysis.pupper.variants import (
     BASES,
     VariantSpec,
@@ -81,12 +80,12 @@ def _derived(
     """Derives a variant's URDF and MJCF once, unless a base file changes."""
     urdf_text, mjcf_spec = urdf_source.read_text(), _read(mjcf_source, mjcf_stamp).copy()
     if spec.leg_scale != 1.0 or spec.torso_mass_scale != 1.0:
-        from pupper_analysis.pupper import derive_urdf  # yourdfpy is slow to import
+        from pupper_analysis.pupper import derive  # yourdfpy is slow to import
 
         scales = spec.leg_scale, spec.torso_mass_scale
         try:
-            urdf_text = derive_urdf.derive_urdf(urdf_text, spec, source=urdf_source)
-            derive_mjcf.derive_mjcf(mjcf_spec, spec)
+            urdf_text = derive.derive_urdf(urdf_text, spec, source=urdf_source)
+            derive.derive_mjcf(mjcf_spec, spec)
             if max(*scales, *(1 / scale for scale in scales)) > _SAFE_SCALE:
                 mjcf.compile_spec(mjcf_spec.copy(), mjcf_source)
         except (ArithmeticError, ValueError, ModelError) as error:

@@ -1,4 +1,4 @@
-from .asked_efforts import with_efforts as with_efforts
+from .build import with_efforts as with_efforts
 from .payload import with_payload as with_payload
 from .stability import Stability as Stability
 from .stability import step_stability as step_stability

@@ -18,7 +18,7 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.fields import FIELDS, Field
-from pupper_analysis.stance.footholds import feet_places, nominal_feet
+from pupper_analysis.stance.problem import feet_places, nominal_feet
 from pupper_analysis.stance.task import StandTask
 
 Array = NDArray[np.float64]

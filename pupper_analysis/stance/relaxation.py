@@ -15,7 +15,6 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.tendons import tendon_ranges
 from pupper_analysis.stance.constraints import TASK_TOLERANCE, TOUCHING
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.demands import (
     DEMANDS,
     Numbers,
@@ -29,9 +28,9 @@ from pupper_analysis.stance.demands import (
 from pupper_analysis.stance.judge import Stand
 from pupper_analysis.stance.problem import Goal, make_goal
 from pupper_analysis.stance.programme import Programme, Relaxation
-from pupper_analysis.stance.search import search_stand
+from pupper_analysis.stance.search import find_missing_joints, search_stand
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.stance.underactuated_feet import find_missing_joints
 
 Array = NDArray[np.float64]
 

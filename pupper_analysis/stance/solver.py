@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 import placo
 from numpy.typing import NDArray
 
+from pupper_analysis.models.urdf_tree import UrdfTree
+from pupper_analysis.models.xml import to_text
 from pupper_analysis.robot.configuration import UP
+from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.branches import find_limbs
 from pupper_analysis.stance.clearance import ClearanceShapes
 from pupper_analysis.stance.constraints import (
@@ -22,7 +27,6 @@ from pupper_analysis.stance.constraints import (
     constraints_of,
 )
 from pupper_analysis.stance.problem import Goal
-from pupper_analysis.stance.wrappers import Wrapper
 
 Array = NDArray[np.float64]
 
@@ -399,3 +403,99 @@ def _arrives(moved: float, last: float) -> bool:
     """Whether no step need follow one, by its length squared, and that of the one before."""
     following = moved * min(1.0, moved / last) if last < math.inf else moved
     return following < _STEP_TOLERANCE**2
+
+
+_spare: dict[Hashable, list[placo.RobotWrapper]] = {}
+"""{structure: PlaCo's robots that nobody uses}. They are never let go: that would free nothing."""
+
+
+class Wrapper:
+    """PlaCo's robot with a robot's numbers; it belongs to its holder alone, in one thread.
+
+    What PlaCo makes of a URDF it never gives back: a ``RobotWrapper`` keeps its 375 kB for good,
+    and reading takes milliseconds. Robots whose joints and links hang together in the same way, as
+    the thousand designs of a study do, differ in numbers alone: these are set in place.
+
+    Whoever uses ``placo`` holds this: when it goes, another robot may have PlaCo's.
+
+    Attributes:
+        placo: PlaCo's robot, without shapes.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._spare = _spare.setdefault(_structure(robot.pin_model), [])
+        try:
+            self.placo = self._spare.pop()
+        except IndexError:
+            self.placo = _load(robot)
+        _take_numbers(self.placo.model, robot.pin_model)
+
+    def __del__(self) -> None:
+        if hasattr(self, "placo"):
+            self._spare.append(self.placo)
+
+
+def _load(robot: Robot) -> placo.RobotWrapper:
+    """Has PlaCo read a robot's URDF, without shapes: no file is needed."""
+    tree = UrdfTree.of(robot.description.urdf)
+    tree.remove_shapes()
+    wrapper = placo.RobotWrapper("", placo.Flags.ignore_collisions, to_text(tree.root))
+    _leave_names_to_links(wrapper.model)
+    return wrapper
+
+
+def _leave_names_to_links(model: pin.Model) -> None:
+    """Renames frames of joints that are named like a link: PlaCo asks for names alone."""
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    taken = {frame.name for frame in model.frames}
+    for frame in model.frames:
+        if frame.type != pin.FrameType.BODY and frame.name in links:
+            while frame.name in taken:
+                frame.name += " (joint)"
+            taken.add(frame.name)
+
+
+def _structure(model: pin.Model) -> Hashable:
+    """Returns what cannot be changed in place: joints, their axes and order, and links' names."""
+    axes = tuple(tuple(joint.createData().S.ravel().tolist()) for joint in list(model.joints)[1:])
+    kinds = tuple(joint.shortname() for joint in list(model.joints)[1:])
+    links = tuple(
+        (frame.name, int(frame.parentJoint))
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY
+    )
+    return tuple(model.names), tuple(model.parents), kinds, axes, links
+
+
+def _take_numbers(model: pin.Model, given: pin.Model) -> None:
+    """Gives a model the numbers of another one of its structure, in place."""
+    for joint in range(given.njoints):
+        model.inertias[joint] = given.inertias[joint]
+        model.jointPlacements[joint] = given.jointPlacements[joint]
+    places = {f.name: f.placement for f in given.frames if f.type == pin.FrameType.BODY}
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.name in places:
+            frame.placement = places[frame.name]
+    model.lowerPositionLimit = given.lowerPositionLimit
+    model.upperPositionLimit = given.upperPositionLimit
+
+
+class Context:
+    """A robot that is asked for stands; it belongs to one search at a time, which has it lent.
+
+    Args:
+        robot: The robot.
+
+    Attributes:
+        robot: The robot.
+        shapes: Its shapes, and where com and feet are.
+        solver: PlaCo's robot and tasks.
+
+    Raises:
+        ModelError: If a body of the robot has no mass or inertia that can be.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        robot.check_bodies()
+        self.robot, self.shapes = robot, ClearanceShapes(robot)
+        self.solver = Solver(self.shapes)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.errors import ConfigurationError, StanceUnreachableError, UnknownNameError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.stance.constraints import TASK_TOLERANCE
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import Stand
-from pupper_analysis.stance.problem import Goal, make_goal
+from pupper_analysis.stance.problem import Goal, has_spare_joints, make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
-from pupper_analysis.stance.search import find_nearest, search_stand
+from pupper_analysis.stance.search import continue_stand, find_nearest, search_stand
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.contacts import Contacts, make_contacts
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation, balance_load
@@ -110,3 +116,157 @@ def stand_contacts(robot: Robot, stand: Stand) -> Contacts:
     normals, depths = None if level else stand.normals, stand.depths
     sunk = depths if any(depths.values()) else None
     return make_contacts(robot, stand.stance_feet, None, normals, sunk)
+
+
+Array = NDArray[np.float64]
+
+_SAME_BEND = 0.5
+"""rad: joints that are further from those of the stand before may be bent another way than a search
+from home would bend them. A sample of a path never goes so far."""
+
+
+_WEIGHTS = {1: (1.0,), 2: (2.0, -1.0), 3: (3.0, -3.0, 1.0), 4: (4.0, -6.0, 4.0, -1.0)}
+"""Of so many stands, the latest first, in the value there that their polynomial has next. Of a
+thousand in a smooth sequence a parabola is 3e-7 rad off, from where PlaCo takes two steps, for its
+regularisation leaves a millionth of a step undone; a cubic 4e-9, from where it takes one."""
+
+
+@overload
+def solve_stands(
+    robot: Robot,
+    tasks: Sequence[StandTask],
+    *,
+    explain: bool = ...,
+    keep_going: Literal[False] = ...,
+) -> tuple[Stand, ...]: ...
+
+
+@overload
+def solve_stands(
+    robot: Robot,
+    tasks: Sequence[StandTask],
+    *,
+    explain: bool = ...,
+    keep_going: bool,
+) -> tuple[Stand | StanceUnreachableError, ...]: ...
+
+
+@check_arguments
+def solve_stands(
+    robot: Robot,
+    tasks: Sequence[StandTask],
+    *,
+    explain: bool = False,
+    keep_going: bool = False,
+) -> tuple[Stand | StanceUnreachableError, ...]:
+    """Solves a sequence of stand tasks: quicker than one by one where neighbours are alike.
+
+    Each search begins where the stands before it, four at most, lead to. If that comes to a stand
+    near the one before, it is the task's; if not, the task is solved as ``solve_stand`` does, from
+    its own starts. So it is for tasks that choose where to begin (``ik_seed``), or that leave open
+    where a stand ends: with the com anywhere ``"inside"``, on redundant legs, with links to keep
+    apart.
+
+    The stands are those of ``solve_stand``, to rounding. Only where a leg can be bent in several
+    ways may they differ: a sequence keeps to the way in which it began, as long as that leads on.
+
+    Args:
+        robot: A robot with a floating base.
+        tasks: How to stand, one after the other.
+        explain: As in ``solve_stand``, for tasks that are out of reach (a second each).
+        keep_going: Where a task is out of reach, return the error in the place of its stand, and go
+            on; otherwise it is raised.
+
+    Returns:
+        The stands, in the order of the tasks; with ``keep_going``, errors among them.
+
+    Raises:
+        ConfigurationError: As ``solve_stand``; before any is solved, and naming the task.
+        UnknownNameError: Likewise.
+        StanceUnreachableError: Without ``keep_going``, for the first task that is out of reach;
+            ``where`` tells which.
+    """
+    solved: list[Stand | StanceUnreachableError] = []
+    goals = _goals(robot, tasks)
+    with lend(robot, Context) as context:
+        sequence = _Sequence(context)
+        for number, goal in enumerate(goals):
+            try:
+                solved.append(sequence.solve(goal, explain=explain))
+            except StanceUnreachableError as error:
+                told = error.at(f"tasks[{number}]")
+                if not keep_going:
+                    raise told from None
+                solved.append(told)
+    return tuple(solved)
+
+
+def _goals(robot: Robot, tasks: Sequence[StandTask]) -> list[Goal]:
+    """Returns the tasks in numbers; where feet and ground stay the same, so do the feet's places.
+
+    Raises:
+        ConfigurationError: If one is none, or none for this robot; names it.
+        UnknownNameError: Likewise.
+    """
+    goals: list[Goal] = []
+    for number, task in enumerate(tasks):
+        try:
+            goals.append(make_goal(robot, task, {}, goals[-1] if goals else None))
+        except (ConfigurationError, UnknownNameError) as error:
+            raise error.at(f"tasks[{number}]") from None
+    return goals
+
+
+class _Sequence:
+    """The stands of a sequence, as far as it has come.
+
+    Args:
+        context: The robot's.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._before: list[Array] = []  # qpos of the last four stands, the latest first
+
+    def solve(self, goal: Goal, *, explain: bool) -> Stand:
+        """Returns the next stand.
+
+        Raises:
+            StanceUnreachableError: If it is out of reach.
+        """
+        stand = self._continued(goal)
+        if stand is None:
+            stand = solve_goal(self._context, goal, explain=explain)
+        self._before = [stand.qpos.copy(), *self._before[:3]]
+        return stand
+
+    def _continued(self, goal: Goal) -> Stand | None:
+        """Returns the stand that those before lead to; None if they lead to none nearby."""
+        if not self._before or has_spare_joints(self._context.robot) or _is_open(goal):
+            return None
+        last, ahead = self._before[0], self._ahead()
+        for start in (ahead, last) if _apart(ahead, last) < _SAME_BEND else (last,):
+            stand = continue_stand(self._context, goal, start)
+            if stand is not None and _apart(stand.qpos, last) < _SAME_BEND:
+                return stand
+        return None
+
+    def _ahead(self) -> Array:
+        """Returns where the stands before lead to, on a polynomial through them."""
+        before = self._before
+        ahead = _WEIGHTS[len(before)][0] * before[0]
+        for weight, qpos in zip(_WEIGHTS[len(before)][1:], before[1:], strict=True):
+            ahead += weight * qpos
+        return ahead
+
+
+def _is_open(goal: Goal) -> bool:
+    """Whether a task leaves more open than how legs are bent, or says itself where to begin."""
+    task = goal.task
+    return task.ik_seed is not None or task.self_clearance is not None or goal.com_is_free
+
+
+def _apart(one: Array, other: Array) -> float:
+    """Returns how far the joints of two configurations are from each other, all in all (rad)."""
+    between = (one - other)[7:]
+    return math.sqrt(between.dot(between))

@@ -14,9 +14,9 @@ from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.base.results import Result
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot, lend
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import can_move_com, make_goal
 from pupper_analysis.stance.search import follow_stand, search_stand
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import StandTask
 

@@ -235,7 +235,7 @@ def balance_load(
 ) -> GravityCompensation:
     """Balances any generalised force, as ``gravity_compensation`` balances gravity.
 
-    With M qacc + h for g it is inverse dynamics (``pupper_analysis.statics.dynamics``).
+    With M qacc + h for g it is inverse dynamics (``pupper_analysis.tools.path.dynamics``).
 
     Args:
         config: Where the robot is.

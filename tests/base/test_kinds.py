@@ -12,7 +12,7 @@ from pupper_analysis.base.errors import OutputError
 from pupper_analysis.present.figures.style import save_figure
 from pupper_analysis.present.html.write import write_report
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan, write_plan
-from pupper_analysis.tools.study.randomisation import write_randomisation
+from pupper_analysis.tools.fit.write import write_randomisation
 
 STAND = PlannedStand("s01", ("FL",), "above", {"hip": 0.5, "knee": -1.0}, 0.2)
 PLAN = StandPlan("robot", (STAND,), (), 1, 0.0)

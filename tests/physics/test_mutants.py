@@ -16,7 +16,7 @@ import pupper_analysis as pa
 from pupper_analysis.prepare.servo_tuning import SAG, held_gains
 from pupper_analysis.present.documents import sources
 from pupper_analysis.present.html import plots
-from pupper_analysis.pupper.derive_mjcf import derive_mjcf
+from pupper_analysis.pupper.derive import derive_mjcf
 from pupper_analysis.robot.build import rebuild_robot
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.robot.floor import floor_of, level_ground
@@ -24,12 +24,12 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
-from pupper_analysis.statics.dynamics import rolling_levers
+from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.scene import Scene
 from pupper_analysis.tools.live.state import State
-from pupper_analysis.tools.live.variants import LiveVariants
 from pupper_analysis.tools.path import tracking
+from pupper_analysis.tools.path.dynamics import rolling_levers
 from pupper_analysis.tools.push.bench import bench_of
 from pupper_analysis.tools.push.recovery import tipping_impulses
 from pupper_analysis.tools.study.document import duration_text

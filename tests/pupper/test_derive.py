@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import pupper_analysis as pa
 from pupper_analysis.models import mjcf
-from pupper_analysis.pupper import derive_urdf as urdf
+from pupper_analysis.pupper import derive as urdf
 from pupper_analysis.pupper.variant_files import describe_variant
 from tests.support.bodies import BODIES, Body, assert_same_bodies, mujoco_bodies, pinocchio_bodies
 from tests.support.engines import mujoco_at

@@ -15,10 +15,10 @@ import pupper_analysis as pa
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import place_on_ground, simulate
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.relaxation import explain_refusal
 from pupper_analysis.stance.search import find_nearest
+from pupper_analysis.stance.solver import Context
 from tests.support.bound import LEGS, belts, four_bars
 from tests.support.commands import run_command
 from tests.support.legged import Pair, quadruped

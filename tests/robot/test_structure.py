@@ -15,7 +15,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.coordinates import PinocchioConvention
 from pupper_analysis.robot.structure import Structure
-from pupper_analysis.stance.sag.solution import integrate_step
+from pupper_analysis.stance.sag.contact_kinematics import integrate_step
 from tests.stance.sag.test_contact_kinematics import differences
 from tests.support.states import random_state
 from tests.support.variants import NAMES, load

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial import ConvexHull
 
 import pupper_analysis as pa
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import find_nearest, search_stand
 from pupper_analysis.stance.soft_ground import solve_loaded_stand
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.workspace import base_workspace, solve_stand_at
 from pupper_analysis.tools.best.space import StanceSpace
 from tests.support.engines import mujoco_at

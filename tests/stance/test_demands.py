@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.base.diagnostics.record import from_record, to_record
 from pupper_analysis.stance.demands import (
     DEMANDS,
     Numbers,
@@ -21,6 +20,7 @@ from pupper_analysis.stance.demands import (
     round_demands,
     round_in_radians,
 )
+from pupper_analysis.tools.study.record import from_record, to_record
 from tests.support.variants import load
 
 TASK = pa.StandTask(

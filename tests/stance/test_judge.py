@@ -12,9 +12,9 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.structure import Kinematics
 from pupper_analysis.stance.clearance import ClearanceShapes
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.judge import evaluate_stand
 from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.solver import Context
 from tests.support.variants import NAMES, load, stand_of
 
 

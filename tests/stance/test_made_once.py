@@ -11,8 +11,8 @@ import shapely
 
 import pupper_analysis as pa
 from pupper_analysis.robot.compliance import GroundLaw
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.statics.equilibrium import balance_load
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.variants import NAMES, load, stand_of

@@ -16,9 +16,9 @@ from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.floor import floor_of
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.stance.constraints import TOUCHING
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import meet_constraints
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.support_polygon import com_margin
 from tests.support.engines import mujoco_at

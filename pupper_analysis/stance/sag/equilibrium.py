@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -15,14 +17,76 @@ from pupper_analysis.robot.configuration import UP, Configuration
 from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, servo_gains
-from pupper_analysis.stance.sag.contact_compliance import contact_compliance
-from pupper_analysis.stance.sag.contact_kinematics import ContactKinematics
-from pupper_analysis.stance.sag.rigid import rigid_slips
-from pupper_analysis.stance.sag.solution import Anchor, Solution, integrate_step
-from pupper_analysis.stance.sag.units import Units
+from pupper_analysis.stance.problem import can_move_com
+from pupper_analysis.stance.sag.contact_kinematics import (
+    Anchor,
+    ContactKinematics,
+    Solution,
+    integrate_step,
+)
 from pupper_analysis.stance.stand import Stand
 
 Array = NDArray[np.float64]
+
+_TRUST = 0.5, 4.0  # rad, heights: a longer Newton step has left the branch
+_WEAK = 4e-6  # weights per height: holds a sliding robot in its place as creep does
+_RHO = 4.0  # weights per height: weighs slip against force in telling which way a foot slips
+
+
+@dataclass(frozen=True)
+class Units:
+    """A robot's weight, and the height at which it carries that.
+
+    Attributes:
+        weight: N.
+        length: Of its com above the lowest foot that carries, in its stand (m).
+    """
+
+    weight: float
+    length: float
+
+    @staticmethod
+    def of(robot: Robot, stand: Stand) -> Units:
+        """Returns those of a robot in a stand."""
+        lowest = min(float(stand.foot_targets[foot][2]) for foot in stand.stance_feet)
+        com = Configuration(robot, stand.qpos).center_of_mass()
+        weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+        return Units(weight, float(com[2]) - lowest)
+
+    @property
+    def stiffness(self) -> float:
+        """Of a servo that gives the weight at a lever of the height for a turn of 1 (N m/rad)."""
+        return self.weight * self.length
+
+    @property
+    def weak(self) -> float:
+        """N/m: holds a sliding robot in its place."""
+        return _WEAK * self.weight / self.length
+
+    @property
+    def rho(self) -> float:
+        """N/m: weighs slip against force; any would do."""
+        return _RHO * self.weight / self.length
+
+    def left(self, residual: Array, nv: int, forces: slice | list[int]) -> float:
+        """Returns the largest element of a residual of the equations, in these units.
+
+        Args:
+            residual: nv of balance, and three of each foot that touches.
+            nv: Of the robot.
+            forces: The feet whose equations of slip are of forces.
+        """
+        units = np.full(len(residual), self.length)
+        units[:3], units[3:nv] = self.weight, self.weight * self.length
+        units[nv:].reshape(-1, 3)[forces, :2] = self.weight
+        return float(np.abs(residual / units).max())
+
+    def is_too_far(self, step: Array) -> bool:
+        """Tells whether a step (nv,) leaves the branch that it begins on."""
+        near = np.abs(step[3:]).max() < _TRUST[0]
+        return not (near and np.abs(step[:3]).max() < _TRUST[1] * self.length)
+
+
 Feet = Literal["pinned", "sliding"]
 RESIDUAL_TOLERANCE = 3e-12
 """What the equations of an equilibrium may leave over, in weights and in heights of the stand."""
@@ -417,3 +481,60 @@ class SagEquilibrium:
         """Returns tangential force per velocity (N s/m); infinite where a foot pulls or stays."""
         law = self.laws[foot]
         return law.viscosity(depth) if self._creeps and depth > -law.margin else math.inf
+
+
+_PLIANT = 2.5e-6
+"""How far contact points, pinned, give under a tangential force of the robot's weight (heights): a
+biped of 10 kg by some micrometre."""
+
+
+def contact_compliance(robot: Robot, units: Units) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns how far the points of soles give, and all contact points, {point: m/N}.
+
+    A sole's move as one body: if none gave, the equations would say the same several times. A foot
+    with one point gives nothing, but where legs cannot place feet in all directions: the two of a
+    pair of legs that swing in planes keep their distance as the points of a sole do.
+
+    Args:
+        robot: The robot.
+        units: Its weight, and its height.
+    """
+    give = _PLIANT * units.length / units.weight
+    flat: dict[str, float] = {}
+    for points in robot.feet.values():
+        flat |= dict.fromkeys(points, give if len(points) > 1 else 0.0)
+    return flat, flat if can_move_com(robot) else dict.fromkeys(robot.contact_points, give)
+
+
+def rigid_slips(
+    anchors: Mapping[str, Anchor], soles: Mapping[str, str], frame: Array
+) -> Array | None:
+    """Returns the projection (n, 2, n, 2) of slips on those of rigid soles; None without soles.
+
+    A sole is rigid: its points slip along the ground by what moves and turns it. What is left of
+    their slips, micrometres by which it tilts, would have them rub against each other as hard as
+    friction lets them, which creeps away at once.
+
+    Args:
+        anchors: {point that touches: where it did so first}.
+        soles: {point: the foot that has it}.
+        frame: (3, 3) rotation from the world to the ground's frame.
+    """
+    rows: dict[str, list[int]] = {}
+    for row, point in enumerate(anchors):
+        rows.setdefault(soles[point], []).append(row)
+    shared = [own for own in rows.values() if len(own) > 1]
+    if not shared:
+        return None
+    size = len(anchors)
+    whole: Array = np.eye(2 * size).reshape(size, 2, size, 2)
+    places = np.array([anchor.place for anchor in anchors.values()]) @ frame.T
+    for own in shared:
+        x, y = (places[own, :2] - places[own, :2].mean(axis=0)).T
+        ways = np.zeros((len(own), 2, 3))
+        ways[:, 0, 0] = ways[:, 1, 1] = 1.0
+        ways[:, 0, 2], ways[:, 1, 2] = -y, x
+        flat = ways.reshape(-1, 3)
+        part = (flat @ np.linalg.pinv(flat)).reshape(len(own), 2, len(own), 2)
+        whole[np.ix_(own, range(2), own, range(2))] = part
+    return whole

@@ -15,8 +15,8 @@ from pupper_analysis.base.diagnostics import (
 )
 from pupper_analysis.base.errors import NoEquilibriumError
 from pupper_analysis.robot.servos import command_lead
+from pupper_analysis.stance.sag.contact_kinematics import Solution
 from pupper_analysis.stance.sag.equilibrium import SagEquilibrium
-from pupper_analysis.stance.sag.solution import Solution
 from pupper_analysis.stance.sag.stiffness import stiffness_at
 from pupper_analysis.stance.stand import stand_statics
 from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompensation

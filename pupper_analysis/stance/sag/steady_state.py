@@ -18,11 +18,10 @@ from pupper_analysis.robot import contact
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.stability import LASTING
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium
+from pupper_analysis.stance.sag.contact_kinematics import Solution
+from pupper_analysis.stance.sag.equilibrium import Feet, SagEquilibrium, Units
 from pupper_analysis.stance.sag.homotopy_path import CREEP_STEPS, HomotopyPath
-from pupper_analysis.stance.sag.slip import find_sliding_feet
-from pupper_analysis.stance.sag.solution import Solution
-from pupper_analysis.stance.sag.units import Units
+from pupper_analysis.stance.sag.stiffness import find_sliding_feet
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.statics.support_polygon import interpolate_drop
 

@@ -17,9 +17,9 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.ground import Ground
 from pupper_analysis.robot.robot import Robot, lend
 from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.problem import make_goal
 from pupper_analysis.stance.search import continue_stand, search_stand
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import Stand, solve_stand
 from pupper_analysis.stance.task import Point, StandTask
 from pupper_analysis.stance.workspace import find_interval

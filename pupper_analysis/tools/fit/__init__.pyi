@@ -10,8 +10,8 @@ from .parameters import parse_prior as parse_prior
 from .result import Estimate as Estimate
 from .result import Fit as Fit
 from .result import MotionFit as MotionFit
+from .stands.fit import StandFit as StandFit
 from .stands.fit import fit_stands as fit_stands
 from .stands.plan import StandPlan as StandPlan
 from .stands.plan import plan_stands as plan_stands
 from .stands.plan import write_plan as write_plan
-from .stands.result import StandFit as StandFit

@@ -11,8 +11,8 @@ from pupper_analysis.present.words import join_words, text
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.tools.fit.parameters import OF_SURROUNDINGS
 from pupper_analysis.tools.fit.result import Correlation, Estimate, Fit, MotionFit, Together, Told
+from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
 from pupper_analysis.tools.fit.stands.plan import StandPlan
-from pupper_analysis.tools.fit.stands.result import JointResidual, StandFit
 
 TITLES = {
     "mass": "fitted-mass",

@@ -22,6 +22,11 @@ from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 
 if TYPE_CHECKING:
     from pupper_analysis.tools.live.state import LiveSource
+from collections.abc import Mapping
+
+from pupper_analysis.pupper.variant_files import load_variant
+from pupper_analysis.pupper.variants import VARIANTS, Scaled, VariantSpec
+from pupper_analysis.robot.robot import Robot
 
 
 @shared.command("live")
@@ -80,9 +85,9 @@ def command(
     """  # noqa: D301 - click reads the \b
     from pupper_analysis.tools.live.door import is_loopback
     from pupper_analysis.tools.live.held import HeldPage
+    from pupper_analysis.tools.live.render import import_viser
     from pupper_analysis.tools.live.server import Page, serve
     from pupper_analysis.tools.live.state import load_source, parse_state
-    from pupper_analysis.tools.live.viser_parts import import_viser
 
     import_viser()  # before anything is loaded
     begin = parse_state(state)
@@ -96,7 +101,7 @@ def command(
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.variants import variant_spec
-        from pupper_analysis.tools.live.variants import LiveVariants
+        from pupper_analysis.tools.live.command import LiveVariants
 
         source = LiveVariants(variant_spec(meant))
     with shared.show_progress("making the page"):
@@ -113,3 +118,43 @@ def command(
             err=True,
         )
     serve(page, browser=not no_browser, wait=threading.Event().wait)
+
+
+class LiveVariants(Scaled):
+    """The robots that scales make of a variant."""
+
+    def robot(self, scales: Mapping[str, float]) -> Robot:
+        """Makes the variant of some scales.
+
+        Raises:
+            VariantError: If a scale is not a finite positive number, or nothing can be made so.
+        """
+        return load_variant(self._spec(scales))
+
+    def python(self, scales: Mapping[str, float]) -> str:
+        """Returns the call of ``load_variant``."""
+        spec = self._spec(scales)
+        if spec.name in VARIANTS:
+            return f"pa.load_variant({spec.name!r})"
+        return (
+            f"pa.load_variant(pa.pupper.VariantSpec(base={spec.base!r}, "
+            f"leg_scale={spec.leg_scale!r}, torso_mass_scale={spec.torso_mass_scale!r}))"
+        )
+
+    def arguments(self, scales: Mapping[str, float]) -> list[str]:
+        """Returns a variant's name, or the options of its scales."""
+        spec = self._spec(scales)
+        if spec.name in VARIANTS:
+            return [spec.name]
+        words = ["--base", spec.base]
+        for name, value in (
+            ("--leg-scale", spec.leg_scale),
+            ("--torso-mass-scale", spec.torso_mass_scale),
+        ):
+            words += [name, repr(value)] if value != 1.0 else []
+        return words
+
+    def _spec(self, scales: Mapping[str, float]) -> VariantSpec:
+        """Returns the variant of some scales, by the name that it has, if any."""
+        made = self.scaled(scales)
+        return {spec: spec for spec in VARIANTS.values()}.get(made, made)

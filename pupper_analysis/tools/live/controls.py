@@ -24,9 +24,8 @@ from pupper_analysis.stance.fields import FIELDS, Field, Slider
 from pupper_analysis.stance.posture import joint_ranges, joint_units
 from pupper_analysis.stance.stand import Stand
 from pupper_analysis.stance.task import StandTask
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Language, mark_slider
 from pupper_analysis.tools.live.state import PAGE_UNITS, SHOWN, State, on_page
-from pupper_analysis.tools.live.viser_parts import mark_slider
 
 PLACES = {
     "centre": "place-centre",

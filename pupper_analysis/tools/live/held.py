@@ -20,7 +20,7 @@ from pupper_analysis.robot.robot import Robot
 from pupper_analysis.stance.posture import Posture, find_posture
 from pupper_analysis.statics.equilibrium import gravity_compensation
 from pupper_analysis.tools.hold.hold import hold_posture
-from pupper_analysis.tools.live import render, viser_parts
+from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.controls import JointSliders, led_joints
 from pupper_analysis.tools.live.documents import (
     failure_document,
@@ -174,7 +174,7 @@ class HeldPage(Served):
         host: str = LOOPBACK,
         port: int | None = None,
     ) -> None:
-        viser_parts.import_viser()  # before the work
+        render.import_viser()  # before the work
         self._source, robot = source, source.loaded
         super().__init__(robot.name, robot_size(robot, find_posture(robot)), language, host, port)
 

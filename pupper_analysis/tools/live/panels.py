@@ -18,9 +18,8 @@ from pupper_analysis.tools.live.model import (
     Model,
     PredictedSag,
 )
-from pupper_analysis.tools.live.render import Language
+from pupper_analysis.tools.live.render import Language, clear_but_tabs, named_tabs
 from pupper_analysis.tools.live.state import State
-from pupper_analysis.tools.live.viser_parts import clear_but_tabs, named_tabs
 
 
 class Acts(Protocol):

@@ -14,7 +14,7 @@ from typing import Any
 
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot.joints import placed_joints
-from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.door import Door
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import NAMES, Language
@@ -56,9 +56,9 @@ class Served:
         self._language = Language(language)
         self.sessions: dict[int, Any] = {}
         self._lock, self._closed = threading.Lock(), False
-        door, free = Door(host), viser_parts.free_port(host, port)
-        self._server = viser_parts.start_server(host, free, f"{robot}, live", door)
-        self.address = viser_parts.address_of(self._server, host, door)
+        door, free = Door(host), render.free_port(host, port)
+        self._server = render.start_server(host, free, f"{robot}, live", door)
+        self.address = render.address_of(self._server, host, door)
         self._size = size
         camera = self._server.initial_camera
         camera.position = tuple(size * number for number in _FROM)
@@ -81,7 +81,7 @@ class Served:
     def _opened(self, client: Any) -> None:
         if self._closed:  # it has waited in viser's queue until now, and would keep the process
             return
-        address, words, language = viser_parts.asked_for(self._server, client.client_id)
+        address, words, language = render.asked_for(self._server, client.client_id)
         say = Language(language) if language in NAMES else self._language
         camera = client.camera
         if camera.image_width < camera.image_height:  # a phone, upright: its sheet leaves 45 %
@@ -109,7 +109,7 @@ class Served:
             self.sessions.clear()
         for session in sessions:
             session.close()
-        viser_parts.stop_server(self._server)
+        render.stop_server(self._server)
         end = time.monotonic() + _LEAVE
         for thread in itertools.chain.from_iterable(session.threads for session in sessions):
             thread.join(max(0.0, end - time.monotonic()))
@@ -141,7 +141,7 @@ class Page(Served):
         host: str = LOOPBACK,
         port: int | None = None,
     ) -> None:
-        viser_parts.import_viser()  # before the work
+        render.import_viser()  # before the work
         self._model, self._state = Model(source), state or State()
         robot = self._model.robot(self._state)
         self._model.robot(State())
@@ -158,7 +158,7 @@ class Page(Served):
                 check_state(self._model, state)
             except PupperAnalysisError as error:
                 state, problem = self._state, error.diagnostic
-        came = (*viser_parts.browser_of(self._server, client.client_id), words)
+        came = (*render.browser_of(self._server, client.client_id), words)
         state, say = self._gone_on(came) or (state, say)
         with self._lock:
             self._came[client.client_id] = came

@@ -13,8 +13,8 @@ from pupper_analysis.base.errors import StaticsInfeasibleError
 from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.statics.cone_program import BALANCE_TOLERANCE
-from pupper_analysis.statics.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.statics.support_polygon import com_margin
+from pupper_analysis.tools.path.dynamics import InverseDynamics, inverse_dynamics
 from pupper_analysis.tools.path.geometry import PathPlace, minimum_jerk
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from pupper_analysis.robot.servos import Servos, model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import place_on_ground
 from pupper_analysis.stance.stand import Stand
-from pupper_analysis.statics.dynamics import joint_resistance
+from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath
 
 Array = NDArray[np.float64]

@@ -26,8 +26,8 @@ from pupper_analysis.robot.tool import Place, Tool, find_place
 from pupper_analysis.simulation.rollout import begin_stand
 from pupper_analysis.simulation.stability import evaluate_stability
 from pupper_analysis.simulation.verdict import Asked, Verdict, beyond_limits
-from pupper_analysis.stance.context import Context
 from pupper_analysis.stance.soft_ground import solve_loaded_stand, solve_stand_as_simulated
+from pupper_analysis.stance.solver import Context
 from pupper_analysis.stance.stand import Stand, solve_stand, stand_statics
 from pupper_analysis.stance.task import StandTask
 from pupper_analysis.statics.equilibrium import GravityCompensation

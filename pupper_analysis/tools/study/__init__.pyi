@@ -1,8 +1,8 @@
+from ..fit.write import write_randomisation as write_randomisation
 from .outcome import StudyOutcome as StudyOutcome
+from .outcome import pareto_front as pareto_front
+from .outcome import sobol_indices as sobol_indices
 from .outcome import study_outcome as study_outcome
-from .pareto import pareto_front as pareto_front
-from .randomisation import write_randomisation as write_randomisation
-from .sensitivity import sobol_indices as sobol_indices
 from .tolerance import certainty as certainty
 from .tolerance import tightest_tolerance as tightest_tolerance
 from .variables import linspace as linspace

@@ -13,7 +13,6 @@ import numpy as np
 import orjson
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.diagnostics.record import to_record
 from pupper_analysis.base.errors import (
     ConfigurationError,
     ModelError,
@@ -46,6 +45,7 @@ from pupper_analysis.tools.study.parameters import (
     with_gains,
     without_visuals,
 )
+from pupper_analysis.tools.study.record import to_record
 
 # Where the robots of a study come from.
 

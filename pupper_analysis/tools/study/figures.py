@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.tools.study.cells import spread_in, standing_designs
-from pupper_analysis.tools.study.pareto import pareto_front
+from pupper_analysis.tools.study.outcome import pareto_front
 from pupper_analysis.tools.study.plots import MeansPlot, front_plot, study_plots
 
 if TYPE_CHECKING:

@@ -14,7 +14,6 @@ import orjson
 
 from pupper_analysis.base.arguments import check_type
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
-from pupper_analysis.base.diagnostics.record import from_record
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.own_run import own_run
@@ -29,16 +28,27 @@ from pupper_analysis.tools.study.cells import (
     value_span,
 )
 from pupper_analysis.tools.study.measures import METRICS
-from pupper_analysis.tools.study.pareto import pareto_front
-from pupper_analysis.tools.study.sensitivity import (
-    SobolIndices,
-)
+from pupper_analysis.tools.study.record import from_record
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import DesignStudy
 from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, certainty
 
 if TYPE_CHECKING:
     import pandas as pd
+from typing import TYPE_CHECKING
+
+from numpy.typing import NDArray
+
+from pupper_analysis.base.arguments import real_array
+
+if TYPE_CHECKING:
+    import pandas as pd
+from collections.abc import Callable
+from concurrent.futures import Executor
+
+from pupper_analysis.base.diagnostics import Term
+from pupper_analysis.tools.study.running import Progress
+from pupper_analysis.tools.study.variables import at_shares
 
 SHARES = 8
 """So many metrics are taken apart: more are more than anyone reads."""
@@ -307,3 +317,160 @@ def _named(source: Any) -> str:
         return ", ".join([str(source["base"]), *scales])
     named = (source[name] for name in ("urdf", "mjcf") if name in source)
     return ", ".join(Path(file).name for file in (*source.get("models", ()), *named))
+
+
+SENSES = {"min": 1.0, "max": -1.0}
+
+
+def pareto_front(table: pd.DataFrame, objectives: Mapping[str, str]) -> pd.DataFrame:
+    """Returns the designs that no other beats: none is as good in all objectives, better in one.
+
+    Args:
+        table: Of a study. Designs without a value of an objective count as beaten.
+        objectives: {column: ``"min"`` or ``"max"``}.
+
+    Returns:
+        Their rows, sorted by the first objective, the best first.
+
+    Raises:
+        ConfigurationError: If a column is not there, or a sense is neither.
+    """
+    if not hasattr(table, "columns"):
+        raise ConfigurationError("table", diagnose("no-table", given=reprlib.repr(table)))
+    check_type("objectives", objectives, Mapping[str, str])
+    for name, sense in objectives.items():
+        if name not in table or sense not in SENSES:
+            known = map(str, table.columns)
+            problem = diagnose("no-column-to-optimise", column=name, sense=sense, known=known)
+            raise ConfigurationError("objectives", problem)
+    if not objectives:
+        raise ConfigurationError("objectives", diagnose("no-objectives"))
+    whole = table.dropna(subset=list(objectives))
+    columns = []
+    for name, sense in objectives.items():
+        columns.append(SENSES[sense] * real_array(f"column {name!r}", whole[name].to_numpy()))
+    costs = np.column_stack(columns)
+    best = whole[_unbeaten(costs)]
+    first, sense = next(iter(objectives.items()))
+    front: pd.DataFrame = best.sort_values(first, ascending=sense == "min", kind="stable")
+    return front.reset_index(drop=True)
+
+
+def _unbeaten(costs: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Tells which rows of costs (n, m) no other row beats.
+
+    Rows are looked at in the order of their first cost: only an earlier one can beat a later one,
+    and only one that is unbeaten itself need be looked at.
+    """
+    order = np.lexsort(costs.T[::-1])
+    front: list[int] = []
+    for index in order:
+        held = costs[front]
+        beats = (held <= costs[index]).all(axis=1) & (held < costs[index]).any(axis=1)
+        if not beats.any():
+            front.append(int(index))
+    found = np.zeros(len(costs), bool)
+    found[front] = True
+    return found
+
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SobolIndices(Result):
+    """Whose variance is whose, of one metric.
+
+    Attributes:
+        metric: Its column.
+        first: {variable: share of the variance that it makes alone}.
+        total: {variable: the same with all that it makes together with others}.
+        uncertainty: {variable: half of the 95 % confidence interval of ``total``}.
+        designs: How many were measured.
+    """
+
+    metric: str
+    first: dict[str, float]
+    total: dict[str, float]
+    uncertainty: dict[str, float]
+    designs: int
+
+
+def sobol_indices(
+    study: DesignStudy,
+    folder: str | Path,
+    metrics: Sequence[str],
+    *,
+    samples: int = 128,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> dict[str, SobolIndices]:
+    """Measures designs by Saltelli's scheme, and takes the variance of metrics apart.
+
+    Designs are kept in the study's folder, as those of ``Study.run``, and go on there.
+
+    Source: Saltelli et al., "Variance based sensitivity analysis of model output", 2010; SALib.
+
+    Args:
+        study: Its variables' distributions count, not its samples.
+        folder: Where results are kept.
+        metrics: Columns of its table.
+        samples: A power of 2; designs are this times the number of variables and two.
+        executor: As in ``Study.run``.
+        workers: Likewise.
+        progress: Likewise.
+
+    Returns:
+        {metric: its indices}.
+
+    Raises:
+        ConfigurationError: If a column is not there, a design failed (indices need them all), or
+            an argument makes no sense.
+        StudyError: As ``Study.run``.
+    """
+    check_type("study", study, DesignStudy)
+    check_type("metrics", metrics, Sequence[str])
+    check_type("samples", samples, int)
+    if samples < 2 or samples & (samples - 1):
+        raise ConfigurationError("samples", diagnose("no-power-of-2", count=samples))
+    if not study.variables:
+        raise ConfigurationError("vary", diagnose("nothing-varies"))
+    require_library("SALib")
+    from SALib.analyze import sobol as analysis
+    from SALib.sample import sobol as scheme
+
+    names = list(study.variables)
+    problem = {"num_vars": len(names), "names": names, "bounds": [[0.0, 1.0]] * len(names)}
+    seed = study.sampling.seed % 2**31 + 1  # SALib takes 0 for none
+    shares = scheme.sample(problem, samples, calc_second_order=False, seed=seed)
+    points = at_shares(study.variables, np.asarray(shares, dtype=float))
+    chosen = study.at(points)
+    table = chosen.run(folder, executor=executor, workers=workers, progress=progress)
+    place = {name: index for index, name in enumerate(table["design"])}
+    order = [place[name] for block, _ in chosen.designs() for name in block]
+    found = {}
+    for metric in metrics:
+        if metric not in table:
+            told = diagnose("none-of", value=metric, known=table.columns)
+            raise ConfigurationError("metrics", told)
+        values = table[metric].to_numpy(float)[order]
+        lost = int((~np.isfinite(values)).sum())
+        if lost:
+            told = diagnose(
+                "designs-without-metric",
+                lost=lost,
+                designs=len(values),
+                metric=metric,
+                reasons=[Term(str(kind)) for kind in table["failure"].dropna().unique()],
+            )
+            raise ConfigurationError("vary", told)
+        index = analysis.analyze(problem, values, calc_second_order=False, seed=seed)
+        found[metric] = SobolIndices(
+            metric,
+            dict(zip(names, index["S1"].tolist(), strict=True)),
+            dict(zip(names, index["ST"].tolist(), strict=True)),
+            dict(zip(names, index["ST_conf"].tolist(), strict=True)),
+            len(values),
+        )
+    return found

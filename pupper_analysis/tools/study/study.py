@@ -51,10 +51,16 @@ from pupper_analysis.tools.study.parameters import (
     groups_of,
     joints_of,
 )
-from pupper_analysis.tools.study.running import Progress, Run, Settings
+from pupper_analysis.tools.study.running import (
+    Chunk,
+    Progress,
+    Run,
+    Settings,
+    Work,
+    measure_designs,
+)
 from pupper_analysis.tools.study.store import Store, design_keys, require_library
 from pupper_analysis.tools.study.variables import BLOCK, Sampling, Variable, make_variable
-from pupper_analysis.tools.study.worker import Chunk, Work, measure_designs
 
 if TYPE_CHECKING:
     import pandas as pd

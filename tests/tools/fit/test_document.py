@@ -20,8 +20,8 @@ from pupper_analysis.tools.fit.result import (
     Told,
     describe_parameters,
 )
+from pupper_analysis.tools.fit.stands.fit import JointResidual, StandFit
 from pupper_analysis.tools.fit.stands.plan import PlannedStand, StandPlan
-from pupper_analysis.tools.fit.stands.result import JointResidual, StandFit
 
 GOLDEN = Path(__file__).parent / "golden"
 

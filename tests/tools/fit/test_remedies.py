@@ -14,10 +14,8 @@ from pupper_analysis.stance.task import StandTask
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands
 from pupper_analysis.tools.fit.parameters import ParameterTable, give_widths
-from pupper_analysis.tools.fit.stands.equations import StandEquations
-from pupper_analysis.tools.fit.stands.fit import parameters_of
-from pupper_analysis.tools.fit.stands.result import further_measurements, on_three_feet
-from pupper_analysis.tools.fit.stands.rows import StandNoise
+from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
+from pupper_analysis.tools.fit.stands.fit import further_measurements, on_three_feet, parameters_of
 
 Array = NDArray[np.float64]
 

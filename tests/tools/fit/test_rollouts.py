@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.tools.fit.measurements.log import Log
-from pupper_analysis.tools.fit.motions.residuals import SeriesNoise, differentiate
+from pupper_analysis.tools.fit.motions.fit import SeriesNoise, differentiate
 from pupper_analysis.tools.fit.motions.rollouts import (
     SERVOS,
     Moments,

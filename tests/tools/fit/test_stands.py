@@ -30,10 +30,13 @@ from pupper_analysis.tools.fit.consistency import unbounded_coms
 from pupper_analysis.tools.fit.estimate import Linearised, Posterior, estimate_parameters
 from pupper_analysis.tools.fit.measurements.stands import MeasuredStands, quantum_of, read_stands
 from pupper_analysis.tools.fit.parameters import Parameter, ParameterTable, bodies_of, give_widths
-from pupper_analysis.tools.fit.stands.equations import StandEquations
-from pupper_analysis.tools.fit.stands.fit import Logarithms, fit_stands, parameters_of
-from pupper_analysis.tools.fit.stands.result import doubt_surroundings
-from pupper_analysis.tools.fit.stands.rows import StandNoise
+from pupper_analysis.tools.fit.stands.equations import StandEquations, StandNoise
+from pupper_analysis.tools.fit.stands.fit import (
+    Logarithms,
+    doubt_surroundings,
+    fit_stands,
+    parameters_of,
+)
 from pupper_analysis.tools.study.parameters import scale_robot
 
 Array = NDArray[np.float64]

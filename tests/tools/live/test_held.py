@@ -13,7 +13,7 @@ import pytest
 from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.pupper.variants import model_folder
-from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live import render
 from pupper_analysis.tools.live.held import HeldPage, HeldSession
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.state import load_source
@@ -44,14 +44,14 @@ def source(tmp_path: Path) -> FileSource:
 @pytest.fixture
 def session(source: FileSource) -> Iterator[HeldSession]:
     host = "127.0.0.1"
-    server = viser_parts.start_server(host, viser_parts.free_port(host, None), "test")
+    server = render.start_server(host, render.free_port(host, None), "test")
     one = HeldSession(Browser(server), source, Language("en"))
     yield one
     one.close()
     [thread] = one.threads
     thread.join(PATIENCE)
     assert not thread.is_alive()
-    viser_parts.stop_server(server)
+    render.stop_server(server)
 
 
 def torque_of(session: HeldSession, joint: str) -> float:

@@ -22,7 +22,8 @@ from hypothesis import strategies as st
 import pupper_analysis as pa
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 from pupper_analysis.simulation.verdict import VerdictCode
-from pupper_analysis.tools.live import export, viser_parts
+from pupper_analysis.tools.live import export, render
+from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.controls import fine_step, ranges_of, round_up
 from pupper_analysis.tools.live.documents import (
     brief_document,
@@ -50,7 +51,6 @@ from pupper_analysis.tools.live.scene import (
     to_css,
 )
 from pupper_analysis.tools.live.state import State, load_source, parse_length, parse_state
-from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.commands import answer as run_command
 from tests.support.variants import load
 
@@ -513,7 +513,7 @@ def test_sliders_hold_what_a_page_opens_with(name: str) -> None:
 def test_without_viser_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(pa.MissingPackageError, match=r"pip install viser.*\[live\]"):
-        viser_parts.import_viser()
+        render.import_viser()
     done = run_command("live", "v3", "--no-browser", folder=Path.cwd())
     assert done.returncode == 2
     assert "pupper-analysis[live]" in done.stderr
@@ -525,12 +525,12 @@ def test_ports_and_hosts_that_cannot_be_served_are_refused() -> None:
         taken.listen()
         port = taken.getsockname()[1]
         with pytest.raises(pa.ConfigurationError, match=f"cannot serve on 127.0.0.1:{port}"):
-            viser_parts.free_port("127.0.0.1", port)
-    assert viser_parts.free_port("127.0.0.1", port) == port
-    assert 1024 <= viser_parts.free_port("127.0.0.1", None) <= 65535
+            render.free_port("127.0.0.1", port)
+    assert render.free_port("127.0.0.1", port) == port
+    assert 1024 <= render.free_port("127.0.0.1", None) <= 65535
     for host, wrong in (("203.0.113.7", None), ("no such host", None), ("127.0.0.1", 70000)):
         with pytest.raises(pa.ConfigurationError, match=r"--port|cannot serve"):
-            viser_parts.free_port(host, wrong)
+            render.free_port(host, wrong)
 
 
 class Headers(dict[str, str]):
@@ -549,11 +549,11 @@ def connected(path: str, headers: dict[str, str]) -> Any:
 
 def test_a_browser_says_where_it_comes_from_and_what_it_asks_for() -> None:
     own = connected("/?state=roll:3;pitch:-1", {"Host": "pi:81", "Origin": "http://pi:81"})
-    assert viser_parts.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1", "")
+    assert render.asked_for(own, 3) == ("pi:81", "roll:3;pitch:-1", "")
     other = connected("/", {"Host": "127.0.0.1:81", "Origin": "http://example.com"})
-    assert viser_parts.asked_for(other, 3) == ("127.0.0.1:81", "", "")
+    assert render.asked_for(other, 3) == ("127.0.0.1:81", "", "")
     # A viser that keeps it elsewhere: a page without a state.
-    assert viser_parts.asked_for(own, 4) == ("127.0.0.1:80", "", "")
+    assert render.asked_for(own, 4) == ("127.0.0.1:80", "", "")
 
 
 @pytest.mark.parametrize(

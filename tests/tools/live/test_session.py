@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 import pupper_analysis as pa
-from pupper_analysis.tools.live import viser_parts
+from pupper_analysis.tools.live import render
+from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session, interpolate_motion
 from pupper_analysis.tools.live.state import State
-from pupper_analysis.tools.live.variants import LiveVariants
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")
@@ -82,9 +82,9 @@ class Open:
 @pytest.fixture
 def server() -> Iterator[Any]:
     host = "127.0.0.1"
-    one = viser_parts.start_server(host, viser_parts.free_port(host, None), "test")
+    one = render.start_server(host, render.free_port(host, None), "test")
     yield one
-    viser_parts.stop_server(one)
+    render.stop_server(one)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from scipy.interpolate import make_interp_spline
 
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
-from pupper_analysis.statics.dynamics import joint_resistance
+from pupper_analysis.tools.path.dynamics import joint_resistance
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
 from tests.support.cases import some

@@ -14,9 +14,8 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.study.cells import Cells
-from pupper_analysis.tools.study.outcome import main_effects
+from pupper_analysis.tools.study.outcome import SobolIndices, main_effects
 from pupper_analysis.tools.study.plots import MOST_LINES, colour_of_share
-from pupper_analysis.tools.study.sensitivity import SobolIndices
 from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, probability_interval
 from tests.present.test_html import EVIL, written
 from tests.support.commands import answer

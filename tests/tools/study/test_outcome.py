@@ -20,15 +20,16 @@ from pupper_analysis.present.figures import style
 from pupper_analysis.present.figures.drawing import write_plots
 from pupper_analysis.present.markdown import write_markdown
 from pupper_analysis.pupper.variants import model_folder
+from pupper_analysis.tools.fit.write import write_randomisation
 from pupper_analysis.tools.study import figures
 from pupper_analysis.tools.study.cells import Cells, mean_map, split_panels
-from pupper_analysis.tools.study.outcome import main_effects, study_outcome
-from pupper_analysis.tools.study.pareto import pareto_front
-from pupper_analysis.tools.study.plots import end_plots, mean_plots
-from pupper_analysis.tools.study.randomisation import write_randomisation
-from pupper_analysis.tools.study.sensitivity import (
+from pupper_analysis.tools.study.outcome import (
+    main_effects,
+    pareto_front,
     sobol_indices,
+    study_outcome,
 )
+from pupper_analysis.tools.study.plots import end_plots, mean_plots
 from pupper_analysis.tools.study.tolerance import (
     certainty,
     narrow_study,

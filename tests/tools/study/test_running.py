@@ -23,8 +23,7 @@ import pupper_analysis as pa
 from pupper_analysis.base.errors import OutputError
 from pupper_analysis.tools.study import running, store
 from pupper_analysis.tools.study.design import Maker
-from pupper_analysis.tools.study.running import Progress
-from pupper_analysis.tools.study.worker import Chunk
+from pupper_analysis.tools.study.running import Chunk, Progress
 from tests.support import legged, study_metrics
 from tests.support.cases import some
 from tests.support.commands import run_command
@@ -181,7 +180,7 @@ def test_of_other_versions_no_result_is_taken(
     made = study()
     work = made.work()
     monkeypatch.setattr(
-        "pupper_analysis.tools.study.worker.list_versions", lambda: {"mujoco": "3.9"}
+        "pupper_analysis.tools.study.running.list_versions", lambda: {"mujoco": "3.9"}
     )
     monkeypatch.setattr(made, "work", lambda: work)
     with pytest.raises(pa.StudyError, match=r"other versions.*mujoco 3.9 \(here 4"):

@@ -10,7 +10,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.configuration import UP
 from pupper_analysis.stance.soft_ground import solve_stand_on_soft_ground
-from pupper_analysis.statics.dynamics import inverse_dynamics, joint_resistance, rolling_levers
+from pupper_analysis.tools.path.dynamics import inverse_dynamics, joint_resistance, rolling_levers
 from tests.support.variants import NAMES, load, stand_of
 
 Array = np.ndarray
