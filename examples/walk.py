@@ -1,0 +1,44 @@
+"""What does a policy ask of the motors: a stand that balances by its hips, made here.
+
+One sees each motor's torque, and that a policy that was made to stand does not walk. Pupper's own,
+``launch/policy_latest.json`` of github.com/G-Levine/neural_controller (MIT), is loaded the same way,
+and walks v3 at 0.47 m/s of 0.5.
+"""
+
+import json
+import tempfile
+from pathlib import Path
+
+import pupper_analysis as pa
+from pupper_analysis.tools.walk.gait import simulate_walk
+from pupper_analysis.tools.walk.policy import Policy
+
+POSE = [0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2
+
+
+def make_policy(path: Path) -> Policy:
+    """Writes one layer that meets leans to the side with the hips, as RTNeural's JSON."""
+    weights = [[0.0] * 12 for _ in range(36)]
+    weights[4] = [0.0, 0.2, 0.0] * 4  # the direction of gravity, to the left
+    layer = {"type": "dense", "activation": "tanh", "weights": [weights, [0.0] * 12]}
+    stated = {"observation_history": 1, "action_scale": 0.75, "kp": 5.0, "kd": 0.25}
+    content = {**stated, "default_joint_pos": POSE, "layers": [layer]}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return Policy.load(path)
+
+
+def main() -> None:
+    """Prints what it asks of v3's motors, told to stand and told to walk."""
+    robot = pa.load_variant("v3")
+    with tempfile.TemporaryDirectory() as folder:
+        policy = make_policy(Path(folder) / "stand.json")
+    for command in ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0)):
+        walk = simulate_walk(robot, policy, command, duration=3.0, warm_up=1.0)
+        gait = walk.gaits[0]
+        print(f"told {command[0]} m/s: {gait.velocity[0]:.2f} m/s, tracks: {gait.tracks}")
+    for joint, torque in zip(walk.joints[:3], gait.torque_rms[:3], strict=True):
+        print(f"  {joint}: {torque:.2f} N m")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,365 @@
+"""What a policy asks of a robot's motors as it walks, and how well it follows its command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pupper_analysis.base.arguments import check_arguments
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, diagnose
+from pupper_analysis.base.errors import ConfigurationError
+from pupper_analysis.base.results import Result
+from pupper_analysis.robot.contact import bodies_on_ground
+from pupper_analysis.robot.fall import FALLEN_TILT
+from pupper_analysis.robot.robot import Robot
+from pupper_analysis.simulation.monitor import FALLEN_HEIGHT
+from pupper_analysis.simulation.rollout import STATE
+from pupper_analysis.tools.walk.contract import Contract
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.runs import Run, Stage, rotations, simulate_cases, stage_of
+
+Array = NDArray[np.float64]
+
+SECONDS, WARM_UP = 8.0, 2.0
+"""Of a run, and what of it is not looked at (s): a robot that starts walking needs a second."""
+
+SPEED_SHARE, SPEED_SLACK = 0.25, 0.05
+"""A speed is followed that is off by no more than this share of the command, and so many m/s:
+public policies reach 0.90 to 1.0 of theirs, and drift by some cm/s."""
+
+TURN_SLACK = 0.1
+"""Likewise of turning (rad/s)."""
+
+AT_LIMIT = 0.99
+"""Of its limit: a motor that gives more is at it."""
+
+_FRAME = 1 / 25
+"""s between the configurations that are kept to be looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gait(Result):
+    """One run of a policy on a robot: means are over what follows the warm-up.
+
+    Attributes:
+        command: (3,) speed forward and to the left (m/s), and turning to the left (rad/s).
+        seed: Of its start; 0: exactly the default pose, at rest.
+        fall: Why it is a fall, if it is one; else None.
+        duration: Until a fall, or to the end (s).
+        velocity: (2,) mean speed forward and to the left, in the base's heading (m/s).
+        turning: Mean turning to the left (rad/s).
+        tracks: Whether it has not fallen, and follows its command.
+        torque_rms: (nu,) root of the mean square of each motor's torque (N m).
+        torque_peak: (nu,) its greatest torque (N m).
+        at_limit: (nu,) share of the time in which it gives all it can.
+        speed_peak: (nu,) its greatest speed (rad/s).
+        power: Mean of the positive mechanical power of all motors: nothing is won back (W).
+        transport: Cost of transport: that power over weight and speed over ground; None where it
+            does not move.
+        duty: {foot: share of the time in which it touches the ground}.
+        touching: Bodies besides the feet that touched the ground.
+        roll: Standard deviation of the base's roll (rad).
+        pitch: Of its pitch (rad).
+        bounce: Of its height (m).
+        margin: How far it stays from a fall: 1 as upright and high as it stood, 0 where it falls.
+        motion_time: (m,) samples (s).
+        motion: (m, nq) the configurations at these, to be looked at.
+        torque_time: (k,) samples of a second at the end (s).
+        torques: (k, nu) the motors' torques at these (N m).
+    """
+
+    command: Array
+    seed: int
+    fall: Diagnostic | None
+    duration: float
+    velocity: Array
+    turning: float
+    tracks: bool
+    torque_rms: Array
+    torque_peak: Array
+    at_limit: Array
+    speed_peak: Array
+    power: float
+    transport: float | None
+    duty: Mapping[str, float]
+    touching: tuple[str, ...]
+    roll: float
+    pitch: float
+    bounce: float
+    margin: float
+    motion_time: Array
+    motion: Array
+    torque_time: Array
+    torques: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Walk(Result):
+    """What a policy asks of a robot.
+
+    Attributes:
+        name: The robot's name.
+        policy: The name of the policy's file.
+        contract: What it observes, and what its actions mean.
+        joints: The robot's, in actuator order.
+        limits: (nu,) torque that each motor can give (N m); infinite without a limit.
+        mass: kg.
+        gaits: One for each seed; the first starts exactly in the default pose.
+        integrator: MuJoCo's.
+        timestep: s.
+        rate: How often the policy was asked (Hz): a whole number of time steps.
+        warm_up: What is not looked at (s).
+    """
+
+    name: str
+    policy: str
+    contract: Contract
+    joints: tuple[str, ...]
+    limits: Array
+    mass: float
+    gaits: tuple[Gait, ...]
+    integrator: str
+    timestep: float
+    rate: float
+    warm_up: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether every run follows its command."""
+        return all(gait.tracks for gait in self.gaits)
+
+
+def command_of(command: ArrayLike) -> Array:
+    """Returns a command (3,), checked.
+
+    Raises:
+        ConfigurationError: If it is not three finite numbers below 100.
+    """
+    try:
+        found = np.array(command, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise ConfigurationError("command", diagnose("no-numbers", count=3)) from error
+    if found.shape != (3,) or not np.isfinite(found).all() or np.abs(found).max() > 100:
+        raise ConfigurationError("command", diagnose("no-numbers", count=3))
+    return found
+
+
+@check_arguments
+def simulate_walk(
+    robot: Robot,
+    policy: Policy,
+    command: ArrayLike = (0.5, 0.0, 0.0),
+    *,
+    seeds: int = 1,
+    duration: float = SECONDS,
+    warm_up: float = WARM_UP,
+    workers: int | None = None,
+) -> Walk:
+    """Lets a policy walk a robot in MuJoCo, as its files have it, and measures what it does.
+
+    The servos have the policy's gains where it states them, and the robot's limits of torque. It
+    starts in the policy's default pose, its lowest foot on the ground, and has its command at once.
+
+    Args:
+        robot: The robot.
+        policy: The policy.
+        command: Speed forward and to the left (m/s), and turning to the left (rad/s).
+        seeds: How many runs, whose starts differ by 0.05 rad and 0.05 m/s at most.
+        duration: Of each (s), 3 to 600.
+        warm_up: What of it is not looked at (s).
+        workers: Threads; by default one per core. The result is the same for any number.
+
+    Raises:
+        ConfigurationError: If an argument is out of its range, or the base is fixed.
+        ModelError: If the policy does not fit the robot.
+    """
+    wanted = command_of(command)
+    for name, value, low, high in (
+        ("duration", duration, 3, 600),
+        ("warm_up", warm_up, 0, duration - 1),
+        ("seeds", seeds, 1, 1000),
+    ):
+        if not (math.isfinite(value) and low <= value <= high):
+            problem = diagnose("not-between", given=str(value), low=low, high=high)
+            raise ConfigurationError(name, problem)
+    stage = stage_of(robot, policy)
+    cases = [stage.case(wanted, seed) for seed in range(seeds)]
+    runs = simulate_cases(stage, cases, duration, warm_up, workers)
+    gaits = tuple(measure(stage, run, warm_up) for run in runs)
+    return Walk(
+        name=robot.name,
+        policy=policy.name,
+        contract=policy.contract,
+        joints=robot.joint_names,
+        limits=robot.effort_limits,
+        mass=robot.total_mass,
+        gaits=gaits,
+        integrator=mujoco.mjtIntegrator(int(stage.model.opt.integrator)).name[6:],
+        timestep=stage.timestep,
+        rate=1.0 / (stage.substeps * stage.timestep),
+        warm_up=warm_up,
+    )
+
+
+def joint_torques(stage: Stage, run: Run) -> Array:
+    """Returns the torques (n, nu) of the robot's motors at the beginning of each step (N m).
+
+    By the servos' law, as MuJoCo's: clip(gain ctrl + bias, force range) times the gear.
+    """
+    model, convention = run.case.model, stage.robot.mj_convention
+    driven = np.flatnonzero(convention.actuator_index >= 0)
+    motors = convention.actuator_index[driven]
+    before = run.states[:-1]
+    rows = slice(1, None)
+    qpos = before[:, 1 + convention.qpos_index[7:]][:, driven]
+    qvel = before[:, 1 + model.nq + convention.qvel_index[6:]][:, driven]
+    controls = model.actuator_ctrladr[motors]
+    ctrl = run.targets[rows][:, controls]
+    ranges = np.where(
+        model.actuator_ctrllimited[controls][:, None], model.actuator_ctrlrange[controls], np.inf
+    )
+    ranges[:, 0] = np.where(model.actuator_ctrllimited[controls], ranges[:, 0], -np.inf)
+    ctrl = np.clip(ctrl, ranges[:, 0], ranges[:, 1])
+    lagging = model.actuator_actadr[motors] >= 0
+    if lagging.any():
+        ends = (model.actuator_actadr + model.actuator_actnum - 1)[motors[lagging]]
+        ctrl[:, lagging] = before[:, 1 + model.nq + model.nv + ends]
+    gear, bias = model.actuator_gear[motors, 0], model.actuator_biasprm[motors]
+    force = model.actuator_gainprm[motors, 0] * ctrl + bias[:, 0]
+    force += gear * (bias[:, 1] * qpos + bias[:, 2] * qvel)
+    limited = model.actuator_forcelimited[motors].astype(bool)
+    force[:, limited] = np.clip(force[:, limited], *model.actuator_forcerange[motors[limited]].T)
+    torques = np.zeros((len(before), stage.robot.nu))
+    torques[:, driven] = gear * force
+    return torques
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """How a run follows its command: see ``Gait``."""
+
+    velocity: Array
+    turning: float
+    tracks: bool
+
+
+def follow(stage: Stage, run: Run, warm_up: float) -> Tracking:
+    """Returns how a run follows its command after the warm-up."""
+    first = round(warm_up / stage.timestep)
+    index = stage.robot.mj_convention.qpos_index
+    seen = run.states[first:]
+    if len(seen) < 2 or not np.isfinite(seen).all():
+        return Tracking(np.zeros(2), 0.0, False)
+    turned = rotations(seen[:, 1 + index[3:7]])
+    heading = np.unwrap(np.arctan2(turned[:, 1, 0], turned[:, 0, 0]))
+    time = (len(seen) - 1) * stage.timestep
+    steps = np.diff(seen[:, 1 + index[:2]], axis=0)
+    cosine, sine = np.cos(heading[:-1]), np.sin(heading[:-1])
+    velocity = np.array(
+        [
+            np.sum(cosine * steps[:, 0] + sine * steps[:, 1]),
+            np.sum(cosine * steps[:, 1] - sine * steps[:, 0]),
+        ]
+    )
+    velocity /= time
+    turning = float(heading[-1] - heading[0]) / time
+    command = run.case.command
+    off = float(np.linalg.norm(velocity - command[:2]))
+    allowed = SPEED_SHARE * float(np.linalg.norm(command[:2])) + SPEED_SLACK
+    turned_off = abs(turning - command[2])
+    tracks = not run.fallen and off <= allowed
+    tracks &= turned_off <= SPEED_SHARE * abs(command[2]) + TURN_SLACK
+    return Tracking(velocity, turning, bool(tracks))
+
+
+def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
+    """Returns what a run asks of the motors, and how it follows its command."""
+    robot, step = stage.robot, stage.timestep
+    first = min(round(warm_up / step), max(0, len(run.states) - 2))
+    whole = np.isfinite(run.states).all(axis=1)
+    torques = joint_torques(stage, run)[first:]
+    torques = np.nan_to_num(torques, nan=0.0)
+    convention = robot.mj_convention
+    rates = run.states[first:-1, 1 + stage.model.nq + convention.qvel_index[6:]]
+    rates = np.nan_to_num(rates, nan=0.0)
+    limits = robot.effort_limits
+    followed = follow(stage, run, warm_up)
+    power = float(np.maximum(torques * rates, 0.0).sum(axis=1).mean())
+    speed = float(np.linalg.norm(followed.velocity))
+    weight = robot.total_mass * float(np.linalg.norm(robot.gravity))
+    ticks = run.states[first :: stage.substeps]
+    ticks = ticks[np.isfinite(ticks).all(axis=1)]
+    duty, touching = _contacts(stage, run.case.model, ticks)
+    turned = rotations(ticks[:, 1 + convention.qpos_index[3:7]])
+    allowed = (FALLEN_TILT, (1 - FALLEN_HEIGHT) * stage.upright.size)
+    used = 1.0 if run.fallen else max(run.lean / allowed[0], run.lost / allowed[1], 0.0)
+    every = max(1, round(_FRAME / step))
+    shown = run.states[::every][whole[::every]]
+    last = round(1.0 / step)
+    times = run.states[first:-1, 0]
+    return Gait(
+        command=run.case.command,
+        seed=run.case.seed,
+        fall=_fall(stage, run) if run.fallen else None,
+        duration=len(run.states) * step,
+        velocity=followed.velocity,
+        turning=followed.turning,
+        tracks=followed.tracks,
+        torque_rms=np.sqrt((torques**2).mean(axis=0)),
+        torque_peak=np.abs(torques).max(axis=0),
+        at_limit=np.mean(np.abs(torques) >= AT_LIMIT * limits, axis=0),
+        speed_peak=np.abs(rates).max(axis=0),
+        power=power,
+        transport=power / (weight * speed) if speed > SPEED_SLACK else None,
+        duty=duty,
+        touching=touching,
+        roll=float(np.std(np.arctan2(turned[:, 2, 1], turned[:, 2, 2]))),
+        pitch=float(np.std(np.arcsin(np.clip(-turned[:, 2, 0], -1, 1)))),
+        bounce=float(np.std(ticks[:, 1 + convention.qpos_index[2]])),
+        margin=max(0.0, 1.0 - used),
+        motion_time=shown[:, 0].copy(),
+        motion=np.round(shown[:, 1 + convention.qpos_index], 5),
+        torque_time=times[-last:].copy(),
+        torques=np.round(torques[-last:], 5),
+    )
+
+
+def _fall(stage: Stage, run: Run) -> Diagnostic:
+    """Says how a run fell."""
+    time = Quantity(len(run.states) * stage.timestep, "s")
+    end = run.states[-1]
+    if not np.isfinite(end).all() or end[0] < (len(run.states) - 0.5) * stage.timestep:
+        return diagnose("walk-diverged", time=time)
+    lean = Quantity(stage.upright.lean(end), "rad")
+    height = Quantity(float(end[1 + stage.robot.mj_convention.qpos_index[2]]), "m")
+    return diagnose("fell-over", tilt=lean, height=height, time=time)
+
+
+def _contacts(
+    stage: Stage, model: mujoco.MjModel, states: Array
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Returns in which share of some states each foot touches the ground, and what else does."""
+    robot, data = stage.robot, mujoco.MjData(model)
+    counts, others = dict.fromkeys(robot.feet, 0), set()
+    for state in states:
+        mujoco.mj_setState(model, data, state, STATE)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_collision(model, data)
+        pairs = data.contact.geom[data.contact.dist <= 0]
+        ground = model.geom_bodyid[pairs] == 0
+        touching = {robot.foot_geoms.get(int(geom)) for geom in pairs[ground[:, ::-1]]}
+        for foot in counts:
+            counts[foot] += foot in touching
+        others |= bodies_on_ground(model, data, robot.foot_geoms)
+    total = max(1, len(states))
+    return {foot: count / total for foot, count in counts.items()}, tuple(sorted(others))
+
+
+def spread_of(values: Sequence[float]) -> tuple[float, float, float]:
+    """Returns the least, the middle and the greatest of some values."""
+    return min(values), float(np.median(values)), max(values)

@@ -1,0 +1,114 @@
+"""Policies that are made here: files of random networks, and a stand that balances by its gains."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def _varint(value: int) -> bytes:
+    value &= (1 << 64) - 1
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def field(number: int, value: int | bytes | str) -> bytes:
+    """A field of a protocol buffer: an integer, or bytes with their length."""
+    if isinstance(value, int):
+        return _varint(number << 3) + _varint(value)
+    data = value.encode() if isinstance(value, str) else value
+    return _varint(number << 3 | 2) + _varint(len(data)) + data
+
+
+def tensor(name: str, values: Any, dims: tuple[int, ...] | None = None) -> bytes:
+    array = np.asarray(values, dtype="<f4")
+    sizes = b"".join(field(1, size) for size in (array.shape if dims is None else dims))
+    return sizes + field(2, 1) + field(8, name) + field(9, array.tobytes())
+
+
+def node(kind: str, inputs: tuple[str, ...], outputs: tuple[str, ...], **given: Any) -> bytes:
+    data = b"".join(field(1, one) for one in inputs) + b"".join(field(2, one) for one in outputs)
+    data += field(3, f"{kind}-{outputs[0]}") + field(4, kind)
+    for name, value in given.items():
+        one = field(1, name)
+        if isinstance(value, float):
+            one += _varint(2 << 3 | 5) + struct.pack("<f", value) + field(20, 1)
+        else:
+            one += field(3, value) + field(20, 2)
+        data += field(5, one)
+    return data
+
+
+def value(name: str, *dims: int) -> bytes:
+    shape = b"".join(field(1, field(1, size)) for size in dims)
+    return field(1, name) + field(2, field(1, field(1, 1) + field(2, shape)))
+
+
+def onnx(
+    nodes: list[bytes],
+    tensors: list[bytes],
+    inputs: list[bytes],
+    outputs: list[bytes],
+    metadata: dict[str, str] | None = None,
+) -> bytes:
+    graph = b"".join(field(1, one) for one in nodes) + field(2, "graph")
+    graph += b"".join(field(5, one) for one in tensors)
+    graph += b"".join(field(11, one) for one in inputs)
+    graph += b"".join(field(12, one) for one in outputs)
+    data = field(1, 8) + field(7, graph) + field(8, field(1, "") + field(2, 13))
+    for key, text in (metadata or {}).items():
+        data += field(14, field(1, key) + field(2, text))
+    return data
+
+
+def dense_onnx(
+    weights: list[tuple[Any, Any]], activation: str, metadata: dict[str, str] | None = None
+) -> bytes:
+    """Layers of weights (n, m) and biases (m,), with an activation between them."""
+    nodes, tensors, last = [], [], "obs"
+    for number, (matrix, bias) in enumerate(weights):
+        tensors += [tensor(f"W{number}", matrix), tensor(f"b{number}", bias)]
+        nodes.append(node("Gemm", (last, f"W{number}", f"b{number}"), (f"y{number}",)))
+        last = f"y{number}"
+        if number + 1 < len(weights):
+            nodes.append(node(activation, (last,), (f"a{number}",)))
+            last = f"a{number}"
+    ends = [value("obs", 1, len(weights[0][0]))], [value(last, 1, len(weights[-1][1]))]
+    return onnx(nodes, tensors, *ends, metadata)
+
+
+FRAME = 36
+
+
+def still(path: Path, **changed: Any) -> Path:
+    """A policy for Pupper: it stands in its default pose, and meets leans by its hips."""
+    weights = np.zeros((FRAME, 12))
+    weights[4, [1, 4, 7, 10]] = 0.2  # leans to the side are met by the hips
+    weights[0, [1, 4, 7, 10]] = 0.02  # and damped
+    values: dict[str, Any] = {
+        "observation_history": 1,
+        "action_scale": 0.75,
+        "kp": 5.0,
+        "kd": 0.25,
+        "default_joint_pos": [0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2,
+        "in_shape": [None, FRAME],
+        "layers": [
+            {
+                "type": "dense",
+                "activation": "tanh",
+                "shape": [None, 12],
+                "weights": [weights.tolist(), [0.0] * 12],
+            }
+        ],
+    }
+    values |= changed
+    path.write_text(json.dumps(values), encoding="utf-8")
+    return path

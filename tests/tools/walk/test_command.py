@@ -1,0 +1,51 @@
+"""``pupper-analysis walk``: what it prints and writes, its exit status, and bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import check_refusal, run_command
+from tests.tools.walk import made
+
+
+def test_walk_stands(capfd: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    policy = made.still(tmp_path / "still.json")
+    path, page = tmp_path / "walk.json", tmp_path / "walk.html"
+    status, out, err = run_command(
+        capfd, "walk", "v3", "--policy", str(policy), "--command", "0,0,0", "--seconds", "3",
+        "--json", str(path), "--report", str(page), "-v",
+    )  # fmt: skip
+    assert status == 0, err
+    assert "WALKS v3 by still.json" in out
+    gait = json.loads(path.read_text())["gaits"][0]
+    assert f"{max(gait['torque_rms']):.2f}" in out
+    assert "leg_back_r_3" in page.read_text(encoding="utf-8")
+
+
+def test_what_does_not_track_exits_with_1(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    policy = made.still(tmp_path / "still.json")
+    status, out, _ = run_command(capfd, "walk", "--policy", str(policy), "--seconds", "3")
+    assert status == 1
+    assert "DOES NOT TRACK" in out
+
+
+def test_bad_input(
+    capfd: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = made.still(tmp_path / "still.json")
+    folder = tmp_path / "empty"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    words = ("walk", "v3", "--policy")
+    for more, told in (
+        ((str(tmp_path / "none.json"),), "none.json"),
+        ((str(policy), "--command", "fast"), "fast"),
+        ((str(policy), "--seconds", "nan"), "duration"),
+        ((str(policy), "--contract", str(policy)), "TOML"),
+    ):
+        check_refusal(capfd, folder, (*words, *more), told)

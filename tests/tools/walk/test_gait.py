@@ -1,0 +1,130 @@
+"""A run is that of bare MuJoCo, by a script of its own; more workers change no bit."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+import pupper_analysis as pa
+from pupper_analysis.base.errors import PupperAnalysisError
+from pupper_analysis.tools.walk.gait import simulate_walk
+from pupper_analysis.tools.walk.policy import Policy
+from pupper_analysis.tools.walk.runs import simulate_cases, stage_of
+from tests.support.variants import load
+from tests.tools.walk import made
+
+POSE = np.array([0.26, 0.0, -0.52, -0.26, 0.0, 0.52] * 2)
+HIPS = [1, 4, 7, 10]
+
+
+@pytest.fixture(scope="module")
+def still(tmp_path_factory: pytest.TempPathFactory) -> Policy:
+    return Policy.load(made.still(tmp_path_factory.mktemp("walk") / "still.json"))
+
+
+def bare(robot: pa.Robot, height: float, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Torques and states of the policy that ``made.still`` writes, by bare MuJoCo."""
+    model = mujoco.MjModel.from_xml_path(str(robot.description.mjcf_source))
+    data = mujoco.MjData(model)
+    model.actuator_gainprm[:, 0], model.actuator_biasprm[:, 1:3] = 5.0, (-5.0, -0.25)
+    data.qpos[:] = 0.0
+    data.qpos[2], data.qpos[3], data.qpos[7:] = height, 1.0, POSE
+    torques, states = [], []
+    for step in range(round(seconds / model.opt.timestep)):
+        if step % 10 == 0:
+            turned = np.zeros(9)
+            mujoco.mju_quat2Mat(turned, data.qpos[3:7])
+            gravity = turned.reshape(3, 3).T @ [0.0, 0.0, -1.0]
+            action = np.zeros(12)
+            action[HIPS] = np.tanh(0.2 * gravity[1] + 0.02 * data.qvel[3])
+            data.ctrl[:] = POSE + 0.75 * action
+        mujoco.mj_step(model, data)
+        torques.append(data.actuator_force.copy())
+        states.append(np.r_[data.qpos, data.qvel])
+    return np.array(torques), np.array(states)
+
+
+def test_torques_and_motion_of_bare_mujoco(still: Policy) -> None:
+    robot = load("v3")
+    stage = stage_of(robot, still)
+    walk = simulate_walk(robot, still, (0, 0, 0), duration=3.0, warm_up=1.0)
+    torques, states = bare(robot, float(stage.default[2]), 3.0)
+    gait = walk.gaits[0]
+    rms = np.sqrt((torques[501:] ** 2).mean(axis=0))
+    assert gait.torque_rms == pytest.approx(rms, rel=1e-3, abs=1e-4)
+    assert gait.motion[-1] == pytest.approx(states[1500 - 20, :19], abs=2e-3)
+    assert gait.tracks
+    assert gait.fall is None
+    assert walk.passed
+    assert 0.8 < gait.margin < 0.95  # it sags
+    assert all(share == 1.0 for share in gait.duty.values())
+    assert gait.power < 0.01
+
+
+def test_any_number_of_workers(still: Policy) -> None:
+    stage = stage_of(load("v3"), still)
+    cases = [stage.case(np.zeros(3), seed) for seed in range(5)]
+    one = list(simulate_cases(stage, cases, 0.4, 0.1, workers=1))
+    for workers in (2, 3, 5):
+        many = list(simulate_cases(stage, cases, 0.4, 0.1, workers=workers))
+        assert all((a.states == b.states).all() for a, b in zip(one, many, strict=True))
+    alone = list(simulate_cases(stage, cases[3:4], 0.4, 0.1))
+    assert (alone[0].states == one[3].states).all()
+    assert (one[1].states[0] != one[2].states[0]).any()
+
+
+def test_a_delay_is_that_of_the_commands(still: Policy) -> None:
+    stage = stage_of(load("v3"), still.with_contract(latency=0.03))
+    moving = stage_of(load("v3"), still)
+    case = stage.case(np.zeros(3), 1)
+    late = next(iter(simulate_cases(stage, [case], 0.4, 0.1)))
+    now = next(iter(simulate_cases(moving, [moving.case(np.zeros(3), 1)], 0.4, 0.1)))
+    assert (late.targets[:15] == stage.ctrl).all()
+    assert (late.targets[15] == now.targets[0]).all()
+    assert (now.targets[0] != moving.ctrl).any()
+
+
+def test_what_falls_says_so(still: Policy) -> None:
+    """Thrown over by a pose on which nothing stands."""
+    pose = POSE + np.array([0, 1.2, 0] * 4)
+    walk = simulate_walk(load("v3"), still.with_contract(default=pose), (0, 0, 0), duration=4.0)
+    gait = walk.gaits[0]
+    assert gait.fall is not None
+    assert not gait.tracks
+    assert not walk.passed
+    assert gait.margin == 0
+    assert gait.duration < 4.0
+    assert math.isfinite(gait.power)
+
+
+def test_standing_does_not_track_a_speed(still: Policy) -> None:
+    walk = simulate_walk(load("v3"), still, (0.5, 0, 0), duration=3.0)
+    assert walk.gaits[0].fall is None
+    assert not walk.passed
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"command": (math.nan, 0, 0)}, "command"),
+        ({"command": (1, 0)}, "command"),
+        ({"seeds": 0}, "seeds"),
+        ({"duration": math.inf}, "duration"),
+        ({"duration": 0.1}, "duration"),
+    ],
+)
+def test_bad_arguments(still: Policy, changed: dict[str, object], told: str) -> None:
+    with pytest.raises(PupperAnalysisError, match=told):
+        simulate_walk(load("v3"), still, **changed)  # type: ignore[arg-type]
+
+
+def test_joints_that_do_not_fit(still: Policy) -> None:
+    named = still.with_contract(joints=(*load("v3").joint_names[:11], "knee"))
+    with pytest.raises(PupperAnalysisError, match="knee"):
+        stage_of(load("v3"), named)
+    fewer = still.with_contract(default=np.zeros(11))
+    with pytest.raises(PupperAnalysisError, match="commands 11"):
+        stage_of(load("v3"), fewer)

@@ -1,0 +1,218 @@
+"""Networks are evaluated as by a second implementation, of plain loops, and by onnxruntime."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.walk import onnx_file
+from pupper_analysis.tools.walk.network import ACTIVATIONS, Network
+from pupper_analysis.tools.walk.rtneural import read_rtneural
+from tests.tools.walk import made
+
+ALIKE = 1e-6
+
+BY_LOOPS: dict[str, Callable[[float], float]] = {
+    "linear": lambda x: x,
+    "relu": lambda x: max(x, 0.0),
+    "elu": lambda x: x if x > 0 else math.exp(x) - 1,
+    "tanh": math.tanh,
+    "sigmoid": lambda x: 1 / (1 + math.exp(-x)),
+    "softsign": lambda x: x / (1 + abs(x)),
+    "softplus": lambda x: math.log1p(math.exp(x)),
+    "swish": lambda x: x / (1 + math.exp(-x)),
+}
+
+
+def product(row: Any, matrix: Any, bias: Any) -> list[float]:
+    return [sum(row[k] * matrix[k][j] for k in range(len(row))) + bias[j] for j in range(len(bias))]
+
+
+def rows(count: int, size: int, seed: int = 0) -> Any:
+    return np.random.default_rng(seed).normal(size=(count, size))
+
+
+def read(layers: list[dict[str, Any]]) -> Network:
+    return read_rtneural(Path("made.json"), {"layers": layers})
+
+
+@pytest.mark.parametrize("activation", BY_LOOPS)
+def test_dense_as_by_loops(activation: str) -> None:
+    draw = np.random.default_rng(1)
+    sizes, layers = (7, 9, 4), []
+    for one, two in itertools.pairwise(sizes):
+        weights = [draw.normal(size=(one, two)).tolist(), draw.normal(size=two).tolist()]
+        layers.append({"type": "dense", "activation": activation, "weights": weights})
+    network, given = read(layers), rows(5, 7)
+    found, _ = network.forward(given)
+    for row, out in zip(given, found, strict=True):
+        for layer in layers:
+            row = [BY_LOOPS[activation](x) for x in product(row, *layer["weights"])]
+        assert out == pytest.approx(row, abs=ALIKE)
+
+
+def test_all_activations_are_tried_or_named() -> None:
+    assert set(ACTIVATIONS) - set(BY_LOOPS) == {"selu", "softmax"}
+    assert ACTIVATIONS["softmax"](np.array([0.0, math.log(3.0)])) == pytest.approx([0.25, 0.75])
+    assert ACTIVATIONS["selu"](np.array([2.0, -30.0])) == pytest.approx([2.101402, -1.758099])
+
+
+def test_gru_as_by_loops() -> None:
+    """Keras' equations with the reset after the product, gates z, r and the candidate."""
+    draw, n, u = np.random.default_rng(2), 3, 4
+    given, own = draw.normal(size=(n, 3 * u)), draw.normal(size=(u, 3 * u))
+    bias = draw.normal(size=(2, 3 * u))
+    weights = [given.tolist(), own.tolist(), bias.tolist()]
+    network = read([{"type": "gru", "activation": "", "weights": weights}])
+    hidden, memory = [0.0] * u, network.start(1)
+    for row in rows(6, n):
+        found, memory = network.forward(row[None], memory)
+        one, two = product(row, given, bias[0]), product(hidden, own, bias[1])
+        sig = BY_LOOPS["sigmoid"]
+        z = [sig(one[k] + two[k]) for k in range(u)]
+        r = [sig(one[u + k] + two[u + k]) for k in range(u)]
+        c = [math.tanh(one[2 * u + k] + r[k] * two[2 * u + k]) for k in range(u)]
+        hidden = [(1 - z[k]) * c[k] + z[k] * hidden[k] for k in range(u)]
+        assert found[0] == pytest.approx(hidden, abs=ALIKE)
+
+
+def test_lstm_as_by_loops() -> None:
+    draw, n, u = np.random.default_rng(3), 3, 4
+    given, own = draw.normal(size=(n, 4 * u)), draw.normal(size=(u, 4 * u))
+    bias = draw.normal(size=4 * u)
+    weights = [given.tolist(), own.tolist(), bias.tolist()]
+    network = read([{"type": "lstm", "activation": "", "weights": weights}])
+    hidden, cell, memory = [0.0] * u, [0.0] * u, network.start(1)
+    sig = BY_LOOPS["sigmoid"]
+    for row in rows(6, n):
+        found, memory = network.forward(row[None], memory)
+        given_part, own_part = product(row, given, bias), product(hidden, own, [0] * 4 * u)
+        total = [a + b for a, b in zip(given_part, own_part, strict=True)]
+        for k in range(u):
+            fresh = sig(total[k]) * math.tanh(total[2 * u + k])
+            cell[k] = sig(total[u + k]) * cell[k] + fresh
+            hidden[k] = sig(total[3 * u + k]) * math.tanh(cell[k])
+        assert found[0] == pytest.approx(hidden, abs=ALIKE)
+
+
+def test_a_row_does_not_depend_on_its_neighbours() -> None:
+    """To the last bit: many runs at once give what each gives alone."""
+    draw = np.random.default_rng(4)
+    weights = [draw.normal(size=(144, 256)).tolist(), draw.normal(size=256).tolist()]
+    network = read([{"type": "dense", "activation": "elu", "weights": weights}])
+    given = rows(33, 144)
+    whole, _ = network.forward(given)
+    for start, end in ((0, 1), (5, 22), (32, 33)):
+        assert (network.forward(given[start:end])[0] == whole[start:end]).all()
+
+
+def made_graphs() -> dict[str, bytes]:
+    draw = np.random.default_rng(5)
+    sizes = ((6, 8), (8, 5))
+    layers = [(draw.normal(size=size), draw.normal(size=size[1])) for size in sizes]
+    kinds = ("Relu", "Elu", "Tanh", "Sigmoid", "Softsign", "Softplus", "Selu", "LeakyRelu")
+    graphs = {kind: made.dense_onnx(layers, kind) for kind in kinds}
+    u = 4
+    for kind, gates in (("GRU", 3), ("LSTM", 4)):
+        tensors = [
+            made.tensor("W", draw.normal(size=(1, gates * u, 6))),
+            made.tensor("R", draw.normal(size=(1, gates * u, u))),
+            made.tensor("B", draw.normal(size=(1, 2 * gates * u))),
+            made.tensor("V", draw.normal(size=(u, 2))),
+        ]
+        states = ["h", "c"][: gates - 2]
+        axes = made.field(2, 7) + made.field(1, 1) + made.field(8, "axes")
+        tensors += [axes + made.field(9, np.array([0], dtype="<i8").tobytes())]
+        ends = ("Y", *(f"{state}n" for state in states))
+        given = {"hidden_size": u} | ({"linear_before_reset": 1} if kind == "GRU" else {})
+        nodes = [
+            made.node("Unsqueeze", ("obs", "axes"), ("x",)),
+            made.node(kind, ("x", "W", "R", "B", "", *states), ends, **given),
+            made.node("Squeeze", ("hn", "axes"), ("s",)),
+            made.node("MatMul", ("s", "V"), ("act",)),
+        ]
+        inputs = [made.value("obs", 1, 6), *(made.value(one, 1, 1, u) for one in states)]
+        outputs = [made.value("act", 1, 2), *(made.value(f"{one}n", 1, 1, u) for one in states)]
+        graphs[kind] = made.onnx(nodes, tensors, inputs, outputs)
+    return graphs
+
+
+@pytest.mark.parametrize("kind", made_graphs())
+def test_onnx_as_by_onnxruntime(kind: str) -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    data = made_graphs()[kind]
+    network = onnx_file.read_onnx(Path("made.onnx"), data).network
+    session = runtime.InferenceSession(data)
+    names = [one.name for one in session.get_inputs()]
+    theirs = [np.zeros(one.shape, np.float32) for one in session.get_inputs()[1:]]
+    memory = network.start(1)
+    for row in rows(5, 6).astype(np.float32):
+        found, memory = network.forward(row[None].astype(float), memory)
+        given = dict(zip(names, (row[None], *theirs), strict=True))
+        action, *theirs = session.run(None, given)
+        assert found == pytest.approx(action, abs=1e-5)  # theirs is of single precision
+
+
+def test_onnx_as_by_loops() -> None:
+    """Without onnxruntime, too: the same layers by loops, weights rounded as the file has them."""
+    draw = np.random.default_rng(6)
+    layers = [
+        (draw.normal(size=(6, 8)), draw.normal(size=8)),
+        (draw.normal(size=(8, 5)), np.ones(5)),
+    ]
+    network = onnx_file.read_onnx(Path("m.onnx"), made.dense_onnx(layers, "Elu")).network
+    row = rows(1, 6)[0]
+    single = [[part.astype(np.float32).astype(float) for part in layer] for layer in layers]
+    hidden = [BY_LOOPS["elu"](x) for x in product(row, *single[0])]
+    assert network.forward(row[None])[0][0] == pytest.approx(product(hidden, *single[1]), abs=ALIKE)
+
+
+def refused(layers: list[dict[str, Any]]) -> str:
+    with pytest.raises(ModelError) as caught:
+        read(layers)
+    text = str(caught.value)
+    assert "\n" not in text
+    return text
+
+
+def dense(matrix: Any, bias: Any, **more: Any) -> dict[str, Any]:
+    return {"type": "dense", "activation": "tanh", "weights": [matrix, bias], **more}
+
+
+def test_what_does_not_fit_names_its_layer() -> None:
+    good = dense([[1.0, 2.0]], [0.0, 0.0])
+    assert "layer 2 (dense)" in refused([good, dense([[1.0]], [0.0])])
+    assert "layer 2 (dense), weights 1" in refused([good, dense([[1.0], [float("nan")]], [0.0])])
+    assert "layer 1 (conv1d)" in refused([{"type": "conv1d"}])
+    assert "layer 1 (dense): gelu" in refused([dense([[1.0]], [0.0], activation="gelu")])
+    assert "layer 1 (dense)" in refused([dense([[1.0], [2.0, 3.0]], [0.0])])
+    assert "RTNeural" in refused([])
+
+
+def test_onnx_that_is_none_or_too_large() -> None:
+    def told(data: bytes) -> str:
+        with pytest.raises(ModelError) as caught:
+            onnx_file.read_onnx(Path("made.onnx"), data)
+        return str(caught.value)
+
+    assert "no network" in told(b"")
+    assert "no network" in told(b"\xff" * 40)
+    whole = made.dense_onnx([(np.ones((2, 3)), np.ones(3))], "Relu")
+    assert "no network" in told(whole[:-20])
+    large = made.tensor("W", [1.0], dims=(40_000, 25_000))
+    ends = [made.value("obs", 1, 2)], [made.value("y", 1, 3)]
+    nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
+    assert "W has 1000000000 weights" in told(made.onnx(nodes, [large], *ends))
+    nodes = [made.node("Einsum", ("obs", "W"), ("y",))]
+    assert "Einsum" in told(made.onnx(nodes, [made.tensor("W", np.ones((2, 3)))], *ends))
+    spoilt = np.ones((2, 3))
+    spoilt[1, 1] = np.inf
+    nodes = [made.node("MatMul", ("obs", "W"), ("y",))]
+    assert "W: 1 of its weights" in told(made.onnx(nodes, [made.tensor("W", spoilt)], *ends))

@@ -1,0 +1,120 @@
+"""What a policy's files state, and what is refused: one line, which names the key or the layer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pupper_analysis.base.errors import ModelError
+from pupper_analysis.tools.walk.policy import Policy
+from tests.tools.walk import made
+
+TOML = """
+joints = ["a", "b"]
+default = [0.1, -0.2]
+action-scale = 0.5
+kp = [20, 30]
+kd = 1
+rate = 50
+latency = 0.01
+history = 2
+phase-rate = 1.5
+phase-offsets = [0.0, 3.14159]
+observation = [{term = "angular-velocity", scale = 0.25}, "command", "joint-positions", "phase"]
+"""
+SIZE = 2 * (3 + 3 + 2 + 4)
+
+
+def onnx_policy(folder: Path, toml: str = TOML, metadata: dict[str, str] | None = None) -> Path:
+    path = folder / "made.onnx"
+    layers = [(np.ones((SIZE, 2)), np.zeros(2))]
+    path.write_bytes(made.dense_onnx(layers, "Relu", metadata))
+    (folder / "made.toml").write_text(toml, encoding="utf-8")
+    return path
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(ModelError) as caught:
+        Policy.load(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_a_toml_beside_it(tmp_path: Path) -> None:
+    contract = Policy.load(onnx_policy(tmp_path)).contract
+    assert contract.joints == ("a", "b")
+    assert contract.kp is not None
+    assert contract.kp.tolist() == [20, 30]
+    assert contract.kd is not None
+    assert contract.kd.tolist() == [1, 1]
+    assert [term.name for term in contract.terms][-1] == "phase"
+    assert (contract.terms[0].scale, contract.frame, contract.history) == (0.25, 12, 2)
+    assert contract.latency == 0.01
+    assert contract.sources["kp"].endswith("made.toml")
+
+
+def test_metadata_and_what_a_toml_says_instead(tmp_path: Path) -> None:
+    stated = {"joint_names": "left,right", "joint_stiffness": "40.0,41.0", "action_scale": "0.3"}
+    toml = TOML.replace('joints = ["a", "b"]\n', "").replace("kp = [20, 30]\n", "")
+    contract = Policy.load(onnx_policy(tmp_path, toml, stated)).contract
+    assert contract.joints == ("left", "right")
+    assert contract.kp is not None
+    assert contract.kp.tolist() == [40, 41]
+    assert contract.action_scale.tolist() == [0.5, 0.5]  # the TOML's
+
+
+def test_rtneural_of_pupper(tmp_path: Path) -> None:
+    contract = Policy.load(made.still(tmp_path / "p.json")).contract
+    names = [term.name for term in contract.terms]
+    assert names == [
+        "angular-velocity", "gravity", "command", "up-command", "joint-positions", "last-action",
+    ]  # fmt: skip
+    assert (contract.rate, contract.newest_first, contract.clip) == (50, True, 100)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("rate = 50", "", "rate"),
+        ("rate = 50", "rate = 0", "rate"),
+        ("rate = 50", "rate = nan", "rate"),
+        ("kp = [20, 30]", "kp = [20, 30, 40]", "kp"),
+        ("kp = [20, 30]", "kp = inf", "kp"),
+        ("kd = 1", 'kd = "stiff"', "kd"),
+        ('["a", "b"]', '["a", "a"]', "joints"),
+        ('["a", "b"]', '["a"]', "joints"),
+        ("history = 2", "history = 3", "takes 24"),
+        ("history = 2", "historie = 2", "historie"),
+        ('"phase"]', '"moon"]', "moon"),
+        ("scale = 0.25", "scale = [1, 2]", "angular-velocity"),
+        ("default = [0.1, -0.2]", "", "default"),
+    ],
+)
+def test_a_contract_that_cannot_be(tmp_path: Path, old: str, new: str, told: str) -> None:
+    assert old in TOML
+    assert told in refusal(onnx_policy(tmp_path, TOML.replace(old, new)))
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    assert "no such file" in refusal(tmp_path / "none.onnx")
+    bad = tmp_path / "bad.json"
+    bad.write_text('{"layers": [', encoding="utf-8")
+    assert "JSON" in refusal(bad)
+    bad.write_text('{"layers": [1]}', encoding="utf-8")
+    assert "layer 1" in refusal(bad)
+    (tmp_path / "bad.onnx").write_bytes(b"\x80\x04\x95pickle")
+    assert "network" in refusal(tmp_path / "bad.onnx")
+
+
+def test_a_network_of_another_size(tmp_path: Path) -> None:
+    path = made.still(tmp_path / "p.json", observation_history=2)
+    assert "takes 36" in refusal(path)
+    path = made.still(tmp_path / "p.json", default_joint_pos=[0.0] * 11)
+    assert "default" in refusal(path)
+    values = json.loads(made.still(tmp_path / "p.json").read_text())
+    values["layers"][0]["weights"][0][3][4] = None
+    path.write_text(json.dumps(values))
+    assert "layer 1 (dense)" in refusal(path)
