@@ -1,8 +1,8 @@
 """What does a policy ask of the motors: a stand that balances by its hips, made here.
 
 One sees each motor's torque, and that a policy that was made to stand does not walk. Pupper's own,
-``launch/policy_latest.json`` of github.com/G-Levine/neural_controller (MIT), is loaded the same way,
-and walks v3 at 0.47 m/s of 0.5.
+``launch/policy_latest.json`` of github.com/G-Levine/neural_controller (MIT), is loaded the same
+way, and walks v3 at 0.47 m/s of 0.5.
 """
 
 import json
@@ -28,14 +28,14 @@ def make_policy(path: Path) -> Policy:
 
 
 def main() -> None:
-    """Prints what it asks of v3's motors, told to stand and told to walk."""
+    """Prints what it asks of v3's motors, commanded to stand and to walk."""
     robot = pa.load_variant("v3")
     with tempfile.TemporaryDirectory() as folder:
         policy = make_policy(Path(folder) / "stand.json")
     for command in ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0)):
         walk = simulate_walk(robot, policy, command, duration=3.0, warm_up=1.0)
         gait = walk.gaits[0]
-        print(f"told {command[0]} m/s: {gait.velocity[0]:.2f} m/s, tracks: {gait.tracks}")
+        print(f"commanded {command[0]} m/s: {gait.velocity[0]:.2f} m/s, tracks: {gait.tracks}")
     for joint, torque in zip(walk.joints[:3], gait.torque_rms[:3], strict=True):
         print(f"  {joint}: {torque:.2f} N m")
 

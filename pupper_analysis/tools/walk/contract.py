@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import Diagnostic, diagnose
 from pupper_analysis.base.errors import ModelError
-from pupper_analysis.base.results import Result
 
 Array = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ BY_FRAME, BY_TERM = "by-frame", "by-term"
 
 
 @dataclass(frozen=True, eq=False)
-class Term(Result):
+class Term:
     """A part of an observation.
 
     Attributes:
@@ -68,7 +67,7 @@ class Term(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Contract(Result):
+class Contract:
     """What a policy observes, and what its actions mean.
 
     Attributes:
@@ -231,8 +230,8 @@ class _Stated:
 
     def refuse(self, key: str, problem: Diagnostic) -> ModelError:
         """Returns the error that names a key, and the file that states it."""
-        told = diagnose("contract-key", key=key, problem=problem)
-        return ModelError(self.homes.get(key, str(self.path)), told)
+        problem = diagnose("contract-key", key=key, problem=problem)
+        return ModelError(self.homes.get(key, str(self.path)), problem)
 
 
 def contract_of(
@@ -265,12 +264,12 @@ def contract_of(
     if not named or not all(isinstance(one, str) for one in joints):
         raise given.refuse("joints", diagnose("contract-joints", count=outputs, given=str(joints)))
     if joints and (len(joints) != outputs or len(set(joints)) != outputs):
-        told = diagnose("contract-joints", count=outputs, given=len(set(joints)))
-        raise given.refuse("joints", told)
+        problem = diagnose("contract-joints", count=outputs, given=len(set(joints)))
+        raise given.refuse("joints", problem)
     layout = values.get("layout", BY_TERM)
     if layout not in (BY_FRAME, BY_TERM):
-        told = diagnose("contract-value", given=str(layout), known=(BY_FRAME, BY_TERM))
-        raise given.refuse("layout", told)
+        problem = diagnose("contract-value", given=str(layout), known=(BY_FRAME, BY_TERM))
+        raise given.refuse("layout", problem)
     phases = values.get("phase-offsets", ())
     offsets = given.vector("phase-offsets", 0.0, len(phases) if isinstance(phases, list) else 1)
     scale = given.vector("action-scale", None)
@@ -309,8 +308,8 @@ def contract_of(
     for term in terms:
         size = np.size(term.scale)
         if size not in (1, found.size_of(term)):
-            told = diagnose("no-numbers", count=found.size_of(term))
-            raise given.refuse(f"observation: {term.name}", told)
+            problem = diagnose("no-numbers", count=found.size_of(term))
+            raise given.refuse(f"observation: {term.name}", problem)
     if found.frame * found.history != inputs:
         parts = ", ".join(f"{term.name} {found.size_of(term)}" for term in terms)
         problem = diagnose(
@@ -334,8 +333,8 @@ def _terms(given: _Stated) -> tuple[Term, ...]:
         name = one.get("term") if isinstance(one, dict) else one
         name = _ALIKE.get(name, name) if isinstance(name, str) else str(name)
         if name not in TERMS:
-            told = diagnose("contract-value", given=name, known=tuple(TERMS))
-            raise given.refuse("observation", told)
+            problem = diagnose("contract-value", given=name, known=tuple(TERMS))
+            raise given.refuse("observation", problem)
         scale = one.get("scale", 1.0) if isinstance(one, dict) else 1.0
         try:
             numbers = np.array(scale, dtype=np.float64)

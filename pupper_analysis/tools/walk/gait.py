@@ -43,7 +43,7 @@ _FRAME = 1 / 25
 
 
 @dataclass(frozen=True, eq=False)
-class Gait(Result):
+class Gait:
     """One run of a policy on a robot: means are over what follows the warm-up.
 
     Attributes:
@@ -281,7 +281,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
     """Returns what a run asks of the motors, and how it follows its command."""
     robot, step = stage.robot, stage.timestep
     first = min(round(warm_up / step), max(0, len(run.states) - 2))
-    whole = np.isfinite(run.states).all(axis=1)
+    whole = np.asarray(np.isfinite(run.states).all(axis=1))
     torques = joint_torques(stage, run)[first:]
     torques = np.nan_to_num(torques, nan=0.0)
     convention = robot.mj_convention
@@ -312,7 +312,7 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
         tracks=followed.tracks,
         torque_rms=np.sqrt((torques**2).mean(axis=0)),
         torque_peak=np.abs(torques).max(axis=0),
-        at_limit=np.mean(np.abs(torques) >= AT_LIMIT * limits, axis=0),
+        at_limit=_share_at_limit(torques, limits),
         speed_peak=np.abs(rates).max(axis=0),
         power=power,
         transport=power / (weight * speed) if speed > SPEED_SLACK else None,
@@ -327,6 +327,11 @@ def measure(stage: Stage, run: Run, warm_up: float) -> Gait:
         torque_time=times[-last:].copy(),
         torques=np.round(torques[-last:], 5),
     )
+
+
+def _share_at_limit(torques: Array, limits: Array) -> Array:
+    share: Array = np.mean(np.abs(torques) >= AT_LIMIT * limits, axis=0)
+    return share
 
 
 def _fall(stage: Stage, run: Run) -> Diagnostic:

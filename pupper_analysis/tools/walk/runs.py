@@ -224,7 +224,7 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
     data, runner = mujoco.MjData(stage.model), mujoco.rollout.Rollout(nthread=0)
     current = np.array([_start(stage, case) for case in cases])
     kept = np.empty((count, ticks * stage.substeps, current.shape[1]))
-    told = np.empty((count, ticks * stage.substeps, stage.model.nu))
+    control_kept = np.empty((count, ticks * stage.substeps, stage.model.nu))
     ends, fallen = np.full(count, ticks * stage.substeps), np.zeros(count, dtype=bool)
     worst = np.zeros((count, 2))
     delays = np.array([round(case.delay / stage.timestep) for case in cases])
@@ -244,7 +244,7 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
         models = [cases[index].model for index in going.tolist()]
         states, _ = runner.rollout(models, data, current, control)
         kept[going, first : first + stage.substeps] = states
-        told[going, first : first + stage.substeps] = control
+        control_kept[going, first : first + stage.substeps] = control
         current = states[:, -1]
         broken = ~np.isfinite(states).all(axis=(1, 2))
         broken |= states[:, -1, 0] < (first + stage.substeps - 0.5) * stage.timestep
@@ -266,7 +266,7 @@ def _batch(stage: Stage, cases: Sequence[Case], duration: float, warm_up: float)
         Run(
             case=case,
             states=kept[index, : ends[index]],
-            targets=told[index, : ends[index]],
+            targets=control_kept[index, : ends[index]],
             fallen=bool(fallen[index]),
             lean=float(worst[index, 0]),
             lost=float(worst[index, 1]),
