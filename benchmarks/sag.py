@@ -1,11 +1,10 @@
-"""Compares predicted sag with simulations: `python benchmarks/sag.py lifted`, `band`, `limits`."""
+"""Compares predicted sag with simulations: `python benchmarks/sag.py lifted`, `limits`."""
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import click
 import mujoco
@@ -17,13 +16,7 @@ from rich.table import Table
 import pupper_analysis as pa
 from pupper_analysis.base.errors import PupperAnalysisError
 from pupper_analysis.robot import contact
-from pupper_analysis.robot.servos import model_with_servos
-from pupper_analysis.robot.terrain import on_ground
-from pupper_analysis.simulation.rollout import full_state, place_on_ground
-from pupper_analysis.stance.sag.band import steady_state_band
 from pupper_analysis.stance.sag.steady_state import RELEASE_MARGIN, SteadyState, steady_state
-from pupper_analysis.stance.stand import stand_statics
-from pupper_analysis.statics.equilibrium import ForceDistribution
 
 SECONDS = 12.0
 """A simulation's length (s). Its settled height is the mean of the last second."""
@@ -176,83 +169,6 @@ def show(name: str, case: Case) -> None:
 def summary(errors: list[float]) -> tuple[str, str]:
     right = sum(error < 1e3 * WITHIN for error in errors)
     return f"{right} of {len(errors)}", f"{max(errors):.3f}" if errors else "-"
-
-
-# ------------------------------------------------------------------------------------- dry friction
-
-
-def led(robot: pa.Robot, stand: pa.Stand, shares: tuple[float, ...], seconds: float) -> float:
-    """The base's height (m) at the end of a simulation in which feed-forward is changed slowly.
-
-    Args:
-        robot: The robot.
-        stand: Its stand, in which it begins, at rest.
-        shares: Of the feed-forward, how much is taken away: from each to the next in ``seconds``.
-            The last one is kept for 4 s.
-        seconds: s.
-    """
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = model_with_servos(robot, integrator="implicitfast")
-    torques = stand_statics(
-        robot, stand, distribution=ForceDistribution.MIN_TANGENTIAL
-    ).joint_torques
-    positions, steps = stand.joint_positions(robot), round(seconds / drive.model.opt.timestep)
-    full, none = drive.command(robot, positions, torques), drive.command(robot, positions)
-    ways = [np.linspace(*pair, steps) for pair in pairwise(shares)]
-    held = np.full(round(4.0 / drive.model.opt.timestep), shares[-1])
-    share = np.concatenate([*ways, held])[:, None]
-    start = place_on_ground(robot, drive, stand, torques)
-    return end_height(robot, drive.model, start, (1 - share) * full + share * none)
-
-
-def left(robot: pa.Robot, stand: pa.Stand, qpos: np.ndarray, seconds: float = 6.0) -> float:
-    """The base's height (m) at the end of a simulation that begins at rest in qpos."""
-    robot = on_ground(robot, stand.task.ground, stand.foot_targets)
-    drive = model_with_servos(robot, integrator="implicitfast")
-    data = mujoco.MjData(drive.model)
-    robot.mj_convention.set_state(data, qpos)
-    mujoco.mj_forward(drive.model, data)
-    state = full_state(drive.model, data)
-    ctrl = drive.command(robot, stand.joint_positions(robot))
-    steps = round(seconds / drive.model.opt.timestep)
-    return end_height(robot, drive.model, state, np.tile(ctrl, (steps, 1)))
-
-
-def end_height(
-    robot: pa.Robot, model: mujoco.MjModel, start: np.ndarray, ctrl: np.ndarray
-) -> float:
-    states, _ = mujoco.rollout.rollout(model, mujoco.MjData(model), start, ctrl[None])
-    last = states[0, -round(0.5 / model.opt.timestep) :, 1 + robot.mj_convention.qpos_index[2]]
-    return float(last.mean())
-
-
-@main.command()
-@click.option("--variant", type=click.Choice(list(pa.VARIANTS)), multiple=True)
-@click.option("--deep", default=1.7, show_default=True, help="Feed-forward taken away, pushed low.")
-@click.option("--seconds", default=10.0, show_default=True, help="To take it all away.")
-def band(variant: tuple[str, ...], deep: float, seconds: float) -> None:
-    """Let robots down slowly, let them go, and let them up again, on ground that grips.
-
-    Height lost (mm), predicted with friction up, none, and down; and simulated: let down slowly
-    from the stand; let go; brought lower by their servos, and let up slowly; and left at rest in
-    the predicted ends.
-    """
-    columns = ("variant", "highest", "none", "lowest", "let down", "let go", "let up")
-    table = Table(*columns, "left in highest", "left in lowest")
-    for name in variant or pa.VARIANTS:
-        robot = changed(pa.load_variant(name), gripping)
-        stand = pa.solve_stand(robot)
-        found = steady_state_band(robot, stand)
-        go = pa.verify_stand(robot, stand, feedforward=False, duration=SECONDS, nudged=0)
-        ends = [found.highest, found.frictionless, found.lowest]
-        heights = [None if pose is None else pose.base_height for pose in ends]
-        heights.append(led(robot, stand, (0.0, 1.0), seconds))
-        heights.append(go.base_height)
-        heights.append(led(robot, stand, (0.0, deep, 1.0), seconds))
-        heights += [None if p is None else left(robot, stand, p.qpos) for p in ends[::2]]
-        row = ["-" if h is None else f"{1e3 * (stand.qpos[2] - h):.4f}" for h in heights]
-        table.add_row(name, *row)
-    Console().print(table)
 
 
 # ------------------------------------------------------------------------------------- limits

@@ -39,11 +39,6 @@ EIGENVALUE = 1e-10
 """Of the least stiffness: with OpenBLAS's kernels of other processors (``OPENBLAS_CORETYPE``:
 Haswell, Sandybridge) it is up to 1.6e-11 of itself off."""
 
-BAND = 1e-6
-"""Of heights (m) that dry friction allows. Joints that by symmetry do not move the base may hold
-friction either way, which rounding decides: their torques are not recorded, and the base's height
-is by 2e-7 m another one then."""
-
 STEPPED = 1e-8
 """Of simulations: in two seconds the skeletons' makes 1e-9 N of a start that is 1e-16 m off."""
 
@@ -147,16 +142,6 @@ def moving(robot: pa.Robot, stand: pa.Stand) -> object:
     return pa.statics.inverse_dynamics(config, 0.3 * np.cos(pace))
 
 
-def band(robot: pa.Robot, stand: pa.Stand) -> object:
-    """Between which heights the base may come to rest."""
-    found = pa.stance.steady_state_band(robot, stand)
-    ends = found.highest, found.frictionless, found.lowest
-    return {
-        "friction": found.friction,
-        "heights": [None if end is None else {"height": end.base_height} for end in ends],
-    }
-
-
 def checked(robot: pa.Robot, _: pa.Stand) -> object:
     """What the engines agree in; what they differ by is rounding."""
     check = pa.cross_check(robot, configurations=3)
@@ -198,7 +183,6 @@ JOBS = {
     "nominal statics": Job(lambda robot, stand: pa.stance.stand_statics(robot, stand)),
     "inverse dynamics": Job(moving, CONES),
     "steady state": Job(lambda robot, stand: pa.steady_state(robot, stand), EIGENVALUE),
-    "steady state band": Job(band, BAND),
     "path": Job(lambda robot, _: pa.stance.stance_path(robot, squat(robot), 2.0, rate=8.0), CONES),
     "cross-check": Job(checked),
     "payload": Job(payload, 2 * NEAR, slow=True, same_engines=True, why=SEARCHED),

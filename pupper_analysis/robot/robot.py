@@ -225,6 +225,12 @@ class Robot:
         """(nu,) upper joint limits of the URDF (rad); inf for a continuous joint."""
         return self._positional(self.pin_model.upperPositionLimit, np.inf)
 
+    @property
+    def joint_friction(self) -> Array:
+        """(nu,) What dry friction of each joint holds at most, its ``frictionloss`` (N m)."""
+        found: Array = self.mj_model.dof_frictionloss[self.mj_convention.qvel_index[-self.nu :]]
+        return found
+
     @cached_property
     def efforts(self) -> tuple[EffortLimit, ...]:
         """What each joint's motor can give, in actuator order, by both files, with its origin."""

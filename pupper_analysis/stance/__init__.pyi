@@ -1,8 +1,6 @@
 from ..tools.best.search import Objective as Objective
 from ..tools.path.plan import StancePath as StancePath
 from ..tools.path.plan import stance_path as stance_path
-from .sag.band import SteadyStateBand as SteadyStateBand
-from .sag.band import steady_state_band as steady_state_band
 from .sag.steady_state import SteadyState as SteadyState
 from .sag.steady_state import minimum_stiffness as minimum_stiffness
 from .soft_ground import solve_stand_as_simulated as solve_stand_as_simulated

@@ -210,8 +210,8 @@ def _buckling_modes(
     along = touch.jacobians[:, 2]
     rates = np.array([law.rate(depth) for law, depth in zip(laws, depths.values(), strict=True)])
     forces, more = (line @ frame.T for line in lines)
-    bare = touch.balance_rates(forces, None)
-    softer = bare - touch.balance_rates(forces + more, None)  # by a payload of 1 kg
+    bare = touch.balance_rates(forces)
+    softer = bare - touch.balance_rates(forces + more)  # by a payload of 1 kg
     twists, weight = point.twist_jacobian(config)[None], np.zeros((1, 6))
     softer += config.pushed_rates(twists, weight)
     weight[0, :3] = robot.gravity

@@ -173,7 +173,6 @@ GLOSSARY = [row for row in rows("docs/reference/glossary.md") if len(row) == 3]
 @pytest.mark.parametrize(
     ("term", "place"),
     {
-        "rolling feet": "robot/friction.py",
         "metric": "tools/push/metrics.py",
         "failure": "diagnose(",
         "friction cone": "statics/cone_program.py",

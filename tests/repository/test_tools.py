@@ -18,7 +18,7 @@ from tests.support.repository import ROOT
 QUICK = (
     "tests/base/test_results.py",
     "tests/cli/test_cli.py",
-    "tests/robot/test_friction.py",
+    "tests/robot/test_contact.py",
     "tests/statics/test_support_polygon.py",
     "tests/repository/test_house.py",
 )

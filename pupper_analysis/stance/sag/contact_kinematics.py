@@ -121,26 +121,21 @@ class ContactKinematics:
         deeper: Array = -(self._normal @ self._centre)
         return deeper
 
-    def push(self, forces: Array, moments: Array | None) -> Array:
-        """Returns the generalised force (nv,) of forces and moments (n, 3), by the ground's."""
+    def push(self, forces: Array) -> Array:
+        """Returns the generalised force (nv,) of forces (n, 3), in the ground's frame."""
         pushed: Array = forces.ravel() @ self.jacobians.reshape(forces.size, -1)
-        if moments is not None:
-            pushed += np.einsum("nij,ni->j", self.turning, moments @ self._frame)
         return pushed
 
-    def balance_rates(self, forces: Array, moments: Array | None) -> Array:
+    def balance_rates(self, forces: Array) -> Array:
         """Returns the derivative (nv, nv) of gravity less ``push`` by a step.
 
         Args:
             forces: (n, 3) in the ground's frame (N), which keep their direction.
-            moments: (n, 3) likewise (N m), if there are any.
         """
         pushing = forces @ self._frame
         wrenches = np.empty((len(forces), 6))
         wrenches[:, :3] = pushing
         wrenches[:, 3:] = (pushing[:, None] @ self._offsets)[:, 0]  # pushing x arm
-        if moments is not None:
-            wrenches[:, 3:] += moments @ self._frame
         rates = self.config.pushed_rates(self._twists, wrenches)
         # As a foot goes deeper its contact comes nearer to the centre.
         nearer = pushing @ (cross_matrices(self._normal[None])[0].T / 2)

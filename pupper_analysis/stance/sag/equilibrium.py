@@ -14,7 +14,6 @@ from scipy.linalg import lapack
 
 from pupper_analysis.robot.compliance import GroundLaw
 from pupper_analysis.robot.configuration import UP, Configuration
-from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_ranges, servo_gains
 from pupper_analysis.stance.problem import can_move_com
@@ -103,28 +102,19 @@ _SOFTER = (1e3, 1e2, 1e1, 1.0)
 _MAX_ITERATIONS = 16
 """Of 5,148 solutions that were found all took 12 or fewer."""
 
-_HEIGHT_TOLERANCE = 1e-7  # heights: by less than this the base is at the end of friction's range
 _NOWHERE = np.zeros(2)  # m: where a foot sticks that has not crept
-_MAX_ROUNDS = 40  # of friction and pose, each by the other; 4 to 8 do
 
 
 class SagEquilibrium:
     """The equations of the equilibrium, for a servo ``target`` (nu,) and the feet that touch.
 
-        g(q) - S^T (tau + t) - sum (J_i^T f_i + W_i^T m_i) = 0,  depth_i(q) = depth of f_i
+        g(q) - S^T tau - sum J_i^T f_i = 0,  depth_i(q) = depth of f_i
 
-    for the feet in ``anchors``, J_i and W_i being the Jacobians of the material point at the
-    contact and of the foot's rotation. Pinned, that point has not slipped, but for what it crept,
+    for the feet in ``anchors``, J_i the Jacobian of the material point at the contact. Pinned,
+    that point has not slipped, but for what it crept,
     as long as |f_t| <= mu f_n; else it has slipped by s, and f_t = -mu f_n s / |s|. Both in one:
     f_t is f_t - rho s, for any rho > 0, cut to the length mu f_n (Alart and Curnier 1991).
     Sliding, f_t = 0.
-
-    t and m are dry friction. With ``lift`` 0 there is none. With +-1 it is the one with which the
-    base comes to rest highest or lowest, with a share of that with that share of friction. D being
-    the derivative of the equations and lambda = D^-T dz/dx, a joint's torque changes the height z
-    by lambda at that joint, a foot's moment by W lambda, and each is at the end of its range in
-    that direction (the conditions of Karush, Kuhn and Tucker for the extremum of z over all
-    friction).
     """
 
     def __init__(
@@ -133,7 +123,6 @@ class SagEquilibrium:
         stand: Stand,
         kp: ArrayLike | None,
         feet: Feet,
-        lift: float = 0.0,
     ) -> None:
         used = servo_gains(robot, kp, None if kp is None else 0.0)
         self.lower, self.upper = robot.effort_ranges.T
@@ -160,9 +149,10 @@ class SagEquilibrium:
         self._creeps = robot.mj_model.opt.noslip_iterations == 0  # with that solver feet stay
         self.crept: dict[str, Array] = {}  # m: where creep has taken a foot, by slip
         self.yielding: dict[str, float] = {}  # m/N: creep in this step per force
-        self.friction, self.lift = DryFriction.of(robot), lift
-        self.joint_friction, self._joints = np.zeros(robot.nu), np.arange(6, robot.nv)
-        self.moments: dict[str, Array] = {}  # N m: on feet, in the ground's frame
+        self.sliding_friction = {
+            foot: contact.sliding_friction for foot, contact in robot.contacts.items()
+        }
+        self._joints = np.arange(6, robot.nv)
 
     def depths(self, places: Array) -> dict[str, float]:
         """Returns how deep every foot is in the ground or its step; negative: above it (m).
@@ -228,16 +218,11 @@ class SagEquilibrium:
         whole = self._rigid[1]
         return slips if whole is None else np.asarray(np.tensordot(whole, slips, 2), dtype=float)
 
-    def _turning(self) -> Array | None:
-        """Returns the moments (n, 3) on the feet that touch; None if there are none."""
-        moments = [self.moments.get(foot, np.zeros(3)) for foot in self.anchors]
-        return np.array(moments).reshape(-1, 3) if self.moments else None
-
     def residual(self, qpos: Array, forces: Array) -> Array:
         """Returns the equations (nv + 3 n,): balance, and per foot two of slip, one of depth."""
         touch, places = self.touch(qpos), self.slips(qpos, forces)
-        balance = touch.config.load() - touch.push(forces, self._turning())
-        balance[6:] -= self.torques(qpos) + self.joint_friction
+        balance = touch.config.load() - touch.push(forces)
+        balance[6:] -= self.torques(qpos)
         if self.robot.closure is not None:
             balance[6:] -= self.robot.closure.springs(qpos)
         if self.feet == "sliding":
@@ -278,7 +263,7 @@ class SagEquilibrium:
         whole = np.zeros((n + 3 * size, n + 3 * size))
         by_qpos, by_force = whole[:, :n], whole[n:, n:]
         whole[:n, n:] = -touch.jacobians.reshape(-1, n).T
-        by_qpos[:n] = touch.balance_rates(forces, self._turning())
+        by_qpos[:n] = touch.balance_rates(forces)
         servos = self.kp * (self.target - qpos[7:])
         moving = (servos > self.lower) & (servos < self.upper)
         by_qpos[self._joints, self._joints] += np.where(moving, self.kp, 0.0)
@@ -334,13 +319,13 @@ class SagEquilibrium:
             (x, y, pressing), (slip_x, slip_y, _) = force, place
             tried = x - self.units.rho * slip_x, y - self.units.rho * slip_y
             # Without friction where it pulls: so nothing jumps when it is let go of there.
-            mu = self.friction.sliding[foot] if pressing > 0 else 0.0
+            mu = self.sliding_friction[foot] if pressing > 0 else 0.0
             if math.hypot(*tried) > mu * pressing:
                 found.append((row, mu, np.array(tried)))
         return found
 
     def solve(self, guess: Solution, *, exact: bool = True) -> Solution | None:
-        """Solves the equations for the feet that touch, friction included; None if it fails.
+        """Solves the equations for the feet that touch; None if it fails.
 
         Args:
             guess: Where to begin.
@@ -349,42 +334,7 @@ class SagEquilibrium:
         found = self._newton(guess, _ROUNDING if exact else RESIDUAL_TOLERANCE / 4)
         if found is None and self._in_sole().any() and self.feet == "pinned":
             found = self._by_softer_soles(guess)
-        if not self.lift:
-            return found
-        height, change, share = math.inf, math.inf, 1.0
-        for _ in range(_MAX_ROUNDS):
-            if found is None:
-                return None
-            last, change = change, abs(float(found.qpos[2]) - height)
-            if change < _HEIGHT_TOLERANCE * self.units.length:
-                return found
-            if change > last / 2:  # to and fro between two ways to rub: half way is between them
-                share /= 2
-            height = float(found.qpos[2])
-            if not self._apply_coulomb_friction(found, share):
-                return None
-            found = self._newton(found)
-        return None
-
-    def _apply_coulomb_friction(self, solution: Solution, share: float) -> bool:
-        """Moves friction, by a share, to what lifts the base most, or least; tells if it can."""
-        derivative = self.derivative(solution.qpos, self.stacked(solution))
-        height = np.zeros(len(derivative))
-        height[2] = np.sign(self.lift)
-        try:
-            effect = np.array(np.linalg.solve(derivative.T, height), float)[: self.robot.nv]
-        except np.linalg.LinAlgError:
-            return False
-        config = Configuration(self.robot, solution.qpos)
-        size = abs(self.lift)
-        joints = size * self.friction.torques(effect[6:])
-        self.joint_friction = (1 - share) * self.joint_friction + share * joints
-        for foot, force in solution.forces.items():
-            turns = self.frame @ config.frame_jacobian(self.robot.contact_frames[foot])[3:]
-            moment = size * self.friction.moment(foot, force, turns @ effect)
-            before = self.moments.get(foot, np.zeros(3))
-            self.moments[foot] = (1 - share) * before + share * moment
-        return True
+        return found
 
     def _by_softer_soles(self, guess: Solution) -> Solution | None:
         """Solves with soles that give more than they do, and then less and less.
@@ -460,7 +410,7 @@ class SagEquilibrium:
             law = self.laws[foot]
             pressed = law.force(max(-law.margin, touch.depths[foot]))
             forces[foot] = np.array([0.0, 0.0, pressed])
-        for kept in (self.crept, self.yielding, self.moments):
+        for kept in (self.crept, self.yielding):
             kept.pop(foot, None)
         return Solution(solution.qpos, forces, solution.residuals)
 

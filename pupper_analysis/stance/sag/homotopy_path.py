@@ -23,7 +23,7 @@ from pupper_analysis.statics.equilibrium import ForceDistribution, GravityCompen
 
 Array = NDArray[np.float64]
 
-_LEAST_STEP = 1 / 64  # of the feed-forward, or of friction, in one step
+_LEAST_STEP = 1 / 64  # of the feed-forward, in one step
 _CAREFUL = 1 / 64  # likewise: an unstable equilibrium is one only if such small steps lead to it
 _SHARE_TOLERANCE = 1e-7  # of the feed-forward: when a foot touches or lets go, to nanometres
 _MAX_EVENTS = 24  # feet that touch or let go on the way: more is chatter
@@ -158,37 +158,13 @@ class HomotopyPath:
             left -= step
             self._euler = 2 * step
 
-    def rub(self, goal: float) -> float:
-        """Brings in dry friction, from where it is to ``lift`` = goal, in one step or in smaller.
-
-        Returns:
-            How far it got: less than ``goal`` if a stable equilibrium ends before.
-        """
-        system, step = self.system, goal - self.system.lift
-        while abs(goal - system.lift) > _LEAST_STEP**2:
-            before = system.lift, dict(system.anchors), dict(system.moments), self.solution
-            joints = system.joint_friction
-            system.lift = system.lift + step if abs(goal - system.lift) > abs(step) else goal
-            try:
-                self.solution = self._settled(self.solution, diagnose("with-friction"))
-                stable = self.look(self.solution)[1] > 0
-            except NoEquilibriumError:
-                stable = False
-            if not stable:
-                system.lift, system.anchors, system.moments, self.solution = before
-                system.joint_friction = joints
-                step /= 2
-                if abs(step) < _LEAST_STEP:
-                    break
-        return system.lift
-
     def _softest(self) -> float:
         """Returns the least stiffness of a servo (N m/rad); joints that follow others have none."""
         kp = self.system.kp
         return float(kp[kp > 0].min(initial=np.inf))
 
     def _about_to_slide(self) -> list[str]:
-        mu = self.system.friction.sliding
+        mu = self.system.sliding_friction
         feet = [
             foot
             for foot, force in self.solution.forces.items()
@@ -225,7 +201,7 @@ class HomotopyPath:
         known: dict[float, Solution | None] = {wanted: there}  # feet ask for the same places
 
         def at(share: float) -> Solution | None:
-            if share not in known or self.system.lift:  # friction is not of the share alone
+            if share not in known:
                 known[share] = self._at(share)
             return known[share]
 

@@ -72,8 +72,7 @@ class SteadyState(Result):
             twice as far from the stand as the equilibrium, to first order. Below
             ``RELEASE_MARGIN`` a foot may slip or lift in that fall, and the robot comes to rest
             elsewhere, by up to millimetres. Let down slowly they stay; but then dry friction, which
-            is left out, holds the robot above the equilibrium: v3 by 1.8 mm
-            (``steady_state_band``).
+            is left out, holds the robot above the equilibrium: v3 by 1.8 mm.
         sliding_feet: The feet that slide: of one point that slips, or soles that slip as a whole,
             and further than they do on their way to a rest (``SMALL_SLIP``).
         lasts: How long it stands until creep ends the equilibrium, or brings another part to the
@@ -130,7 +129,7 @@ def steady_state(
     the robot down within ``LASTING`` (12 s) it does not stand: just above the least stiffness an
     equilibrium is there, and a millimetre of creep ends it.
 
-    Dry friction, of joints and of rolling feet, is left out; ``steady_state_band`` has it.
+    Dry friction, of joints and of rolling feet, is left out.
 
     Args:
         robot: The robot.

@@ -54,7 +54,7 @@ def turning_stiffness(system: SagEquilibrium, solution: Solution) -> list[tuple[
     for row, point in enumerate(system.anchors):
         if point not in loose:
             continue
-        mu, slip = system.friction.sliding[point], slips[row]
+        mu, slip = system.sliding_friction[point], slips[row]
         way = float(np.linalg.norm(slip))
         if way > 0 and forces[row, 2] > 0:
             along = slip / way

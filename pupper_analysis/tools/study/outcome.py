@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import reprlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import orjson
+from numpy.typing import NDArray
 
-from pupper_analysis.base.arguments import check_type
-from pupper_analysis.base.diagnostics import Diagnostic, diagnose
+from pupper_analysis.base.arguments import check_type, real_array
+from pupper_analysis.base.diagnostics import Diagnostic, Term, diagnose
 from pupper_analysis.base.errors import ConfigurationError, ModelError
 from pupper_analysis.base.results import Result
 from pupper_analysis.prepare.own_run import own_run
@@ -29,26 +31,14 @@ from pupper_analysis.tools.study.cells import (
 )
 from pupper_analysis.tools.study.measures import METRICS
 from pupper_analysis.tools.study.record import from_record
+from pupper_analysis.tools.study.running import Progress
 from pupper_analysis.tools.study.store import Store, require_library
 from pupper_analysis.tools.study.study import DesignStudy
 from pupper_analysis.tools.study.tolerance import Certainty, Tolerance, certainty
-
-if TYPE_CHECKING:
-    import pandas as pd
-from typing import TYPE_CHECKING
-
-from numpy.typing import NDArray
-
-from pupper_analysis.base.arguments import real_array
-
-if TYPE_CHECKING:
-    import pandas as pd
-from collections.abc import Callable
-from concurrent.futures import Executor
-
-from pupper_analysis.base.diagnostics import Term
-from pupper_analysis.tools.study.running import Progress
 from pupper_analysis.tools.study.variables import at_shares
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SHARES = 8
 """So many metrics are taken apart: more are more than anyone reads."""

@@ -34,7 +34,7 @@ def differences(function: Callable[[np.ndarray], np.ndarray], size: int, step: f
 def test_derivative_is_that_of_the_residual(
     name: str, feet: Literal["pinned", "sliding"], slope: float
 ) -> None:
-    """Away from the equilibrium, with feet that have turned, moments on them, and a slope."""
+    """Away from the equilibrium, with feet that have turned, and a slope."""
     robot, rng = load(name), np.random.default_rng(5)
     stand = stand_of(name)
     if slope:
@@ -42,7 +42,6 @@ def test_derivative_is_that_of_the_residual(
         stand = pa.solve_stand(robot, task)
     system = SagEquilibrium(robot, stand, None, feet)
     forces = rng.normal(size=(len(system.anchors), 3)) + np.array([0.0, 0.0, 8.0])
-    system.moments = {foot: 0.1 * rng.normal(size=3) for foot in system.anchors}
     qpos = integrate_step(stand.qpos, 2e-4 * rng.normal(size=robot.nv))  # the feet stick
     n = robot.nv
     found = system.derivative(qpos, forces)

@@ -18,7 +18,6 @@ from pupper_analysis.base.errors import (
     PupperAnalysisError,
 )
 from pupper_analysis.base.results import Result
-from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import own_servos, servo_gains
 from pupper_analysis.tools.fit.consistency import unbounded_coms
@@ -430,7 +429,7 @@ def fit_stands(
         )
     commanded = np.isfinite(given.command).sum(axis=0) > 0
     stiffness = stated_stiffness(robot, given.source, commanded, kp)
-    rubbing = DryFriction.of(robot).joints
+    rubbing = robot.joint_friction
     table = ParameterTable(give_widths(parameters_of(robot, given, stiffness, rubbing), wanted))
     noise, friction = expected_noise(robot, given, rubbing, encoder)
     weighed = _weighed(robot, table, weight)

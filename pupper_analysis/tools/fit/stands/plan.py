@@ -20,7 +20,6 @@ from pupper_analysis.base.errors import ConfigurationError, MeasurementError, Pu
 from pupper_analysis.base.files import whole_file
 from pupper_analysis.base.kinds import PLAN
 from pupper_analysis.base.results import Result
-from pupper_analysis.robot.friction import DryFriction
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.robot.servos import command_lead, servo_gains
 from pupper_analysis.stance.judge import Stand
@@ -136,7 +135,7 @@ def plan_stands(
     if len(found) < count:
         raise MeasurementError(robot.name, candidates.explain(count))
     stands = _predicted(robot, found, kp, both_sides=both_sides)
-    rubbing = DryFriction.of(robot).joints
+    rubbing = robot.joint_friction
     table = ParameterTable(give_widths(parameters_of(robot, stands, stiffness, rubbing), known))
     noise, friction = expected_noise(robot, stands, rubbing, None)
     equations = StandEquations(robot, stands, table, stiffness, friction, noise)
