@@ -6,7 +6,7 @@ import os
 import sys
 
 
-def main(command: str | None = None) -> None:
+def main(command: str | None = None, *arguments: str) -> None:
     """Runs the command line; Ctrl-C while it is loaded is no traceback either.
 
     A package that is not installed is one line and exit status 2: mostly the environment is not
@@ -15,6 +15,7 @@ def main(command: str | None = None) -> None:
     Args:
         command: One command by its name; by default the first argument
             names it.
+        *arguments: Of that command, before those that are typed.
     """
     try:
         from pupper_analysis import cli
@@ -33,7 +34,7 @@ def main(command: str | None = None) -> None:
     if command is None:
         cli.main()
     else:
-        cli.run(cli.find_command(command))
+        cli.run(cli.find_command(command), [*arguments, *sys.argv[1:]])
 
 
 if __name__ == "__main__":

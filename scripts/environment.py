@@ -8,12 +8,13 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
 
-def run(command: str) -> None:
+def run(command: str, *arguments: str) -> None:
     """Runs a command; where the environment is not activated, says what to do instead.
 
     Args:
-        command: Its name in ``pupper_analysis.cli``: ``analyze``, ``drop`` or ``view``.
+        command: Its name.
+        *arguments: What comes before those that are typed.
     """
     from pupper_analysis.__main__ import main
 
-    main(command)
+    main(command, *arguments)

@@ -1,6 +1,6 @@
-"""Shows Pupper v3 in MuJoCo's viewer: ``pupper-analysis view`` as a script."""
+"""Shows Pupper v3 in MuJoCo's viewer: ``pupper-analysis live --mujoco`` as a script."""
 
 from environment import run
 
 if __name__ == "__main__":
-    run("view")
+    run("live", "--mujoco")

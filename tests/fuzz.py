@@ -567,8 +567,7 @@ COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "--json": ("out.json", "."),
         "--no-figures": (),
     },
-    "view": {"--headless": (), "--fixed-base": ()},
-    "drop": {"--seconds": ("0", "-1", "nan", "x", "1e-9"), "--headless": (), "--kp": ("nan", "-1")},
+    "live": {"--seconds": ("0", "-1", "nan", "x", "1e-9"), "--mujoco": (), "--fixed-base": ()},
 }
 
 _MODELS = {
@@ -759,7 +758,7 @@ def on_variants(draw: st.DrawFn) -> Case:
     """Draws a command with odd arguments."""
     # A push is simulated for half a minute if nothing is wrong with its arguments.
     commands = ["stand"] * 5 + ["payload"] * 3 + ["workspace", "best", "path", "push", "analyze"]
-    command = draw(st.sampled_from([*commands, "view", "drop"]))
+    command = draw(st.sampled_from([*commands, "live"]))
     known = COMMANDS[command]
     chosen = draw(st.lists(st.sampled_from(sorted(known)), min_size=1, max_size=3, unique=True))
     words = [word for option in chosen for word in _said(draw, option, known[option])]
@@ -780,10 +779,10 @@ def on_variants(draw: st.DrawFn) -> Case:
         words += ["--height", "nan"] if draw(st.booleans()) else []
     if command in ("push", "workspace", "best", "path", "analyze"):  # long, if all is well
         words += ["--pitch", draw(st.sampled_from(["nan", "1e9", "x", "1e308"]))]
-    if command not in ("view", "drop"):
+    if command != "live":
         words.insert(0 if command != "best" else 1, draw(st.sampled_from(names)))
     else:
-        words += ["--headless"]
+        words += ["--drop", "--headless"]
     stray = draw(st.sampled_from(["", "", "", "--nonsense", "stray", "--help", "--debug"]))
     return Case((command, *words, *([stray] if stray else [])), {})
 

@@ -80,7 +80,7 @@ atexit.register(lambda: print(loaded(), repr(os.environ["MUJOCO_GL"])))
 from pupper_analysis.__main__ import main
 main()
 """
-    command = ("load", str(ROOT / "mjcf" / "pupper_v3.xml"))
+    command = ("stand", "--explain", str(ROOT / "mjcf" / "pupper_v3.xml"))
     result = run("-c", code, *command, folder=tmp_path, gl="")
     assert result.stderr == ""
     assert result.stdout.splitlines()[-1] == "['mujoco'] ''"

@@ -187,9 +187,10 @@ IDLE: dict[tuple[str, ...], tuple[tuple[str, ...], ...]] = {
     ),
     (*STUDY, "--dry-run"): (*(("--figures",), ("--report", "r.html")),),
     STUDY: (("--minimise", "servo_sag"), ("--maximise", "servo_sag")),
+    ("live", "v3", "--drop", "--headless"): (("--csv", "a.csv"), ("--fixed-base",)),
+    ("live", "v3", "--demo", "squat", "--headless"): (("--seconds", "3"), ("--port", "1")),
+    ("live", "v3", "--no-browser"): (("--headless",),),
     ("live", "arm.urdf", "--no-browser"): (("--state", "height:120"),),
-    ("drop", "v3", "--headless"): (("--csv", "a.csv"),),
-    ("drop", "v3", "--headless", "--demo", "squat"): (("--seconds", "1"),),
     ("check", "--init"): (("--config", "a.toml"),),
 }
 """{command line: what does nothing in it}, besides the modes above."""
@@ -198,7 +199,7 @@ OUTPUT = {"json_path", "report_path", "figure", "output", "folder", "csv", "npz"
 LOOK = {"style", "everything", "force"}
 SERVOS = {"kp", "kd", "integrator", "cone", "impratio"}
 ALWAYS = {
-    "stand": {"minimum_stiffness", "effort", "payload", *SERVOS},
+    "stand": {"minimum_stiffness", "explain", "effort", "payload", *SERVOS},
     "workspace": {"effort", "payload"},
     "payload": {"at", "effort", "payload", *SERVOS},
     "best": {"effort", "payload", *SERVOS},
@@ -209,10 +210,7 @@ ALWAYS = {
     "diff": {"changes"},
     "sync": {"take", "dry_run", "map_file", "fine", "changes"},
     "study": {"dry_run", "workers"},
-    "load": {"fixed_base", "as_is", "explain"},
-    "live": {"language", "host", "port", "no_browser"},
-    "view": {"fixed_base", "headless"},
-    "drop": {"headless", "demo"},
+    "live": {"language", "host", "port", "no_browser", "viewer", "dropped", "demo"},
 }
 """{command: options besides those of the robot, the stance and outputs that always matter}."""
 

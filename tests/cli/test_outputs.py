@@ -51,7 +51,7 @@ OPTIONS = {
 
 MORE: dict[str, list[list[str]]] = {
     "path": [["--seconds", "1"]],
-    "drop": [["--headless", "--demo", "squat"]],
+    "live": [["--headless", "--demo", "squat"]],
     "fit": [["--plan", "4"], ["--stands", "stands.csv"], ["--log", "log.csv"]],
     "convert": [["-o", "new.xml"]],
     "study": [["-o", "results", "--workers", "1"]],

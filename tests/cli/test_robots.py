@@ -121,14 +121,17 @@ def test_robots_of_files_stand_beside_variants(capfd: pytest.CaptureFixture[str]
     assert "2 of 2 verified" in out
 
 
-@pytest.mark.parametrize("command", ["load", "view", "drop"])
-def test_commands_that_had_variants_or_two_files_alone(
-    capfd: pytest.CaptureFixture[str], command: str
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [("stand --explain", "4 feet"), ("live --mujoco", "nq=19"), ("live --drop", "stable)")],
+)
+def test_modes_without_a_stance_take_one_file(
+    capfd: pytest.CaptureFixture[str], line: str, said: str
 ) -> None:
-    headless = [] if command == "load" else ["--headless"]
-    status, out, _ = run_command(capfd, command, str(MJCF), *headless)
+    headless = ["--headless"] if line.startswith("live") else []
+    status, out, _ = run_command(capfd, *line.split(), str(MJCF), *headless)
     assert status == 0
-    assert {"load": "4 feet", "view": "nq=19", "drop": "stable)"}[command] in out
+    assert said in out
 
 
 def test_standard_input_is_a_robot(
@@ -136,7 +139,7 @@ def test_standard_input_is_a_robot(
 ) -> None:
     text = io.BytesIO(URDF.read_bytes())
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(text))
-    status, out, _ = run_command(capfd, "load", "-")
+    status, out, _ = run_command(capfd, "stand", "--explain", "-")
     assert status == 0
     assert "was made of standard input in memory" in out.replace("\n", " ")
 
@@ -144,7 +147,7 @@ def test_standard_input_is_a_robot(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["load", "v3"], "give a robot of your own"),
+        (["stand", "--explain", "v3"], "give a robot of your own"),
         (["analyze", "a.urdf", "--write", "out"], "it writes variants"),
         (["stand", "nowhere.urdf"], "nowhere.urdf: there is no such file"),
         (["push", "a.xml", "--map", "noequals"], "NAME=VALUE"),

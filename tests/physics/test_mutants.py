@@ -24,10 +24,9 @@ from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.robot.terrain import on_ground
 from pupper_analysis.simulation.rollout import full_state
 from pupper_analysis.stance.branches import _unwound
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.scene import Scene
-from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.state import LiveVariants, State
 from pupper_analysis.tools.path import tracking
 from pupper_analysis.tools.path.dynamics import rolling_levers
 from pupper_analysis.tools.push.bench import bench_of

@@ -156,7 +156,7 @@ def test_the_narrower_limit_is_kept_by_one_pass(tmp_path: Path) -> None:
 def test_the_command_prints_the_passes_in_their_order(tmp_path: Path) -> None:
     pair = quadruped(tmp_path)
     result = CliRunner().invoke(
-        group, ["load", str(pair.urdf), str(pair.mjcf), "--explain", "--json", str(tmp_path / "o")]
+        group, ["stand", str(pair.urdf), str(pair.mjcf), "--explain", "--json", str(tmp_path / "o")]
     )
     assert result.exit_code == 0, result.output
     written = json.loads((tmp_path / "o").read_text())

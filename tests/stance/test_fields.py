@@ -19,9 +19,8 @@ from pupper_analysis.cli.stance_fields import TYPED, task_of
 from pupper_analysis.present.documents.standing import task_text
 from pupper_analysis.stance.fields import FIELDS, Field
 from pupper_analysis.tools.live import export
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.controls import CONTROLS, ranges_of
-from pupper_analysis.tools.live.state import State, halfway_state, parse_state
+from pupper_analysis.tools.live.state import LiveVariants, State, halfway_state, parse_state
 from pupper_analysis.tools.study.design import STANCE, check_range
 from pupper_analysis.tools.study.design import task_of as task_of_numbers
 from pupper_analysis.tools.study.measures import METRICS

@@ -11,15 +11,8 @@ from pupper_analysis.robot.robot import Robot
 
 
 @build_document.register(Preparation)
-def preparation_document(
-    loading: Preparation, _: Robot | None = None, *, explained: bool = False
-) -> doc.Document:
-    """Returns how a robot was loaded; see ``build``.
-
-    Args:
-        loading: How it was.
-        explained: Show the passes that were run.
-    """
+def preparation_document(loading: Preparation, _: Robot | None = None) -> doc.Document:
+    """Returns how a robot was loaded, pass by pass; see ``build``."""
     robot = text(
         "robot-free" if loading.floating else "robot-held",
         mass=f"{loading.mass:.3f}",
@@ -27,11 +20,11 @@ def preparation_document(
         feet=len(loading.feet),
     )
     ready = () if loading.passes else (text("files-are-ready"),)
-    shown = {note for run in loading.passes for note in run.done} if explained else set()
+    shown = {note for run in loading.passes for note in run.done}
     return doc.Document(
         text("loading-title"),
         doc.Name(loading.name),
-        (_passes(loading),) if explained and loading.passes else (),
+        (_passes(loading),) if loading.passes else (),
         told=(robot, *ready),
         notes=tuple(
             map(doc.tell, merge_diagnostics([note for note in loading.notes if note not in shown]))

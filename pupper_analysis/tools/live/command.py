@@ -1,14 +1,17 @@
-"""``pupper-analysis live``: a page to play with."""
+"""``pupper-analysis live``: a page to play with, or MuJoCo's own viewer."""
 
 from __future__ import annotations
 
 import threading
+from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from pupper_analysis.base import kinds
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.modes import refuse_idle
+from pupper_analysis.cli.modes import refuse_idle, refuse_unused
 from pupper_analysis.cli.robots import (
     FILES,
     VARIANT,
@@ -16,17 +19,24 @@ from pupper_analysis.cli.robots import (
     add_options,
     print_notes,
     robot_argument,
+    shown_robot,
     with_robot,
 )
 from pupper_analysis.prepare.convert.files import FileSource, RobotFiles
 
 if TYPE_CHECKING:
+    from pupper_analysis.pupper.variants import VariantSpec
+    from pupper_analysis.robot.robot import Robot
     from pupper_analysis.tools.live.state import LiveSource
-from collections.abc import Mapping
 
-from pupper_analysis.pupper.variant_files import load_variant
-from pupper_analysis.pupper.variants import VARIANTS, Scaled, VariantSpec
-from pupper_analysis.robot.robot import Robot
+_ROBOT = frozenset(("words", *(one.name for one in fields(RobotOptions))))
+_USES = {
+    "--mujoco": {*_ROBOT, "viewer", "headless", "fixed_base"},
+    "--drop": {*_ROBOT, "dropped", "headless", "seconds"},
+    "--demo": {*_ROBOT, "dropped", "headless", "demo", "csv"},
+    "the page": {*_ROBOT, "state", "language", "host", "port", "no_browser"},
+}
+"""What each mode uses."""
 
 
 @shared.command("live")
@@ -53,6 +63,29 @@ from pupper_analysis.robot.robot import Robot
 )
 @click.option("--port", type=int, help="Port to serve on. [default: any that is free]")
 @click.option("--no-browser", is_flag=True, help="Do not open a browser; print the address.")
+@click.option("--mujoco", "viewer", is_flag=True, help="Open MuJoCo's own viewer, and no page.")
+@click.option(
+    "--drop", "dropped", is_flag=True, help="Drop it in MuJoCo's viewer, and report if it stands."
+)
+@click.option(
+    "--demo",
+    type=click.Choice(["squat", "sway", "lift"]),
+    help="Run a motion in MuJoCo's viewer, and report how well it is followed.",
+)
+@click.option(
+    "--headless",
+    is_flag=True,
+    help="With --mujoco, --drop or --demo: open no window; print joints, IMU and result.",
+)
+@click.option(
+    "--fixed-base", is_flag=True, help="With --mujoco: fix the base in the air, without gravity."
+)
+@click.option("--seconds", type=float, help="With --drop: simulated time (s). [default: 6]")
+@shared.output_option(
+    "--csv",
+    holds=kinds.PATH_TABLE,
+    help="With --demo: write its path as CSV to this file, or to standard output (-).",
+)
 @with_robot
 def command(
     which: RobotOptions,
@@ -62,6 +95,13 @@ def command(
     host: str,
     port: int | None,
     no_browser: bool,
+    viewer: bool,
+    dropped: bool,
+    demo: str | None,
+    headless: bool,
+    fixed_base: bool,
+    seconds: float | None,
+    csv: Path | None,
 ) -> None:
     """Open a page with sliders for a stance that shows its torques, contact forces and sag.
 
@@ -72,6 +112,9 @@ def command(
     Only this machine can reach the page, unless --host is given: then anyone can who reaches
     the port and has the printed address with its token. The page is served until Ctrl-C.
 
+    With --mujoco, --drop or --demo MuJoCo's own viewer opens instead. A demo squats, sways from
+    side to side, or shifts the weight and lifts a foot; each of its samples is a stand in balance.
+
     \b
     Examples:
       pupper-analysis live
@@ -79,10 +122,58 @@ def command(
       pupper-analysis live v3 --language zh
       pupper-analysis live v3 --state 'height:120;roll:5;lift:FL,20'
       pupper-analysis live go1.urdf
+      pupper-analysis live long-leg --mujoco --fixed-base
+      pupper-analysis live go2.urdf --drop --headless
+      pupper-analysis live v3 --demo squat --headless --csv squat.csv
 
     \b
-    Exit status: 130 ended by Ctrl-C, 2 bad input.
+    Exit status: 0 it stands or follows the demo, 1 it does not, 130 ended by Ctrl-C, 2 bad input.
     """  # noqa: D301 - click reads the \b
+    modes = {"--mujoco": viewer, "--demo": demo is not None, "--drop": dropped}
+    mode = next((name for name, chosen in modes.items() if chosen), "the page")
+    refuse_unused(mode, _USES)
+    meant = which.one(words) or "v3"
+    if mode != "the page":
+        robot = shown_robot(meant, **({"fixed_base": True} if fixed_base else {}))
+        if not _show_in_mujoco(robot, demo, dropped, headless, fixed_base, seconds, csv):
+            click.get_current_context().exit(shared.FAILED)
+        return
+    _open_page(meant, state, language, host, port, browser=not no_browser)
+
+
+def _show_in_mujoco(
+    robot: str | VariantSpec | Robot,
+    demo: str | None,
+    dropped: bool,
+    headless: bool,
+    fixed: bool,
+    seconds: float | None,
+    csv: Path | None,
+) -> bool:
+    """Shows a robot in MuJoCo's viewer, or in words; returns whether it does what it shall."""
+    if demo is not None:
+        from pupper_analysis.tools.live import demo as demos
+
+        return demos.demo(demo, robot, headless=headless, csv=csv)
+    from pupper_analysis.tools.live import window
+
+    if dropped:
+        seconds = window.DEFAULT_SECONDS if seconds is None else seconds
+        return window.drop_and_report(robot, headless=headless, seconds=seconds)
+    window.view_robot(robot, fixed=fixed, headless=headless)
+    return True
+
+
+def _open_page(
+    meant: str | VariantSpec | RobotFiles,
+    state: str,
+    language: str,
+    host: str,
+    port: int | None,
+    *,
+    browser: bool,
+) -> None:
+    """Serves the page until Ctrl-C."""
     from pupper_analysis.tools.live.door import is_loopback
     from pupper_analysis.tools.live.held import HeldPage
     from pupper_analysis.tools.live.render import import_viser
@@ -91,7 +182,6 @@ def command(
 
     import_viser()  # before anything is loaded
     begin = parse_state(state)
-    meant = which.one(words) or "v3"
     source: LiveSource
     if isinstance(meant, RobotFiles):
         with shared.show_progress("preparing the robot: feet, start pose, servos"):
@@ -101,7 +191,7 @@ def command(
         print_notes(source.robot({}))
     else:
         from pupper_analysis.pupper.variants import variant_spec
-        from pupper_analysis.tools.live.command import LiveVariants
+        from pupper_analysis.tools.live.state import LiveVariants
 
         source = LiveVariants(variant_spec(meant))
     with shared.show_progress("making the page"):
@@ -117,44 +207,4 @@ def command(
             "page; what is said on the way is not encrypted",
             err=True,
         )
-    serve(page, browser=not no_browser, wait=threading.Event().wait)
-
-
-class LiveVariants(Scaled):
-    """The robots that scales make of a variant."""
-
-    def robot(self, scales: Mapping[str, float]) -> Robot:
-        """Makes the variant of some scales.
-
-        Raises:
-            VariantError: If a scale is not a finite positive number, or nothing can be made so.
-        """
-        return load_variant(self._spec(scales))
-
-    def python(self, scales: Mapping[str, float]) -> str:
-        """Returns the call of ``load_variant``."""
-        spec = self._spec(scales)
-        if spec.name in VARIANTS:
-            return f"pa.load_variant({spec.name!r})"
-        return (
-            f"pa.load_variant(pa.pupper.VariantSpec(base={spec.base!r}, "
-            f"leg_scale={spec.leg_scale!r}, torso_mass_scale={spec.torso_mass_scale!r}))"
-        )
-
-    def arguments(self, scales: Mapping[str, float]) -> list[str]:
-        """Returns a variant's name, or the options of its scales."""
-        spec = self._spec(scales)
-        if spec.name in VARIANTS:
-            return [spec.name]
-        words = ["--base", spec.base]
-        for name, value in (
-            ("--leg-scale", spec.leg_scale),
-            ("--torso-mass-scale", spec.torso_mass_scale),
-        ):
-            words += [name, repr(value)] if value != 1.0 else []
-        return words
-
-    def _spec(self, scales: Mapping[str, float]) -> VariantSpec:
-        """Returns the variant of some scales, by the name that it has, if any."""
-        made = self.scaled(scales)
-        return {spec: spec for spec in VARIANTS.values()}.get(made, made)
+    serve(page, browser=browser, wait=threading.Event().wait)

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from pathlib import Path
 
 import click
 
+from pupper_analysis.base.diagnostics import diagnose
+from pupper_analysis.base.errors import ConfigurationError
 from pupper_analysis.cli import shared
-from pupper_analysis.cli.robots import robot_argument
+from pupper_analysis.cli.modes import refuse_unused
+from pupper_analysis.cli.robots import RobotOptions, robot_argument
 from pupper_analysis.cli.stance_options import (
     RobotAndTask,
     draw_stand,
     robot_and_task,
 )
+from pupper_analysis.prepare.convert.files import RobotFiles
 
 
 @shared.command("stand")
 @robot_argument
 @click.option(
     "--minimum-stiffness", is_flag=True, help="Also find the lowest kp that carries the robot."
+)
+@click.option(
+    "--explain",
+    is_flag=True,
+    help="Only list what is added to your files so that the robot can stand, pass by pass.",
 )
 @robot_and_task
 @shared.figure_option
@@ -28,6 +38,7 @@ def command(
     asked: RobotAndTask,
     words: tuple[str, ...],
     minimum_stiffness: bool,
+    explain: bool,
     figure: Path | None,
     json_path: Path | None,
     report_path: Path | None,
@@ -56,13 +67,18 @@ def command(
       pupper-analysis stand long-leg --slope 5deg --uphill 90deg --pitch 0.05
       pupper-analysis stand v3 --step FR=0.02 --move RL=-0.01,0.02 --figure stance.png
       pupper-analysis stand --base v3 --leg-scale 1.2 --minimum-stiffness
-      pupper-analysis stand g1.xml --height 0.7
+      pupper-analysis stand g1.xml --height 70cm
+      pupper-analysis stand go2.urdf --explain
       pupper-analysis stand go1.urdf go1.xml --foot FL=FL_foot --foot FR=FR_foot \\
         --foot RL=RL_foot --foot RR=RR_foot --kp 100 --kd 3 --kp '*calf*=150'
 
     \b
     Exit status: 0 it holds, 1 it fails in simulation, 2 out of reach, not holdable or bad input.
     """  # noqa: D301 - click reads the \b
+    if explain:
+        refuse_unused("--explain", {"--explain": _EXPLAINED})
+        _explain(asked, words, json_path)
+        return
     from pupper_analysis.tools.stand.stance import study_stance
 
     task = asked.task()
@@ -74,3 +90,48 @@ def command(
     draw_stand(robot, result.stand, result.statics, figure)
     shared.write_page(report_path, result, [robot])
     shared.finish_command(json_path, result, passed=result.passed)
+
+
+_EXPLAINED = {
+    "words",
+    "explain",
+    *("as_is", "style", "everything", "json_path"),
+    *(one.name for one in fields(RobotOptions)),
+}
+"""Parameters that ``--explain`` uses."""
+
+
+def _explain(asked: RobotAndTask, words: tuple[str, ...], json_path: Path | None) -> None:
+    """Lists what two files lack to be a robot that can stand, and what is done about it."""
+    from pupper_analysis.models.mjcf import silence_mujoco
+    from pupper_analysis.prepare.convert.load import read_pair
+    from pupper_analysis.prepare.load import explain_loading, feet_frames
+    from pupper_analysis.prepare.ready import Request
+    from pupper_analysis.present.document import Report
+    from pupper_analysis.present.documents.preparation import preparation_document
+
+    meant = asked.which.one(words)
+    if not isinstance(meant, RobotFiles):
+        raise ConfigurationError("ROBOT", diagnose("file-of-a-robot-needed"))
+    said = meant.options
+    with shared.show_progress("preparing the robot: feet, start pose, servos"), silence_mujoco():
+        request = Request(
+            feet=feet_frames(said["feet"]) if "feet" in said else None,
+            fixed_base=False,
+            joints=said.get("joints"),
+            keyframe=said.get("keyframe"),
+            as_is=asked.as_is,
+        )
+        pair = read_pair(
+            *meant.models,
+            take=said.get("take"),
+            body=said.get("body"),
+            packages=said.get("packages"),
+        )
+        told, robot = explain_loading(pair.urdf, pair.mjcf, request)
+        told = replace(told, notes=pair.mark(robot).notes)
+    document = preparation_document(told)
+    shared.show_report(
+        Report(document.title, (document,)), asked.style, everything=asked.everything
+    )
+    shared.finish_command(json_path, told, passed=True)

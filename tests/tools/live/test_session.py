@@ -16,11 +16,10 @@ import pytest
 
 import pupper_analysis as pa
 from pupper_analysis.tools.live import render
-from pupper_analysis.tools.live.command import LiveVariants
 from pupper_analysis.tools.live.model import Model
 from pupper_analysis.tools.live.render import Language
 from pupper_analysis.tools.live.session import Session, interpolate_motion
-from pupper_analysis.tools.live.state import State
+from pupper_analysis.tools.live.state import LiveVariants, State
 from tests.support.variants import load
 
 pytest.importorskip("viser", reason="viser is not installed")

@@ -9,7 +9,7 @@ import pytest
 import pupper_analysis as pa
 from pupper_analysis.robot.servos import model_with_servos
 from pupper_analysis.simulation.rollout import STATE, simulate
-from pupper_analysis.tools.drop.demo import demo_stances
+from pupper_analysis.tools.live.demo import demo_stances
 from pupper_analysis.tools.path.path_commands import path_commands
 from pupper_analysis.tools.path.plan import stance_path
 from pupper_analysis.tools.path.tracking import track_path

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from mujoco import viewer
 
 from pupper_analysis import Configuration
-from pupper_analysis.tools.drop import demo
+from pupper_analysis.tools.live import demo, window
+from pupper_analysis.tools.path.path_commands import path_commands
 from pupper_analysis.tools.path.tracking import track_path
 from tests.support.commands import run_command
 from tests.support.variants import load
@@ -38,7 +39,7 @@ def test_mujoco_follows_the_demos(
     name: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "path.csv"
-    status, out, err = run_command(capfd, "drop", "--headless", "--demo", name, "--csv", str(path))
+    status, out, err = run_command(capfd, "live", "--headless", "--demo", name, "--csv", str(path))
     assert status == 0, err
     assert out.startswith(f"{name}: {demo.DEMOS[name]}")
     assert "TRACKED" in out
@@ -52,17 +53,17 @@ def test_mujoco_follows_the_demos(
 def test_the_window_shows_what_is_tracked(monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[np.ndarray] = []
 
-    def window(
-        model: mujoco.MjModel, data: mujoco.MjData, step: Callable[[], None], count: int
-    ) -> None:
-        for _ in range(count):
-            step()
+    monkeypatch.setattr(window, "check_display", lambda: None)
+    robot = load("v3")
+    steps = len(path_commands(robot, demo.demo_path(robot, "sway")).ctrl)
+
+    def launch(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        for _ in range(steps):
+            mujoco.mj_step(model, data)
         shown.append(data.qpos.copy())
 
-    monkeypatch.setattr(demo, "show_window", window)
-    monkeypatch.setattr(demo, "check_display", lambda: None)
+    monkeypatch.setattr(viewer, "launch", launch)
     assert demo.demo("sway", headless=False)
-    robot = load("v3")
     tracking = track_path(robot, demo.demo_path(robot, "sway"))
     np.testing.assert_allclose(shown[0][7:], tracking.joints[-1], atol=1e-9)
     assert shown[0][2] == pytest.approx(tracking.height[-1], abs=1e-9)
@@ -74,7 +75,7 @@ def test_a_path_that_is_not_tracked_is_exit_status_1(
     from pupper_analysis.tools.path import tracking
 
     monkeypatch.setattr(tracking, "TRACKING_TOLERANCE", 1e-6)
-    status, out, _ = run_command(capfd, "drop", "--headless", "--demo", "squat")
+    status, out, _ = run_command(capfd, "live", "--headless", "--demo", "squat")
     assert status == 1
     assert "FAILED squat: a joint is off by" in out
 
@@ -83,8 +84,8 @@ def test_a_path_that_is_not_tracked_is_exit_status_1(
     ("arguments", "message"),
     [
         (["--demo", "dance"], "'dance' is not one of 'squat', 'sway', 'lift'"),
-        (["--demo", "squat", "--seconds", "4"], "a demo has its own duration"),
-        (["--csv", "path.csv"], "give --demo too"),
+        (["--demo", "squat", "--seconds", "4"], "--seconds: it does nothing with --demo"),
+        (["--drop", "--csv", "path.csv"], "--csv: it does nothing with --drop, it is of --demo"),
         (["--demo", "squat", "--csv", "."], "it is a folder"),
     ],
 )
@@ -96,7 +97,7 @@ def test_bad_input_is_one_line_and_exit_status_2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    status, out, err = run_command(capfd, "drop", "--headless", *arguments)
+    status, out, err = run_command(capfd, "live", "--headless", *arguments)
     assert status == 2
     assert message in err
     assert len(err.strip().splitlines()) == 1

@@ -1,19 +1,14 @@
-"""A robot on the screen, or in words: its joints, its IMU, and the stand it drops into."""
+"""A robot in MuJoCo's own viewer, or in words: its joints, its IMU, and how it drops."""
 
 from __future__ import annotations
 
-import contextlib
+import copy
 import math
 import os
-import shlex
-import signal
 import sys
-import threading
-import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -21,7 +16,6 @@ from numpy.typing import NDArray
 
 from pupper_analysis.base.diagnostics import diagnose
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
-from pupper_analysis.base.results import Result
 from pupper_analysis.pupper.variant_files import load_variant
 from pupper_analysis.pupper.variants import VariantSpec
 from pupper_analysis.robot.configuration import Configuration
@@ -42,7 +36,7 @@ SECONDS = (2.0, 600.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Reading(Result):
+class Reading:
     """What the IMU read at one moment of a drop.
 
     Attributes:
@@ -62,7 +56,7 @@ class Reading(Result):
 
 
 @dataclass(frozen=True, eq=False)
-class Drop(Result):
+class Drop:
     """A simulated drop with the servos at the home pose.
 
     Attributes:
@@ -84,7 +78,6 @@ def drop(
     seconds: float = DEFAULT_SECONDS,
     *,
     robot: str | VariantSpec | Robot = "v3",
-    window: bool = False,
 ) -> Drop:
     """Drops a robot, its servos at the joint positions of its keyframe ``home``.
 
@@ -94,11 +87,9 @@ def drop(
     Args:
         seconds: How long (s), from 2 to 600.
         robot: A variant's name, a ``VariantSpec``, or a robot.
-        window: Show it in real time.
 
     Raises:
         ConfigurationError: If ``seconds`` is out of its bounds.
-        DisplayError: If no window can be opened.
         ModelError: If the model file is missing or damaged.
         VariantError: If the name is unknown.
     """
@@ -108,17 +99,12 @@ def drop(
     servos_at_home = data.ctrl.copy()
     samples = [_sample(data, imu)]
 
-    def step() -> None:
+    timestep = float(model.opt.timestep)
+    count = round(seconds / timestep)
+    for _ in range(count):
         data.ctrl[:] = servos_at_home
         mujoco.mj_step(model, data)
         samples.append(_sample(data, imu))
-
-    timestep = float(model.opt.timestep)
-    count = round(seconds / timestep)
-    if window:
-        show_window(model, data, step, count)
-    while len(samples) <= count:
-        step()
 
     record = np.array(samples)
     moment = np.arange(count + 1, dtype=np.float64) * timestep
@@ -216,7 +202,7 @@ _AXES = {"roll": (1, 0, 0), "pitch": (0, 1, 0), "yaw": (0, 0, 1)}
 
 
 @dataclass(frozen=True, eq=False)
-class JointAction(Result):
+class JointAction:
     """What a joint really does, whatever the file calls its axis.
 
     Attributes:
@@ -355,8 +341,8 @@ def view_robot(
 ) -> None:
     """Shows a robot with its joints as in its keyframe ``home``, until the window is closed.
 
-    With a fixed base nothing moves by itself; the viewer's sliders under "Control" set the joints.
-    With a free base gravity and contact run in real time, and the sliders command the servos.
+    The viewer's sliders under "Control" command the servos. A robot whose base is fixed is shown
+    without gravity: nothing moves by itself.
 
     Args:
         robot: A variant's name, a ``VariantSpec``, or a robot.
@@ -370,26 +356,16 @@ def view_robot(
     if not headless:
         check_display()
     shown, data = at_home(robot, fixed=fixed)
-    model, held = shown.mj_model, not shown.floating
-    print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}")
+    model = shown.mj_model
+    print(f"nq={model.nq}, nv={model.nv}, nu={model.nu}", flush=True)
     if headless:
         print_joints(shown, data)
-        print_imu(data, at_rest=held)
+        print_imu(data, at_rest=not shown.floating)
         return
-
-    at_joints = shown.mj_convention.actuator_index
-    joints = model.actuator_trnid[at_joints, 0]
-    lower, upper = model.jnt_range[joints].T
-
-    def step() -> None:
-        if held:
-            data.qpos[model.jnt_qposadr[joints]] = np.clip(data.ctrl[at_joints], lower, upper)
-            mujoco.mj_forward(model, data)
-        else:
-            mujoco.mj_step(model, data)
-
-    with contextlib.suppress(KeyboardInterrupt), open_window(model, data) as handle:
-        play_steps(handle, model.opt.timestep, step)
+    if not shown.floating:
+        model = copy.copy(model)  # the robot's own is not changed
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    show_window(model, data)
 
 
 def drop_and_report(
@@ -397,7 +373,7 @@ def drop_and_report(
 ) -> bool:
     """Drops a robot and prints how steadily it stands at the end.
 
-    With a window it runs in real time; a window that is closed early does not change the result.
+    The result is the same whatever is done in the window.
 
     Args:
         robot: A variant's name, a ``VariantSpec``, or a robot.
@@ -414,8 +390,9 @@ def drop_and_report(
     """
     check_seconds(seconds)
     if not headless:
-        check_display()
-    result = drop(seconds, robot=robot, window=not headless)
+        dropped, data = at_home(robot)
+        show_window(dropped.mj_model, data)
+    result = drop(seconds, robot=robot)
     if headless:
         print_readings(result.readings)
     deviation = 1e3 * result.height_deviation
@@ -427,17 +404,12 @@ def drop_and_report(
     return result.stable
 
 
-# MuJoCo's window, in real time: opened where there is a screen, and closed without a crash.
-
-_FRAME = 1 / 60  # s between two pictures
-
-
 class DisplayError(PupperAnalysisError):
     """The viewer cannot open a window here; the message says what to do instead."""
 
 
 def check_display() -> None:
-    """Makes sure that a window can be opened; without one GLFW ends the interpreter, or hangs.
+    """Makes sure that a window can be opened; without one MuJoCo's viewer ends the interpreter.
 
     Raises:
         DisplayError: If not.
@@ -446,15 +418,9 @@ def check_display() -> None:
     if sys.platform.startswith("linux") and no_screen:
         raise DisplayError(diagnose("no-display"))
     try:
-        from mujoco import viewer
+        from mujoco.viewer import glfw
     except (ImportError, RuntimeError) as error:
         raise DisplayError(diagnose("viewer-not-available", message=str(error))) from error
-    if sys.platform == "darwin":
-        if viewer._MJPYTHON is None:
-            command = shlex.join(["mjpython", *sys.argv])
-            raise DisplayError(diagnose("launcher-needed", command=command))
-        return
-    glfw = viewer.glfw
     with warnings.catch_warnings(record=True) as caught:  # how glfw reports errors
         warnings.simplefilter("always")
         window = None
@@ -463,63 +429,31 @@ def check_display() -> None:
             window = glfw.create_window(16, 16, "", None, None)
             glfw.default_window_hints()
     if not window:
-        message = str(caught[-1].message) if caught else None
-        raise DisplayError(diagnose("display-not-usable", message=message))
+        message = str(caught[-1].message) if caught else "no window with OpenGL"
+        raise DisplayError(diagnose("viewer-not-available", message=message))
     glfw.destroy_window(window)
 
 
-@contextlib.contextmanager
-def open_window(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Any]:
-    """Opens MuJoCo's passive viewer, and sees it closed before it goes on."""
+def show_window(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    control: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
+) -> None:
+    """Simulates in MuJoCo's viewer, in real time, until its window is closed.
+
+    Args:
+        model: The model.
+        data: Where it begins.
+        control: Sets ``ctrl`` before each step; by default the viewer's sliders do.
+
+    Raises:
+        DisplayError: If no window can be opened.
+    """
     check_display()
     from mujoco import viewer
 
-    before = set(threading.enumerate())
-    handle = viewer.launch_passive(model, data)
-    with handle.lock():
-        handle.cam.lookat[:] = data.site("body_imu_site").xpos * (0.0, 0.0, 0.5)
-        handle.cam.distance, handle.cam.azimuth, handle.cam.elevation = 0.8, 130.0, -20.0
+    mujoco.set_mjcb_control(control)
     try:
-        yield handle
+        viewer.launch(model, data)
     finally:
-        with _no_interrupt():  # if Python ended before the window's thread, it would crash
-            handle.close()
-            for thread in set(threading.enumerate()) - before:
-                thread.join(timeout=5.0)
-
-
-@contextlib.contextmanager
-def _no_interrupt() -> Iterator[None]:
-    """Ignores Ctrl-C; only the main thread gets it, and only there it can be ignored."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    previous = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)
-
-
-def show_window(
-    model: mujoco.MjModel, data: mujoco.MjData, step: Callable[[], None], count: int
-) -> None:
-    """Opens a window and calls ``step`` in it, ``count`` times in real time, until it is closed."""
-    with open_window(model, data) as handle:
-        play_steps(handle, float(model.opt.timestep), step, count)
-
-
-def play_steps(
-    handle: Any, timestep: float, step: Callable[[], None], count: int | None = None
-) -> None:
-    """Calls ``step`` in real time, ``count`` times or without end, while the window is open."""
-    done, limit = 0, math.inf if count is None else count
-    while handle.is_running() and done < limit:
-        begun = time.perf_counter()
-        steps = int(min(max(1, round(_FRAME / timestep)), limit - done))
-        with handle.lock():
-            for _ in range(steps):
-                step()
-        done += steps
-        handle.sync()
-        time.sleep(max(0.0, steps * timestep - (time.perf_counter() - begun)))
+        mujoco.set_mjcb_control(None)

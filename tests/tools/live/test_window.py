@@ -5,8 +5,6 @@ import os
 import re
 import subprocess
 import sys
-from contextlib import nullcontext
-from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -14,7 +12,7 @@ import pytest
 
 from pupper_analysis.base.errors import ConfigurationError, PupperAnalysisError
 from pupper_analysis.pupper.variants import model_folder
-from pupper_analysis.tools.view import viewer
+from pupper_analysis.tools.live import window as viewer
 
 GRAVITY = 9.81
 
@@ -186,7 +184,6 @@ def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     for show in (
         lambda: viewer.view_robot(fixed=True, headless=False),
         lambda: viewer.drop_and_report(headless=False),
-        lambda: viewer.drop(window=True),
     ):
         with pytest.raises(viewer.DisplayError, match=r"no display.*--headless") as caught:
             show()
@@ -195,71 +192,53 @@ def test_no_screen_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == ""
 
 
-def test_macos_is_told_of_mjpython(monkeypatch: pytest.MonkeyPatch) -> None:
-    from mujoco import viewer as mujoco_viewer
-
-    monkeypatch.setattr(sys, "platform", "darwin")
-    monkeypatch.setattr(sys, "argv", ["scripts/view_pupper.py", "--fixed-base"])
-    with pytest.raises(viewer.DisplayError, match=r"mjpython scripts/view_pupper\.py --fixed-base"):
-        viewer.check_display()
-    monkeypatch.setattr(mujoco_viewer, "_MJPYTHON", object())
-    viewer.check_display()
-
-
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11 is how Linux says so")
 def test_a_screen_that_is_not_there_ends_no_interpreter() -> None:
-    code = "from pupper_analysis.tools.view import viewer; viewer.check_display()"
+    code = "from pupper_analysis.tools.live import window as viewer; viewer.check_display()"
     environment = {**os.environ, "DISPLAY": ":4711"}
     environment.pop("WAYLAND_DISPLAY", None)
     done = subprocess.run(
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1
-    assert "DisplayError: the display cannot be used" in done.stderr.splitlines()[-1]
+    assert "DisplayError: MuJoCo's viewer is not available" in done.stderr.splitlines()[-1]
 
 
-def test_play_keeps_time_and_stops_with_the_window() -> None:
-    calls: list[int] = []
-
-    class Window:
-        def __init__(self, frames: int) -> None:
-            self.frames = frames
-
-        def is_running(self) -> bool:
-            self.frames -= 1
-            return self.frames >= 0
-
-        def lock(self) -> "Window":
-            return self
-
-        def __enter__(self) -> None:
-            return None
-
-        def __exit__(self, *_: object) -> None:
-            return None
-
-        def sync(self) -> None:
-            return None
-
-    viewer.play_steps(Window(1000), 0.002, lambda: calls.append(1), 50)
-    assert len(calls) == 50  # 0.1 s
-    calls.clear()
-    viewer.play_steps(Window(6), 0.002, lambda: calls.append(1))
-    assert 25 <= len(calls) <= 250
-
-
-def test_a_window_that_is_closed_early_changes_nothing(
-    monkeypatch: pytest.MonkeyPatch, dropped: viewer.Drop
+def test_the_window_simulates_from_home_and_the_result_is_that_without(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], dropped: viewer.Drop
 ) -> None:
-    handle = SimpleNamespace(
-        is_running=lambda: False,
-        close=lambda: None,
-        lock=nullcontext,
-        cam=SimpleNamespace(lookat=np.zeros(3)),
-    )
     from mujoco import viewer as mujoco_viewer
 
+    begun: list[float] = []
+
+    def launch(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        begun.append(float(data.qpos[2]))
+        for _ in range(100):
+            mujoco.mj_step(model, data)
+
     monkeypatch.setattr(viewer, "check_display", lambda: None)
-    monkeypatch.setattr(mujoco_viewer, "launch_passive", lambda model, data: handle)
-    seen = viewer.drop(window=True)
-    np.testing.assert_array_equal(seen.height, dropped.height)
+    monkeypatch.setattr(mujoco_viewer, "launch", launch)
+    assert viewer.drop_and_report(headless=False)
+    assert begun == [dropped.height[0]]
+    assert f"final z={dropped.height[-1]:.3f} m" in capsys.readouterr().out
+
+
+def test_a_fixed_robot_moves_only_by_its_sliders(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mujoco import viewer as mujoco_viewer
+
+    moved: list[float] = []
+
+    def launch(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        begun = data.qpos.copy()
+        for _ in range(500):
+            mujoco.mj_step(model, data)
+        moved.append(float(np.abs(data.qpos - begun).max()))
+        data.ctrl[0] += 0.1
+        for _ in range(2000):
+            mujoco.mj_step(model, data)
+        moved.append(float(data.qpos[0] - begun[0]))
+
+    monkeypatch.setattr(viewer, "check_display", lambda: None)
+    monkeypatch.setattr(mujoco_viewer, "launch", launch)
+    viewer.view_robot(fixed=True, headless=False)
+    assert moved == pytest.approx([0.0, 0.1], abs=1e-3)

@@ -1,4 +1,4 @@
-"""Pupper v3 moving between stances: what ``stand_pupper.py --demo`` shows."""
+"""Pupper v3 moving between stances: what ``live --drop --demo`` shows."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pupper_analysis.robot.configuration import Configuration
 from pupper_analysis.robot.robot import Robot
 from pupper_analysis.simulation.rollout import STATE
 from pupper_analysis.stance.task import StandTask
+from pupper_analysis.tools.live.window import show_window
 from pupper_analysis.tools.path.document import tracking_document
 from pupper_analysis.tools.path.path_commands import path_commands
 from pupper_analysis.tools.path.plan import StancePath, stance_path
 from pupper_analysis.tools.path.tracking import track_path
-from pupper_analysis.tools.view.viewer import check_display, show_window
 
 DEMOS = {
     "squat": "down by a fifth, and up again",
@@ -87,8 +87,6 @@ def demo(
         DisplayError: If no window can be opened.
         OutputError: If the file cannot be written.
     """
-    if not headless:
-        check_display()
     if not isinstance(robot, Robot):
         robot = load_variant(robot)
     path = demo_path(robot, name)
@@ -105,12 +103,13 @@ def demo(
 
 def _show(robot: Robot, path: StancePath) -> None:
     plan = path_commands(robot, path)
-    model, rows = plan.drive.model, iter(plan.ctrl)
+    model = plan.drive.model
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, plan.start, STATE)
+    begun = data.time
 
-    def step() -> None:
-        data.ctrl[:] = next(rows)
-        mujoco.mj_step(model, data)
+    def control(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        step = round((data.time - begun) / model.opt.timestep)
+        data.ctrl[:] = plan.ctrl[min(step, len(plan.ctrl) - 1)]
 
-    show_window(model, data, step, len(plan.ctrl))
+    show_window(model, data, control)

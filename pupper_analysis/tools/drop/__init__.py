@@ -1,3 +1,0 @@
-"""Drop a robot, and see that it stands."""
-
-HEADING = "Look"

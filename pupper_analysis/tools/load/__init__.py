@@ -1,3 +1,0 @@
-"""Load a robot, and list what was added."""
-
-HEADING = "Stance"

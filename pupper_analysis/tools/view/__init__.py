@@ -1,3 +1,0 @@
-"""Show a robot in MuJoCo's viewer."""
-
-HEADING = "Look"
