@@ -210,6 +210,7 @@ ALWAYS = {
     "diff": {"changes"},
     "sync": {"take", "dry_run", "map_file", "fine", "changes"},
     "study": {"dry_run", "workers"},
+    "walk": {"policy", "contract", "asked", "seeds", "seconds"},
     "live": {"language", "host", "port", "no_browser", "viewer", "dropped", "demo"},
 }
 """{command: options besides those of the robot, the stance and outputs that always matter}."""
