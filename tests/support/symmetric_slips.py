@@ -1,4 +1,4 @@
-"""Slips that all legs of a robot share, so that no mirror shows them: written into its URDF."""
+"""Slips written into a URDF: in all its legs alike, so that no mirror shows them, or in one."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ def legs(tree: UrdfTree) -> list[list[UrdfJoint]]:
     return found
 
 
-def _each(part: int, change: Callable[[UrdfTree, UrdfJoint], None]) -> Callable[[UrdfTree], None]:
-    def slip(tree: UrdfTree) -> None:
-        for leg in legs(tree):
-            change(tree, leg[part])
-
-    return slip
+Change = Callable[[UrdfTree, UrdfJoint], None]
+Slip = Callable[[UrdfTree, list[UrdfJoint]], None]
+"""Of one leg."""
 
 
-def _all(change: Callable[[UrdfTree, UrdfJoint], None]) -> Callable[[UrdfTree], None]:
-    def slip(tree: UrdfTree) -> None:
-        for leg in legs(tree):
-            for joint in leg:
-                change(tree, joint)
+def _each(part: int, change: Change) -> Slip:
+    return lambda tree, leg: change(tree, leg[part])
+
+
+def _all(change: Change) -> Slip:
+    def slip(tree: UrdfTree, leg: list[UrdfJoint]) -> None:
+        for joint in leg:
+            change(tree, joint)
 
     return slip
 
@@ -57,7 +57,7 @@ def _write(element: Element, name: str, values: list[float]) -> None:
     element.set(name, " ".join(repr(value) for value in values))
 
 
-def _scaled(tag: str, factor: float) -> Callable[[UrdfTree, UrdfJoint], None]:
+def _scaled(tag: str, factor: float) -> Change:
     def change(tree: UrdfTree, joint: UrdfJoint) -> None:
         element = tree.links[joint.child].element.find(f"inertial/{tag}")
         for name, text in list(element.attrib.items()):
@@ -66,7 +66,7 @@ def _scaled(tag: str, factor: float) -> Callable[[UrdfTree, UrdfJoint], None]:
     return change
 
 
-def _com(factors: tuple[float, float, float]) -> Callable[[UrdfTree, UrdfJoint], None]:
+def _com(factors: tuple[float, float, float]) -> Change:
     def change(tree: UrdfTree, joint: UrdfJoint) -> None:
         origin = tree.links[joint.child].element.find("inertial/origin")
         xyz = _numbers(origin, "xyz")
@@ -88,7 +88,7 @@ def _flipped(_: UrdfTree, joint: UrdfJoint) -> None:
     limit.set("upper", repr(-lower))
 
 
-def _effort(factor: float) -> Callable[[UrdfTree, UrdfJoint], None]:
+def _effort(factor: float) -> Change:
     def change(_: UrdfTree, joint: UrdfJoint) -> None:
         limit = joint.element.find("limit")
         limit.set("effort", repr(float(limit.get("effort")) * factor))
@@ -119,7 +119,7 @@ def _reversed(_: UrdfTree, joint: UrdfJoint) -> None:
 
 THIGH, KNEE = 1, 2
 
-SLIPS: dict[str, Callable[[UrdfTree], None]] = {
+SLIPS: dict[str, Slip] = {
     "mass x 1000": _each(THIGH, _scaled("mass", 1000.0)),
     "inertia x 100": _each(THIGH, _scaled("inertia", 100.0)),
     "inertia x 0.001": _each(THIGH, _scaled("inertia", 0.001)),
@@ -135,9 +135,10 @@ SLIPS: dict[str, Callable[[UrdfTree], None]] = {
 }
 
 
-def written(source: Path, slip: str, path: Path) -> Path:
-    """Writes a URDF with a slip in all four legs."""
+def written(source: Path, slip: str, path: Path, number: int = 4) -> Path:
+    """Writes a URDF with a slip in so many of its four legs."""
     tree = UrdfTree.of(source.read_text(encoding="utf-8"))
-    SLIPS[slip](tree)
+    for leg in legs(tree)[:number]:
+        SLIPS[slip](tree, leg)
     path.write_bytes(etree.tostring(tree.root))
     return path

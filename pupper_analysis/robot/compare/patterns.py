@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, diagnose
+from pupper_analysis.base.diagnostics import Diagnostic, Quantity, Term, Vector, diagnose
 from pupper_analysis.base.results import Result
 from pupper_analysis.models.efforts import gear_left_out
 from pupper_analysis.models.multibody import MultibodyTree, TreeBody, TreeJoint
@@ -531,6 +531,32 @@ def other_links(case: PatternCase) -> Found:
             yield PatternFinding("links", _lacking(group, known), explained)
         else:
             yield PatternFinding("scaled links", _scaled(group), explained)
+    for name in differ:
+        told = None if ("mass", name) in case.open else _moved(case, name)
+        if told is not None:
+            keys = {key for key in case.open if key[0] in OF_INERTIALS and key[1] == name}
+            yield PatternFinding("moved link", told, keys)
+
+
+def _moved(case: PatternCase, name: str) -> Diagnostic | None:
+    """Says which one of several links of a body has its com elsewhere, if only one can be it."""
+    one, two, links = case.first.bodies[name], case.second.bodies[name], case.urdf.get(name, ())
+    apart, found = body_moments(one) - body_moments(two), []
+    for link in links if len(links) > 1 else ():
+        shift = -apart[1:4] / link.body.mass
+        moved = replace(link.body, com=link.body.com + shift)
+        extra = body_moments(link.body) - body_moments(moved)
+        if _is_it(case, name, from_moments(body_moments(one) - extra), two, extra, apart):
+            found.append((link, shift))
+    if len(found) != 1:
+        return None
+    ((link, shift),) = found
+    return diagnose(
+        "link-com-moved",
+        link=link.name,
+        shift=Vector(tuple(shift @ link.axes), "m"),
+        others=len(links) - 1,
+    )
 
 
 def _slip(case: PatternCase, name: str) -> _Slip | None:
@@ -821,7 +847,7 @@ class PatternCause(Result):
 
     Attributes:
         kind: ``units``, ``gears``, ``angles``, ``exchanged``, ``products``, ``coms``, ``geoms``,
-            ``equalities``, ``links``, ``scaled links``, ``inertial`` or ``line``.
+            ``equalities``, ``links``, ``scaled links``, ``moved link``, ``inertial`` or ``line``.
         diagnostic: What it is, with its numbers.
         differences: Which of the differences it explains, by number, from 0.
     """

@@ -315,6 +315,14 @@ class _Trial:
         return _weigh(before, after, start, together=together)
 
 
+_OF_BODIES = {"contype": np.bitwise_or, "conaffinity": np.bitwise_or, "margin": np.maximum}
+"""What MuJoCo keeps of all geoms of a body together, and how it is put together."""
+
+
+def _touches(model: mujoco.MjModel, geom: Element) -> bool:
+    return bool(model.geom_contype[geom.row] | model.geom_conaffinity[geom.row])
+
+
 def _apply(
     model: mujoco.MjModel, new: mujoco.MjModel, kind: str, word: str, one: Element, two: Element
 ) -> bool:
@@ -333,11 +341,18 @@ def _apply(
         arrays = [
             row.mujoco for row in ELEMENT_ATTRIBUTES if (row.element, row.word) == (kind, word)
         ]
+    if kind == "geom" and word in _OF_BODIES and _touches(model, one) != _touches(new, two):
+        return False  # one that touches nothing is not in the trees in which contacts are sought
     for array in arrays:
         here, there = getattr(model, array), getattr(new, array)
         if here[one.row].shape != there[two.row].shape:
             return False
         here[one.row] = there[two.row]
+    if kind == "geom" and word in _OF_BODIES:  # what MuJoCo looks at before it looks at geoms
+        body = model.geom_bodyid[one.row]
+        geoms = model.geom_bodyid == body
+        values = getattr(model, f"geom_{word}")[geoms]
+        getattr(model, f"body_{word}")[body] = _OF_BODIES[word].reduce(values)
     return True
 
 

@@ -132,8 +132,8 @@ def _of_mjcf(file: MjcfFile) -> Version:
 
 
 def _base(model: mujoco.MjModel, names: list[str]) -> str:
-    """Returns the name of the body that the first joint's tree begins with."""
-    body = int(model.joint(names[0]).bodyid[0])
+    """Returns the body that the tree of the first joint, or of the last body, begins with."""
+    body = int(model.joint(names[0]).bodyid[0]) if names else model.nbody - 1
     while model.body_parentid[body] != 0:
         body = int(model.body_parentid[body])
     return str(model.body(body).name)

@@ -120,6 +120,19 @@ def test_a_decimal_point_in_links_that_are_folded(inertia: bool, folder: Path) -
     assert lines(comparison)[0] == f"DISAGREE: {message}"
 
 
+@pytest.mark.parametrize("name", ["thigh0_rotor", "thigh0"])
+def test_a_com_that_is_moved_in_one_of_the_links_that_are_folded(name: str, folder: Path) -> None:
+    """By as much first moment as the other could have: only the inertia says which it is."""
+    parts = geared()
+    shift = np.array([0.02, -0.01, 0.03]) * parts["thigh0_rotor"].mass / parts[name].mass
+    moved = replace(parts[name], com=tuple(np.add(parts[name].com, shift)))
+    comparison = compared(write(folder, urdf_text(parts), mjcf_text({**parts, name: moved})))
+    (cause,) = (cause for cause in comparison.causes if cause.kind == "moved link")
+    assert cause.diagnostic.values["link"] == name
+    np.testing.assert_allclose(cause.diagnostic.values["shift"].values, shift, atol=1e-5)
+    assert lines(comparison)[0] == f"DISAGREE: {cause.message}"
+
+
 @pytest.mark.parametrize(("mass", "other", "told"), [(0.3, 3.0, True), (4.0, 2.5, False)])
 def test_a_decimal_point_in_the_masses_of_two_links_is_told(
     mass: float, other: float, told: bool, folder: Path

@@ -96,6 +96,7 @@ CASES = [
     ),
     urdf("com-outside-shapes", "link 'FL_calf'", FL_CALF, "<origin", "-0.055", "0.055"),
     urdf("total-mass-unusual", "link 'base_link'", '<link name="base_link">', "", "1.506", "1506"),
+    urdf("mass-beyond-motors", "link 'base_link'", '<link name="base_link">', "", "1.506", "1506"),
     urdf(
         "link-without-inertial",
         "link 'body_imu_site'",
@@ -510,6 +511,29 @@ CASES = [
         ('<geom name="FL_foot"', ""),
         (Edit('<default class="foot">', 'friction="1.2', 'priority="1" friction="0'),),
     ),
+    *(
+        Case(
+            "contact-out-of-range",
+            "mjcf",
+            "geom 'FL_foot'",
+            ('<geom name="FL_foot"', ""),
+            (Edit('<default class="foot">', *edit),),
+        )
+        for edit in (
+            ('friction="1.2', 'friction="12'),
+            ('friction="1.2 0.04 0.01" condim="3"', 'friction="1 1 0.01" condim="4"'),
+            ('friction="1.2 0.04 0.01" condim="3"', 'friction="1 0.01 1" condim="6"'),
+            ('condim="3"', 'condim="3" margin="0.02"'),
+            ('condim="3"', 'condim="3" solref="0.3 1"'),
+        )
+    ),
+    Case(
+        "ground-not-met",
+        "mjcf",
+        "body 'base_link'",
+        ('<body name="base_link"', ""),
+        (Edit('<geom name="floor"', 'contype="1" conaffinity="1"', 'contype="2" conaffinity="4"'),),
+    ),
 ]
 
 
@@ -684,6 +708,22 @@ def test_a_severity_has_the_name_of_before_too() -> None:
     assert Severity("info") is Severity.NOTE
     with pytest.raises(ValueError, match="frightful"):
         Severity("frightful")
+
+
+@pytest.mark.parametrize(("solref", "refsafe", "severity"), [
+    ("0.004", "enable", None), ("0.0039", "enable", Severity.NOTE),
+    ("0.0039", "disable", Severity.WARNING), ("-500 -10", "disable", None),
+])  # fmt: skip
+def test_contacts_faster_than_two_steps_are_not_what_is_stated(
+    solref: str, refsafe: str, severity: Severity | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "ball.xml"
+    path.write_text(
+        f'<mujoco><option timestep="0.002"><flag refsafe="{refsafe}"/></option><worldbody>'
+        f'<body><freejoint/><geom size="0.1" solref="{solref}"/></body></worldbody></mujoco>'
+    )
+    findings = found(audit_model(path), "contact-out-of-range")
+    assert [finding.severity for finding in findings] == ([severity] if severity else [])
 
 
 def test_every_rule_has_a_test() -> None:

@@ -102,3 +102,20 @@ def test_shapes_of_a_urdf_that_touch_are_compared(tmp_path: Path) -> None:
     assert len(feet) == 4
     moved = [told for change in diff.changes for told in change.consequences]
     assert all(told.values["distance"].value == pytest.approx(0.09 - 0.01995) for told in moved)
+
+
+@pytest.mark.parametrize("word", ["contype", "conaffinity"])
+def test_a_drawn_shape_that_begins_to_touch_is_told_to_move_it(tmp_path: Path, word: str) -> None:
+    # MuJoCo looks for contacts in trees of bodies and geoms, which a drawn shape is not in.
+    text = (
+        "<mujoco><worldbody><geom type='plane' size='0 0 1'/><body pos='0 0 0.3'><freejoint/>"
+        "<geom size='0.1'/><geom size='0.05' pos='0 0 -0.2' contype='0' conaffinity='0'/>"
+        "</body></worldbody></mujoco>"
+    )
+    before, after = tmp_path / "before.xml", tmp_path / "after.xml"
+    before.write_text(text)
+    after.write_text(text.replace(f"{word}='0'", f"{word}='1'"))
+    (change,) = pa.diff_models(before, after).changes
+    (told,) = change.consequences
+    assert told.code == "simulation-changes"
+    assert told.values["higher"].value == pytest.approx(0.15, abs=0.01)

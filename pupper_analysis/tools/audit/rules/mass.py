@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import mujoco
 import numpy as np
+from scipy.constants import g as standard_gravity
 
 from pupper_analysis.base.diagnostics import (
     Quantity,
@@ -24,6 +25,7 @@ from pupper_analysis.models.stated.geometry import (
 from pupper_analysis.models.stated.mjcf import line_of
 from pupper_analysis.models.stated.model import (
     FREE,
+    HINGE,
     Array,
     Inertial,
     Link,
@@ -135,6 +137,37 @@ def total_mass_unusual(robot: RobotModel) -> Iterator[Found]:
             mass=Quantity(total, "kg"),
             least=Quantity(LIGHT, "kg"),
             most=Quantity(HEAVY, "kg"),
+        )
+        yield Found(robot.link_tag, robot.base, told)
+
+
+@rule
+def mass_beyond_motors(robot: RobotModel) -> Iterator[Found]:
+    """Compares the weight, at the longest way between two joints, with all efforts together.
+
+    No robot on legs could lift itself so. Joints whose effort nobody states, or is 0, say nothing.
+    """
+    hinges = [joint for joint in robot.joints.values() if joint.kind == HINGE and joint.parent]
+    efforts = [joint.effort for joint in hinges]
+    known = sum(1 for effort in efforts if 0 < effort < np.inf)
+    if known < len(efforts) or known < 2:
+        return
+    ways = [
+        float(np.linalg.norm(joint.position - before.position))
+        for joint in hinges
+        for before in hinges
+        if robot.carrier(joint.parent) == robot.carrier(before.child)
+    ]
+    lever = max(ways, default=0.0)
+    torque = robot.total_mass * standard_gravity * lever
+    if torque > sum(efforts):
+        told = diagnose(
+            "mass-beyond-motors",
+            mass=Quantity(robot.total_mass, "kg"),
+            lever=Quantity(lever, "m"),
+            torque=Quantity(torque, "N m"),
+            joints=known,
+            effort=Quantity(sum(efforts), "N m"),
         )
         yield Found(robot.link_tag, robot.base, told)
 

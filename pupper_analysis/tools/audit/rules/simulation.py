@@ -6,8 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
+from scipy.constants import g as standard_gravity
 
 from pupper_analysis.base.diagnostics import (
+    Diagnostic,
     Quantity,
     Severity,
     Vector,
@@ -22,15 +24,15 @@ from pupper_analysis.tools.audit.registry import rule
 from pupper_analysis.tools.audit.rules.actuators import drives
 from pupper_analysis.tools.audit.rules.files import first_place
 
-STANDARD_GRAVITY = 9.80665
-"""m/s^2; what is used differs by the third digit."""
-
 
 @rule
 def gravity_unusual(robot: MjcfModel) -> Iterator[Found]:
-    """Finds a gravity off by more than 0.02 m/s^2 in any direction; NOTE unless it points up."""
+    """Finds a gravity off by more than 0.02 m/s^2 in any direction; NOTE unless it points up.
+
+    What is used for it differs by the third digit.
+    """
     gravity = np.array(robot.file.spec.option.gravity)
-    if np.linalg.norm(gravity - (0.0, 0.0, -STANDARD_GRAVITY)) > 0.02:
+    if np.linalg.norm(gravity - (0.0, 0.0, -standard_gravity)) > 0.02:
         place = first_place(robot.file, "option", "gravity")
         told = diagnose("gravity-unusual", gravity=Vector(tuple(gravity), "m/s^2"))
         severity = None if gravity[2] > 0 else Severity.NOTE
@@ -95,10 +97,9 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
     if model is None:
         return
     ground = ground_geom(model)
-    for geom in range(model.ngeom):
+    for geom in _touching(model):
         body = int(model.geom_bodyid[geom])
         name = model.geom(geom).name
-        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
         at_site = any(
             "foot" in model.site(site).name.lower()
             and np.linalg.norm(model.site_pos[site] - model.geom_pos[geom]) < 1e-3
@@ -106,7 +107,7 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
             if model.site_bodyid[site] == body
         )
         called = "foot" in name.lower() or "foot" in robot.body_names[body].lower()
-        if not collides or not body or not (called or at_site):
+        if not (called or at_site):
             continue
         contact = combine_geoms(model, geom, geom if ground is None else ground)
         friction = contact.friction[0] if ground is None else contact.sliding_friction
@@ -114,10 +115,109 @@ def foot_frictionless(robot: MjcfModel) -> Iterator[Found]:
             told = diagnose(
                 "foot-frictionless", condim=contact.condim, friction=contact.friction[0]
             )
-            if name:
-                yield Found("geom", name, told)
-            else:
-                yield Found("body", robot.body_names[body], told, "geom")
+            yield _of_geom(robot, geom, told)
+
+
+RUBBER = 5.0
+"""A sliding friction above which none is: rubber on dry asphalt has 1, slicks have 2."""
+
+LIFT = 5e-3
+"""A margin (m) beyond which a robot visibly stands on air; against jitter, 1 mm is usual."""
+
+SOFTEST = 0.1
+"""A time constant of contacts (s) above which soles are foam: MuJoCo's default is 0.02."""
+
+
+@rule
+def contact_out_of_range(robot: MjcfModel) -> Iterator[Found]:
+    """Finds numbers of contacts that no material has, or that are not used; once each.
+
+    Friction about the normal and of rolling are lengths: a patch is no wider than the geom. A
+    time constant below two steps MuJoCo replaces, unless a flag forbids it.
+    """
+    model = robot.mj_model
+    if model is None:
+        return
+    least = 2 * model.opt.timestep
+    unsafe = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE.value)
+    found: dict[tuple[str, bool], list[tuple[int, Quantity, Quantity]]] = {}
+    for geom in _touching(model):
+        friction, condim = model.geom_friction[geom], model.geom_condim[geom]
+        width = 2 * float(model.geom_rbound[geom])
+        time = float(model.geom_solref[geom, 0])
+        for word, value, most, unit in (
+            ("friction[0]", friction[0], RUBBER, "1"),
+            ("friction[1]", friction[1], width if condim > 3 else np.inf, "m"),
+            ("friction[2]", friction[2], width if condim > 4 else np.inf, "m"),
+            ("margin", model.geom_margin[geom], LIFT, "m"),
+            ("solref[0]", time, SOFTEST, "s"),
+        ):
+            if value > most > 0:
+                those = (geom, Quantity(float(value), unit), Quantity(most, unit))
+                found.setdefault((word, False), []).append(those)
+        if 0 < time < least * (1 - 1e-9):
+            those = (geom, Quantity(time, "s"), Quantity(least, "s"))
+            found.setdefault(("solref[0]", True), []).append(those)
+    for (word, short), all_of_it in found.items():
+        geom, value, bound = all_of_it[0]
+        told = diagnose(
+            "contact-out-of-range",
+            attribute=word,
+            value=value,
+            bound=bound,
+            others=len(all_of_it) - 1,
+            short=short,
+            unsafe=short and unsafe,
+            replaced=short and not unsafe,
+        )
+        yield _of_geom(robot, geom, told, Severity.NOTE if short and not unsafe else None)
+
+
+@rule
+def ground_not_met(robot: MjcfModel) -> Iterator[Found]:
+    """Finds robots with a free base none of whose shapes touches a ground that others would."""
+    model = robot.mj_model
+    ground = None if model is None else ground_geom(model)
+    if model is None or ground is None or not (model.jnt_type == FREE).any() or model.npair:
+        return
+    touching = [geom for geom in _touching(model) if _falls_free(model, geom)]
+    met = [
+        model.geom_contype[geom] & model.geom_conaffinity[ground]
+        or model.geom_contype[ground] & model.geom_conaffinity[geom]
+        for geom in touching
+    ]
+    off = bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT.value)
+    if off or not any(met):
+        told = diagnose("ground-not-met", ground=model.geom(ground).name, off=off)
+        yield Found("body", robot.base, told)
+
+
+FREE = mujoco.mjtJoint.mjJNT_FREE.value
+
+
+def _falls_free(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom's tree begins with a free joint."""
+    joint = model.body_jntadr[model.body_rootid[model.geom_bodyid[geom]]]
+    return bool(joint >= 0 and model.jnt_type[joint] == FREE)
+
+
+def _touching(model: mujoco.MjModel) -> Iterator[int]:
+    """Yields the geoms of bodies that move, and that touch anything at all."""
+    for geom in range(model.ngeom):
+        collides = model.geom_contype[geom] or model.geom_conaffinity[geom]
+        if collides and model.body_weldid[model.geom_bodyid[geom]]:
+            yield geom
+
+
+def _of_geom(
+    robot: MjcfModel, geom: int, told: Diagnostic, severity: Severity | None = None
+) -> Found:
+    """Returns what was found at a geom, or of its body if it has no name."""
+    model = robot.mj_model
+    assert model is not None
+    if name := model.geom(geom).name:
+        return Found("geom", name, told, severity=severity)
+    return Found("body", robot.body_names[model.geom_bodyid[geom]], told, "geom", severity=severity)
 
 
 # Rules about what each engine makes of what a file does not say.

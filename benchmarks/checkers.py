@@ -1,0 +1,195 @@
+"""Checkers of robot files side by side: `python benchmarks/checkers.py --robots FOLDER`.
+
+FOLDER is a site-packages folder with robots of others (see benchmarks/corpus.py). With `--others`
+BIN, other checkers are tried, too; BIN is the `bin` of an environment that has them:
+
+    python -m venv VENV && VENV/bin/pip install simcheck==0.2.0 pybullet \\
+        urdf-validator==1.6.0 isaaclab-robot-doctor==0.1.0 truerig==0.1.1
+
+Each slip is written into one leg of a quadruped, then into all four alike. It is found if a
+checker has an error or a warning that it has not of the file as published; one that runs out of
+time or ends in a traceback has not found it. What is said of the files as published is counted
+beside it. A robot's results are kept in `--folder`; what is there is not run again.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+from corpus import DATA
+from tables import write_csv
+
+import pupper_analysis as pa
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from tests.support.symmetric_slips import SLIPS, written
+
+ROBOTS = ("a1", "go1", "go2", "b1", "laikago")
+
+LIMIT = 180
+"""Seconds that a checker may take for a file: none took more than 40 on an idle machine."""
+
+Said = Counter[str]
+"""Errors and warnings: which check, of which element. Numbers in messages are left out."""
+
+PACKAGE = "example-robot-data"
+
+
+def ours(path: Path, share: Path, _: Path) -> Said:
+    """This package's audit."""
+    found = pa.audit_model(path, packages={PACKAGE: share}).findings
+    return Counter(f"{one.rule} {one.element}" for one in found if one.severity != "info")
+
+
+def _run(words: list[str], share: Path, within: Path) -> str:
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT,
+        check=False,
+        cwd=within,
+        env={"ROS_PACKAGE_PATH": str(share.parent), "PATH": "/usr/bin:/bin"},
+    )
+    if "Traceback" in done.stderr:
+        raise RuntimeError(done.stderr.strip().splitlines()[-1])
+    return done.stdout
+
+
+def simcheck(path: Path, share: Path, bins: Path) -> Said:
+    """Its static checks, and those in MuJoCo and PyBullet."""
+    words = [str(bins / "simcheck"), "check", str(path), "--robot", "--no-config", "--no-cache"]
+    told = _run([*words, "--package-path", f"{PACKAGE}={share}", "--json", "-"], share, path.parent)
+    found = [one for result in json.loads(told)["results"] for one in result["findings"]]
+    return Counter(
+        f"{one['check']} {one['target']}"
+        for one in found
+        if one["severity"] in ("error", "warning")
+    )
+
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?%?", "#", text)
+
+
+def urdf_validator(path: Path, share: Path, bins: Path) -> Said:
+    """Its critical issues and warnings, and joints whose motors do not hold them."""
+    _run(
+        [str(bins / "urdf_validate"), "--output-dir", str(path.parent), str(path)],
+        share,
+        path.parent,
+    )
+    told = json.loads((path.parent / f"{path.stem}_validation.json").read_text())
+    return Counter(_without_numbers(str(one)) for one in told["critical_issues"] + told["warnings"])
+
+
+def robot_doctor(path: Path, share: Path, bins: Path) -> Said:
+    """Errors and warnings of Isaac Lab's doctor."""
+    told = _run(
+        [str(bins / "isaaclab-robot-doctor"), "check", "--json", str(path)], share, path.parent
+    )
+    return Counter(
+        _without_numbers(json.dumps({key: one.get(key) for key in ("id", "message")}))
+        for one in _findings(json.loads(told))
+        if str(one.get("severity", one.get("level"))).lower() in ("error", "warn", "warning")
+    )
+
+
+def truerig(path: Path, share: Path, bins: Path) -> Said:
+    """Errors and warnings of its validation."""
+    told = _run(
+        [str(bins / "truerig"), "validate", "--report", "json", str(path)], share, path.parent
+    )
+    return Counter(
+        _without_numbers(json.dumps(one, sort_keys=True))
+        for one in _findings(json.loads(told))
+        if str(one.get("severity", one.get("level"))).lower() in ("error", "warn", "warning")
+    )
+
+
+def _findings(told: Any) -> list[dict[str, Any]]:
+    """All objects in a report that state how bad they are."""
+    if isinstance(told, list):
+        return [one for each in told for one in _findings(each)]
+    if not isinstance(told, dict):
+        return []
+    own = [told] if isinstance(told.get("severity", told.get("level")), str) else []
+    return own + [one for each in told.values() for one in _findings(each)]
+
+
+CHECKERS: dict[str, Callable[[Path, Path, Path], Said]] = {
+    "pupper-analysis": ours,
+    "simcheck 0.2.0": simcheck,
+    "urdf-validator 1.6.0": urdf_validator,
+    "isaaclab-robot-doctor 0.1.0": robot_doctor,
+    "truerig 0.1.1": truerig,
+}
+
+
+def said(checker: str, path: Path, share: Path, bins: Path, kept: Path) -> Said | None:
+    """What a checker says of a file; None if it does not come to an end."""
+    file = kept / f"{path.stem} {checker}.json"
+    if not file.exists():
+        try:
+            found: Said | None = CHECKERS[checker](path, share, bins)
+        except (subprocess.TimeoutExpired, RuntimeError, ValueError, OSError) as error:
+            click.echo(f"{path.stem}: {checker}: {error!s:.100}", err=True)
+            found = None
+        file.write_text(json.dumps(found))
+    told = json.loads(file.read_text())
+    return None if told is None else Counter(told)
+
+
+COLUMNS = (
+    "checker", "slip in one leg found", "in all four", "of", "said of the files as published",
+    "not ended",
+)  # fmt: skip
+
+
+@click.command()
+@click.option("--robots", type=click.Path(path_type=Path, exists=True), required=True)
+@click.option("--others", type=click.Path(path_type=Path, exists=True), help="Their bin folder.")
+@click.option("--folder", type=click.Path(path_type=Path), default=Path("build/checkers"))
+@click.option("--csv", "to", type=click.Path(path_type=Path), help="Write the counts here.")
+def main(robots: Path, others: Path | None, folder: Path, to: Path | None) -> None:
+    """Counts what checkers find of the same slips in the same files."""
+    share = (robots / DATA).parent.resolve()
+    rows = []
+    for checker in CHECKERS if others else ("pupper-analysis",):
+        found, ended, plain = Counter[int](), Counter[bool](), 0
+        for name in ROBOTS:
+            kept = (folder / name).resolve()
+            kept.mkdir(parents=True, exist_ok=True)
+            source = share / f"robots/{name}_description/urdf/{name}.urdf"
+            sound = kept / f"{name}.urdf"
+            sound.write_bytes(source.read_bytes())
+            bins = (others or Path()).absolute()
+            before = said(checker, sound, share, bins, kept)
+            ended[before is not None] += 1
+            plain += 0 if before is None else before.total()
+            for number in (1, 4):
+                for slip in SLIPS:
+                    path = written(source, slip, kept / f"{name} {slip} {number}.urdf", number)
+                    after = said(checker, path, share, bins, kept)
+                    ended[after is not None] += 1
+                    new = after is not None and before is not None and after - before
+                    found[number] += bool(new)
+            click.echo(f"{checker}: {name}: {dict(found)}", err=True)
+        count = len(ROBOTS) * len(SLIPS)
+        rows.append((checker, found[1], found[4], count, plain, ended[False]))
+    for row in [COLUMNS, *rows]:
+        click.echo(" | ".join(map(str, row)))
+    if to is not None:
+        write_csv(to, COLUMNS, rows)
+
+
+if __name__ == "__main__":
+    main()
